@@ -1,0 +1,71 @@
+# Everything a fresh machine needs is done here: `make run` and `make test` set up what is missing.
+
+VENV   := .venv
+PYTEST := $(VENV)/bin/python -m pytest
+
+INSTALLED := $(VENV)/.installed
+SYSTEM    := $(VENV)/.system-libraries
+VIEWER    := api/static/index.html
+
+MODULES        := viewer/node_modules/.package-lock.json
+VIEWER_SOURCES := $(wildcard viewer/*.html viewer/*.js viewer/src/*)
+# Node comes from the wheel in the virtual environment, also where another one is installed: the same build everywhere.
+NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-fund --no-update-notifier
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup run test test-long lint viewer viewer-if-possible clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make run        set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
+	@echo "make test       the tests that take seconds (ARGS='tests/terrain -x')"
+	@echo "make test-long  the tests that take minutes"
+	@echo "make lint       ruff"
+	@echo "make viewer     build the viewer into api/static/"
+	@echo "make clean      remove everything that make has made"
+
+setup: $(INSTALLED) $(SYSTEM)
+
+run: setup viewer-if-possible
+	$(VENV)/bin/skugga serve $(ARGS)
+
+# On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
+test: setup $(if $(CI),viewer,viewer-if-possible)
+	$(PYTEST) -m "not long" $(ARGS)
+
+# Collecting first keeps pytest's "no tests" status from being a failure while no long test exists.
+test-long: setup
+	@$(PYTEST) -m long --collect-only -qq >/dev/null 2>&1; \
+	if [ $$? -eq 5 ]; then echo "No long tests exist."; else $(PYTEST) -m long $(ARGS); fi
+
+lint: $(INSTALLED)
+	$(VENV)/bin/ruff check .
+
+viewer: $(VIEWER)
+
+viewer-if-possible: $(INSTALLED)
+	@$(MAKE) --no-print-directory viewer || echo "skugga: the viewer was not built (see above); all else works without it" >&2
+
+clean:
+	rm -rf $(VENV) api/static viewer/node_modules build dist *.egg-info
+
+$(INSTALLED): pyproject.toml
+	scripts/make-venv.sh $(VENV)
+	$(VENV)/bin/python -m pip install --quiet -e '.[test,viewer]'
+	@touch $@
+
+$(SYSTEM): $(INSTALLED) scripts/check_system.py
+	@$(VENV)/bin/python scripts/check_system.py || { \
+	    scripts/install-system-packages.sh "OpenGL without a display (EGL) does not work yet" libegl1 libgl1 libgl1-mesa-dri libexpat1 && \
+	    $(VENV)/bin/python scripts/check_system.py; }
+	@touch $@
+
+# One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
+$(MODULES): viewer/package.json viewer/package-lock.json | $(INSTALLED)
+	$(NPM) ci --prefer-offline --fetch-retries=1 --fetch-retry-mintimeout=1000 --fetch-retry-maxtimeout=3000
+	@touch $@
+
+$(VIEWER): $(MODULES) $(VIEWER_SOURCES)
+	$(NPM) run --silent build -- --logLevel warn
+	@touch $@

@@ -1,0 +1,1 @@
+"""Descriptor -> Plan: which algorithm, with which settings, and why."""

@@ -1,0 +1,74 @@
+"""Plans: recipes that can be executed, keyed by light, then caster kind; each choice with its reason."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from terrain.level import AlgorithmName, CasterKind, LightName
+
+
+class _Value(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Reasoned(_Value):
+    """A name with the reason why it is listed."""
+
+    name: str
+    reason: str
+
+
+class ShadowMapSettings(_Value):
+    """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
+
+    ``texel_m`` are the sides of a texel in light space (right, up), ``depth_step_m`` the metres between two depths that
+    the map can tell apart, ``filter`` the taps a side. ``bias_scale`` multiplies the derived normal offset (1 is right;
+    less shows acne).
+    """
+
+    map_size: int = Field(ge=64, le=8192)
+    depth_bits: Literal[16, 24, 32]
+    filter: Literal[1, 2, 3, 5]
+    texel_m: tuple[float, float]
+    depth_step_m: float = Field(gt=0)
+    bias_scale: float = Field(default=1.0, ge=0)
+
+
+class Target(_Value):
+    """What was asked, and whether the plan is expected to meet it (``None``: not known)."""
+
+    max_error: float
+    max_ms: float | None = None
+    met: bool | None = None
+
+
+class Predicted(_Value):
+    """Expected shadow time of a block and share of wrong pixels."""
+
+    ms: float
+    wrong: float
+
+
+class Plan(_Value):
+    """What will be done for a view, and why."""
+
+    view: str
+    policy: Literal["rules", "predict", "measure"]
+    algorithm: dict[LightName, dict[CasterKind, AlgorithmName]]
+    settings: dict[LightName, dict[CasterKind, ShadowMapSettings]]
+    effects: list[Reasoned]
+    left_out: list[Reasoned]
+    rejected: list[Reasoned]
+    passes: list[str]
+    predicted: Predicted | None = None
+    target: Target
+    reasons: list[Reasoned]
+
+    @property
+    def headline(self) -> str:
+        """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep``."""
+        kinds = {f"{kind}={name}": name for per_kind in self.algorithm.values() for kind, name in per_kind.items()}
+        names = set(kinds.values())
+        return names.pop() if len(names) == 1 else ",".join(kinds)

@@ -1,0 +1,138 @@
+"""`shadow_map` for the sun: an orthographic depth map that follows what is looked at.
+
+**Window.** In light space (x right, y up, z away from the sun, metres from the level's anchor) the map covers the
+block's receivers and a border, its corner on the lattice of texels and depth steps counted from the anchor. Texel size
+and depth step are the plan's, one for all blocks of a level, zoom and sun; only the number of texels follows the block.
+Depth spans the receivers. Casters before it are clamped to depth 0: they are before every receiver. Casters beyond the
+last receiver cannot shade anything.
+
+**Bias.** The map holds the depth at texel centres, so a receiver is compared with a surface point beside it. With n taps
+a side the farthest centre lies d = (n/2) t away along each axis (t: the texel's side; 1/256 of a texel more for the
+rasteriser's grid). On a plane of unit normal (nx, ny, nz) in light space depth changes by |nx/nz| and |ny/nz| per
+metre, so the plane's depth there differs by up to (dx |nx| + dy |ny|) / |nz|. Moving the receiver by b along its normal
+gains a clearance of b / |nz| to its plane along the ray, so
+
+    b = dx |nx| + dy |ny|
+
+is exactly enough at every slope and never more than d times the root of 2, where a bias in depth would grow without
+bound. (For t = tx = ty this is the k t sin(theta) of the slope-scaled tables; normal offset: Holbert 2011.)
+
+A heightfield is no plane: the texel's centre may lie on a neighbouring triangle of unit normal m, with |m - n| at most
+the buffer's ``crease`` c. For it dx |mx| + dy |my| <= dx |nx| + dy |ny| + |d| c, and n.m >= 1 - c^2 / 2, hence
+
+    b = (dx |nx| + dy |ny| + |d| c) / (1 - c^2 / 2),
+
+the divisor held above 1/4, so that b stays below 8 texels even on a knife edge.
+
+Two constants remain: e for float32 positions (8 units in the last place of the coordinates' extent, added to b), and
+half a depth step plus the same e in depth for the map's rounding.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import numpy as np
+
+from shadows.passes import PassLog
+from shadows.plan import ShadowMapSettings
+from terrain.errors import RenderError
+from terrain.geometry import GeometryBuffer
+from terrain.gl import device
+from terrain.light_space import light_bounds
+from terrain.reach import PATCH_QUADS, Reach, casters_of
+from terrain.scene import Scene
+
+DEPTH_PASS = "sun/relief: depth map"
+VISIBILITY_PASS = "sun/relief: visibility"
+PASSES = (DEPTH_PASS, VISIBILITY_PASS)
+
+BORDER_TEXELS = 12
+"""Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
+
+SIZE_STEP = 64
+"""Maps are allocated in multiples of this, so that blocks of one level share them."""
+
+
+def fill(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, log: PassLog) -> tuple[np.ndarray, Reach]:
+    """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the relief; and the reach.
+
+    Where there is no surface the value means nothing. Raises ``RenderError`` or ``GraphicsError``.
+    """
+    assert scene.light is not None
+    rows, cols = buffer.there.shape
+    if not buffer.there.any():
+        with log.run(DEPTH_PASS), log.run(VISIBILITY_PASS):
+            return np.ones((rows, cols), np.float32), Reach(0.0, 0.0, False)
+    rotation, translation = scene.light.from_frame(buffer.frame)
+    low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
+    texel = np.array(settings.texel_m)
+    first = np.floor(low[:2] / texel).astype(np.int64) - BORDER_TEXELS
+    size = np.floor(high[:2] / texel).astype(np.int64) + 1 + BORDER_TEXELS - first
+    size = -(-size // SIZE_STEP) * SIZE_STEP
+    gl = device()
+    if size.max() > gl.max_size:
+        raise RenderError(f"shadow map of {size[0]} x {size[1]} texels: the device holds {gl.max_size} a side")
+    extent_m = float(np.abs(buffer.position_frame_m[buffer.there]).max() + np.abs(high - low).max())
+    error_m = 8.0 * np.finfo(np.float32).eps / 2 * extent_m
+    step_m = settings.depth_step_m
+    before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
+    steps = 2**16 - 1 if settings.depth_bits == 16 else 2**24 - 1
+    near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    while near + steps * step_m < high[2]:  # a block deeper than the plan foresaw keeps its depths, more coarsely
+        step_m *= 2.0
+        near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    window_m = np.array([*(size * texel), steps * step_m])
+    uniforms = {
+        "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
+        "light_offset_m": tuple(translation - np.array([*(first * texel), near])),
+        "window_m": tuple(window_m),
+    }
+
+    with log.run(DEPTH_PASS) as record:
+        patches, reach = casters_of(scene, buffer, low, high)
+        target = gl.depth_target(int(size[0]), int(size[1]), settings.depth_bits)
+        program = gl.program(_shader("depth.vert"), _shader("depth.frag"))
+        _set(program, uniforms)
+        with gl.depth_pass(target):
+            sheets = (_patch(scene, buffer, patch.level, patch.row, patch.col) for patch in patches)
+            for sheet in (buffer.surface.position_frame_m, *sheets):
+                record.triangles += gl.draw_sheet(program, sheet)
+                record.draws += 1
+        gl.check(DEPTH_PASS)
+
+    with log.run(VISIBILITY_PASS) as record:
+        program = gl.program(_shader("pixels.vert"), _shader("shadow_map.frag"))
+        _set(program, uniforms)
+        _set(program, {
+            "position_frame_m": 0, "normal_frame": 1, "depth_map": 2, "texel_m": tuple(texel),
+            "map_size": tuple(int(v) for v in size), "taps": settings.filter, "normal_bias_scale": settings.bias_scale,
+            "position_error_m": error_m, "depth_bias": (step_m / 2 + error_m) / window_m[2],
+        })  # fmt: skip
+        normal = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
+        textures = [gl.texture(buffer.position_frame_m), gl.texture(normal)]
+        for unit, texture in enumerate((*textures, target.depth_attachment)):
+            texture.use(unit)
+        visible = gl.float_target(cols, rows)
+        gl.draw_pixels(program, visible)
+        record.draws += 1
+        visibility = gl.read(visible)
+        for texture in textures:
+            texture.release()
+    return visibility, reach
+
+
+def _patch(scene: Scene, buffer: GeometryBuffer, level: int, row: int, col: int) -> np.ndarray:
+    grid = buffer.view.grid if level == 0 else buffer.view.grid.coarser(level)
+    side = PATCH_QUADS + 1
+    window = scene.surface(grid).window(row * PATCH_QUADS, col * PATCH_QUADS, side, side, buffer.frame)
+    return window.position_frame_m
+
+
+def _set(program, values: dict) -> None:  # type: ignore[no-untyped-def]
+    for name, value in values.items():
+        program[name] = value
+
+
+def _shader(name: str) -> str:
+    return files("shadows").joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")

@@ -1,0 +1,55 @@
+"""Data sets that come with Skugga: real heights that an installed wheel already carries, so that no download is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.io import MemoryFile
+from rasterio.warp import Resampling, calculate_default_transform, reproject
+
+
+def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
+    rows, cols = heights.shape
+    memory = MemoryFile(ext=".tif")
+    with memory.open(
+        driver="GTiff", width=cols, height=rows, count=1, dtype=heights.dtype, crs=crs, transform=transform, nodata=nodata,
+        tiled=True, blockxsize=256, blockysize=256,
+    ) as dataset:  # fmt: skip
+        dataset.write(heights, 1)
+    return memory
+
+
+@lru_cache(maxsize=1)
+def _jacksboro() -> MemoryFile:
+    """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
+    from matplotlib.cbook import get_sample_data
+
+    data = get_sample_data("jacksboro_fault_dem.npz")
+    # Row 0 is the north edge although matplotlib calls its latitude "ymin".
+    transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymin"]))
+    return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
+
+
+@lru_cache(maxsize=1)
+def _jacksboro_utm() -> MemoryFile:
+    """The same heights warped to 30 m in UTM zone 16N, bicubic."""
+    with _jacksboro().open() as source:
+        crs = CRS.from_epsg(32616)
+        transform, cols, rows = calculate_default_transform(
+            source.crs, crs, source.width, source.height, *source.bounds, resolution=30
+        )
+        heights = np.full((rows, cols), np.nan, np.float32)
+        reproject(
+            rasterio.band(source, 1), heights, dst_transform=transform, dst_crs=crs, dst_nodata=np.nan,
+            resampling=Resampling.cubic,
+        )  # fmt: skip
+    return _write(heights, crs, transform, np.nan)
+
+
+BUNDLED: dict[str, Callable[[], MemoryFile]] = {"jacksboro": _jacksboro, "jacksboro_utm": _jacksboro_utm}
+"""Name of a data set -> the raster in memory, made once per process."""

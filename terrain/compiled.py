@@ -1,0 +1,20 @@
+"""Compiled loops: numba with its cache where one can be written, else without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import numba
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile ``function`` with numba: no fast-math (results must not depend on the machine), GIL released."""
+    options = {"nogil": True, "error_model": "numpy", "fastmath": False}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # numba finds no writable place for its cache, as in a read-only installation
+        return numba.njit(cache=False, **options)(function)

@@ -1,0 +1,91 @@
+"""Scene and view -> Descriptor: facts that choices are made from. No decision is made here, and none per tile."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from terrain.elevation import Elevation
+from terrain.grid import BLOCK_PX, MapView
+from terrain.level import CasterKind
+from terrain.reach import overview_on_grid
+from terrain.scene import Scene
+from terrain.surface import step_at_anchor_m
+
+
+class Descriptor(BaseModel):
+    """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
+
+    ``receivers_light_m`` is the largest extent of a block's receivers in light space: right, up and along the light,
+    metres; ``None`` without a sun. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    view: str
+    view_kind: str
+    flat_world: bool
+    pixel_m: float
+    node_m: float
+    casters: tuple[CasterKind, ...]
+    relief_m: float
+    block_relief_m: float
+    sun_azimuth_deg: float | None
+    sun_altitude_deg: float | None
+    highest_sun_deg: float | None
+    receivers_light_m: tuple[float, float, float] | None
+
+
+def describe(scene: Scene, view: MapView, name: str = "map") -> Descriptor:
+    """The descriptor of a map view of a scene."""
+    node_m = step_at_anchor_m(scene.world, view.grid)
+    pixel_m = node_m * float(np.sqrt(view.row_step * view.col_step))
+    low, high = scene.height_range_m
+    block_relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit)
+    return Descriptor(
+        view=name, view_kind="map", flat_world=scene.world.flat, pixel_m=pixel_m, node_m=node_m, casters=("relief",),
+        relief_m=high - low, block_relief_m=block_relief_m,
+        sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
+        highest_sun_deg=scene.highest_sun_deg, receivers_light_m=_receivers_light_m(scene, view, block_relief_m),
+    )  # fmt: skip
+
+
+def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:
+    """The largest light-space extent of blocks laid out over the level: 3 x 3 of them, 3 x 3 points each, plus relief."""
+    if scene.light is None:
+        return None
+    row, col, _ = overview_on_grid(scene.world, scene.elevation, view.grid)
+    known = np.isfinite(row) & np.isfinite(col)
+    widest = np.zeros(3)
+    if known.any():
+        spans = []
+        for values, step in ((row[known], view.row_step), (col[known], view.col_step)):
+            side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
+            spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
+        (mid_rows, height), (mid_cols, width) = spans
+        middle = float(np.mean(scene.height_range_m))
+        for mid_row in mid_rows:
+            for mid_col in mid_cols:
+                rows, cols = np.meshgrid(mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width)
+                point, up = scene.world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
+                points = scene.light.from_earth(point + middle * up).reshape(-1, 3)
+                if np.isfinite(points).all():
+                    widest = np.maximum(widest, np.ptp(points, axis=0))
+    altitude = np.radians(scene.light.altitude_deg)
+    widest += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
+    return tuple(float(v) for v in np.maximum(widest, step_at_anchor_m(scene.world, view.grid)))  # type: ignore[return-value]
+
+
+@lru_cache(maxsize=32)
+def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
+    """The largest range of heights within a block's side anywhere on the level, from the overview."""
+    overview = elevation.overview
+    cell_m = elevation.cell_size_m(metres_per_unit) * 2**overview.level
+    size = [int(np.clip(np.ceil(block_m / cell_m) + 1, 1, n)) for n in overview.heights_m.shape]
+    top = maximum_filter(np.nan_to_num(overview.high_m, nan=-np.inf), size=size, mode="nearest")
+    bottom = minimum_filter(np.nan_to_num(overview.heights_m, nan=np.inf), size=size, mode="nearest")
+    ranges = (top - bottom)[np.isfinite(top) & np.isfinite(bottom)]
+    return float(ranges.max()) if ranges.size else 0.0

@@ -1,0 +1,275 @@
+"""Heights from any raster that GDAL reads, by windows and overviews only.
+
+The surface that a raster states is the bilinear one through its cells' centres. Cells are addressed as (row, col) with
+whole numbers at the centres. Zoomed out, cells are averaged 2 x 2, 4 x 4, ... from the raster's corner, so that a window
+reads the same wherever it begins; less than one such cell is lost at the south and east borders.
+
+Holes (nodata) are no surface in the picture, but they are filled for casting: smoothly from their rims, so that no wall
+and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rasterio
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.enums import MaskFlags, Resampling
+from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.fill import fillnodata
+from rasterio.windows import Window
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from terrain.bundled import BUNDLED
+from terrain.compiled import compiled
+from terrain.errors import RenderError, SourceError
+from terrain.level import METRES_PER_UNIT, Units
+from terrain.world import WGS84
+
+FILL_CELLS = 64
+"""How far from their rims holes are filled, in cells of the level read."""
+
+PLAUSIBLE_M = (-11500.0, 9500.0)
+"""Heights on earth; anything else (infinities, unmarked sentinels such as -32768) is a hole."""
+
+OVERVIEW_CELLS = 512
+"""Longest side of the overview that reach and relief are read from."""
+
+EXACT_HIGH_CELLS = 32_000_000
+"""Largest raster whose highest ground is read cell by cell, in strips, when it is opened."""
+
+_NEIGHBOURHOOD = ((maximum_filter, -np.inf), (minimum_filter, np.inf))
+
+_UNIT_WORDS: dict[str, Units] = {
+    "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "ft": "ft", "foot": "ft", "feet": "ft",
+    "us-ft": "us-ft", "us survey foot": "us-ft", "ussurveyfoot": "us-ft", "ft-us": "us-ft",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """The whole raster, coarsely: (m, n) cells of 2**level raster cells a side, NaN in holes.
+
+    ``heights_m`` are means; ``high_m`` is the highest ground of each cell (for rasters over ``EXACT_HIGH_CELLS`` cells
+    estimated from the means: the highest of the neighbourhood plus half its range).
+    """
+
+    heights_m: np.ndarray
+    high_m: np.ndarray
+    level: int
+
+
+class Elevation:
+    """An open raster of heights. Not to be shared between threads.
+
+    Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
+    """
+
+    def __init__(self, source: str, units: Units | None = None, exaggeration: float = 1.0) -> None:
+        self.name = source
+        try:
+            self._dataset = BUNDLED[source]().open() if source in BUNDLED else rasterio.open(source)
+        except (RasterioError, OSError) as error:
+            reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
+            raise SourceError(source, reason, "a raster that GDAL reads") from None
+        dataset = self._dataset
+        if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
+            raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of real numbers")
+        if dataset.crs is None:
+            raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
+        try:
+            self.crs = CRS.from_user_input(dataset.crs.to_wkt())
+        except (CRSError, RasterioError):
+            raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
+        if dataset.transform.determinant == 0:
+            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
+        self.rows, self.cols = dataset.height, dataset.width
+        self.flat = self.crs.is_engineering
+        self.units: Units | None = units or self._own_units()
+        self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
+        self._offset = dataset.offsets[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
+        self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
+        self._cell_from_crs = ~dataset.transform
+        x_cell = abs(dataset.transform.a)
+        self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
+        self._resampling = Resampling.average
+        self._resampling = self._find_resampling()
+        self.overview = self._read_overview()
+        if not np.isfinite(self.overview.heights_m).any():
+            raise SourceError(source, "no height in any cell (all nodata)", "a raster with heights")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.cols
+
+    def close(self) -> None:
+        """Close the raster."""
+        self._dataset.close()
+
+    def xy(self, row: np.ndarray | float, col: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates in the raster's CRS of (fractional) cells."""
+        return self._dataset.transform * (np.asarray(col) + 0.5, np.asarray(row) + 0.5)
+
+    def cell_of(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(Fractional) row and column of coordinates in the raster's CRS."""
+        gt, inverse = self._dataset.transform, self._cell_from_crs
+        # From the raster's corner, so that large coordinates cancel before they are multiplied.
+        x, y = np.asarray(x, np.float64) - gt.c, np.asarray(y, np.float64) - gt.f
+        return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
+
+    def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Whether coordinates in the raster's CRS lie on it (longitudes taken round the earth)."""
+        if self.crs.is_geographic:
+            middle = float(self.xy(0, (self.cols - 1) / 2)[0])
+            x = np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
+        row, col = self.cell_of(x, y)
+        inside = (row >= -0.5) & (row <= self.rows - 0.5)
+        return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
+
+    def cell_size_m(self, metres_per_unit: float) -> float:
+        """Side of a cell on the ground at the raster's middle, metres: the root of its area."""
+        row, col = (self.rows - 1) / 2, (self.cols - 1) / 2
+        if self.crs.is_geographic:
+            xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
+            ys = np.clip(ys, -89.9, 89.9)
+            _, _, width = WGS84.inv(xs[0], ys[0], xs[1], ys[1])
+            _, _, height = WGS84.inv(xs[2], ys[2], xs[3], ys[3])
+            return float(np.sqrt(width * height))
+        return float(np.sqrt(abs(self._dataset.transform.determinant))) * metres_per_unit
+
+    def heights_at(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights in metres (float32) at (fractional) cells of level 0, and where there is a surface (bool).
+
+        Heights are bilinear between cells of ``level`` (2**level cells of the raster a side). NaN where nothing is near.
+        """
+        factor = 2**level
+        row, col = (row + 0.5) / factor - 0.5, (col + 0.5) / factor - 0.5
+        rows, cols = self._level_shape(level)
+        known = np.isfinite(row) & np.isfinite(col) & (row >= -0.5) & (row <= rows - 0.5)
+        if not self._wrap:
+            known &= (col >= -0.5) & (col <= cols - 0.5)
+        if not known.any():
+            return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
+        row0, row1 = int(np.floor(row[known].min())), int(np.floor(row[known].max())) + 2
+        col0, col1 = int(np.floor(col[known].min())), int(np.floor(col[known].max())) + 2
+        if self._wrap:
+            row0, row1 = max(row0, 0), min(row1, rows)
+        else:
+            row0, row1, col0, col1 = max(row0, 0), min(row1, rows), max(col0, 0), min(col1, cols)
+        values, valid = self._filled(level, row0, row1, col0, col1)
+        return _bilinear(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
+
+    def _filled(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
+        """Cells of a window, holes filled from a rim of ``FILL_CELLS``, so that the fill is the same in every window."""
+        values = self._read(level, row0, row1, col0, col1)
+        valid = np.isfinite(values)
+        if valid.all():
+            return values, valid
+        rows, cols = self._level_shape(level)
+        top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
+        left, right = max(col0 - FILL_CELLS - 1, 0), min(col1 + FILL_CELLS + 1, cols)
+        wide = self._read(level, top, bottom, left, right)
+        if np.isfinite(wide).any():
+            wide = fillnodata(wide, mask=np.isfinite(wide), max_search_distance=FILL_CELLS, smoothing_iterations=0)
+        inner = wide[row0 - top : row1 - top, max(col0 - left, 0) : col1 - left]
+        return (inner if inner.shape == values.shape else values), valid
+
+    def _read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        """Heights in metres of a window of cells of a level, float32, NaN in holes."""
+        if not self._wrap:
+            return self._read_inside(level, row0, row1, col0, col1)
+        period = max(self._wrap // 2**level, 1)
+        parts, col = [], col0
+        while col < col1:
+            turn = col // period
+            end = min(col1, (turn + 1) * period)
+            parts.append(self._read_inside(level, row0, row1, col - turn * period, end - turn * period))
+            col = end
+        return np.concatenate(parts, axis=1)
+
+    def _read_inside(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        factor = 2**level
+        window = Window(  # type: ignore[call-arg]
+            col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
+            min(row1 * factor, self.rows) - row0 * factor,
+        )  # fmt: skip
+        try:
+            data = self._dataset.read(
+                1, window=window, out_shape=(row1 - row0, col1 - col0), masked=True, resampling=self._resampling
+            )
+        except RasterioIOError:
+            raise RenderError(f"{self.name}: a part of the raster cannot be read; the file is damaged") from None
+        values = data.data.astype(np.float64) * self._scale + self._offset
+        with np.errstate(invalid="ignore"):
+            hole = np.ma.getmaskarray(data) | ~((values >= self._limits[0]) & (values <= self._limits[1]))
+        values[hole] = np.nan
+        return values.astype(np.float32)
+
+    def _level_shape(self, level: int) -> tuple[int, int]:
+        return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)
+
+    def _read_overview(self) -> Overview:
+        level = max(int(np.ceil(np.log2(max(self.rows, self.cols) / OVERVIEW_CELLS))), 0)
+        rows, cols = self._level_shape(level)
+        mean = self._read_inside(level, 0, rows, 0, cols)
+        if level == 0:
+            return Overview(mean, mean, level)
+        if self.rows * self.cols > EXACT_HIGH_CELLS:
+            around = [f(np.nan_to_num(mean, nan=n), size=3, mode="nearest") for f, n in _NEIGHBOURHOOD]
+            high = np.where(np.isfinite(around[0]), around[0] + (around[0] - around[1]) / 2, np.nan)
+            return Overview(mean, high.astype(np.float32), level)
+        factor, high = 2**level, np.full((rows, cols), np.nan, np.float32)
+        deep, wide = min(factor, self.rows), min(factor, self.cols)
+        for row in range(rows):
+            strip = self._read_inside(0, row * deep, row * deep + deep, 0, cols * wide)
+            top = np.nan_to_num(strip, nan=-np.inf).reshape(deep, cols, wide).max(axis=(0, 2))
+            high[row] = np.where(np.isfinite(top), top, np.nan)
+        return Overview(mean, high, level)
+
+    def _find_resampling(self) -> Resampling:
+        """Averages, but not where unmarked sentinels would be averaged into heights."""
+        if self._dataset.nodata is not None or MaskFlags.all_valid not in self._dataset.mask_flag_enums[0]:
+            return Resampling.average
+        self._resampling = Resampling.nearest
+        return Resampling.average if np.isfinite(self._read_overview().heights_m).all() else Resampling.nearest
+
+    def _own_units(self) -> Units | None:
+        word = (self._dataset.units[0] or "").strip().lower()
+        if word in _UNIT_WORDS:
+            return _UNIT_WORDS[word]
+        axes = self.crs.axis_info
+        if len(axes) == 3:
+            return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))  # type: ignore[return-value]
+        return None
+
+
+@compiled
+def _bilinear(values, valid, row, col):  # type: ignore[no-untyped-def]
+    """Bilinear heights at (row, col) of a window, clamped half a cell beyond its outer centres; and the nearest cell's validity."""
+    rows, cols = values.shape
+    out = np.empty(row.shape, np.float32)
+    there = np.zeros(row.shape, np.bool_)
+    for i in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            r, c = row[i, j], col[i, j]
+            if not (np.isfinite(r) and np.isfinite(c)):
+                out[i, j] = np.nan
+                continue
+            r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
+            r0, c0 = min(int(r), max(rows - 2, 0)), min(int(c), max(cols - 2, 0))
+            r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, cols - 1)
+            fr, fc = r - r0, c - c0
+            north = np.float64(values[r0, c0])
+            if fc > 0.0:
+                north += (np.float64(values[r0, c1]) - north) * fc
+            if fr > 0.0:
+                south = np.float64(values[r1, c0])
+                if fc > 0.0:
+                    south += (np.float64(values[r1, c1]) - south) * fc
+                north += (south - north) * fr
+            out[i, j] = north
+            there[i, j] = valid[min(int(r + 0.5), rows - 1), min(int(c + 0.5), cols - 1)]
+    return out, there

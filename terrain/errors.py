@@ -1,0 +1,85 @@
+"""Domain errors. Everything below ``api`` raises these; ``api.errors`` alone knows status codes and exit codes.
+
+SkuggaError
+├── InputError            what the caller gave is wrong: names the file or parameter, the value and what is allowed
+│   ├── LevelError        a level file
+│   ├── SourceError       a raster
+│   └── UnsupportedError  a combination that an algorithm, a CRS or a view cannot serve, with the reason
+├── NotFoundError         an unknown level, tile matrix set, tile or view
+├── BusyError             the render queue is full
+└── RenderError           the work itself failed
+    ├── GraphicsError     OpenGL is missing, broken or left an error behind
+    └── RenderTimeoutError  a render took longer than it may
+"""
+
+from __future__ import annotations
+
+
+class SkuggaError(Exception):
+    """Base of all errors that Skugga raises on purpose; the message is one line for a person."""
+
+
+class InputError(SkuggaError):
+    """The caller's input is wrong.
+
+    Parameters
+    ----------
+    name
+        The file, key or parameter that is wrong.
+    value
+        What was given.
+    allowed
+        What would be right, as a phrase.
+    """
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        self.name = name
+        self.value = value
+        self.allowed = allowed
+        super().__init__(f"{name}: {_short(value)} is not allowed; allowed: {allowed}")
+
+
+class LevelError(InputError):
+    """A level file is wrong."""
+
+
+class SourceError(InputError):
+    """A raster cannot be used."""
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        super().__init__(name, value, allowed)
+        self.args = (f"{name}: {_short(value)}; needed: {allowed}",)
+
+
+class UnsupportedError(InputError):
+    """A combination of level, view and algorithm that cannot be served."""
+
+    def __init__(self, name: str, value: object, reason: str) -> None:
+        super().__init__(name, value, reason)
+        self.args = (f"{name}: {_short(value)} cannot be served: {reason}",)
+
+
+class NotFoundError(SkuggaError):
+    """There is no such level, tile matrix set, tile or view."""
+
+
+class BusyError(SkuggaError):
+    """The render queue is full; the caller may try again soon."""
+
+
+class RenderError(SkuggaError):
+    """The work failed although the input was right."""
+
+
+class GraphicsError(RenderError):
+    """OpenGL is missing or broken, or an error was left behind by a call."""
+
+
+class RenderTimeoutError(RenderError):
+    """A render took longer than the settings allow and was ended."""
+
+
+def _short(value: object) -> str:
+    text = value if isinstance(value, str) else repr(value)
+    text = " ".join(text.split())
+    return f"'{text}'" if len(text) <= 120 else f"'{text[:117]}...'"

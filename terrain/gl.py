@@ -1,0 +1,215 @@
+"""The one module that owns OpenGL: context, state, raw calls and read-back.
+
+A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
+thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
+returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
+memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+
+import numpy as np
+
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+
+import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
+
+from terrain.errors import GraphicsError  # noqa: E402
+
+_DEPTH_CLAMP = 0x864F
+_FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
+_TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
+_INDEX_BUFFERS = 4
+_DEPTH_TARGETS = 2
+
+
+class Device:
+    """The process's OpenGL context and what lives as long as it."""
+
+    def __init__(self) -> None:
+        try:
+            self.ctx = moderngl.create_context(
+                standalone=True, require=430, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1"
+            )
+        except Exception as error:  # glcontext raises bare exceptions of several kinds
+            raise GraphicsError(f"no OpenGL 4.3 context through EGL: {error}; 'skugga doctor' says what is missing") from None
+        self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
+        self._egl = ctypes.CDLL("libEGL.so.1")
+        self._egl.eglGetCurrentContext.restype = ctypes.c_void_p
+        self._context, self._thread = self._egl.eglGetCurrentContext(), threading.get_ident()
+        info = self.ctx.info
+        self.vendor, self.renderer, self.version = info["GL_VENDOR"], info["GL_RENDERER"], info["GL_VERSION"]
+        self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
+        self._programs: dict[tuple[str, str], moderngl.Program] = {}
+        self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
+        self._depth_targets: OrderedDict[tuple[int, int, int], moderngl.Framebuffer] = OrderedDict()
+        self._float_target: moderngl.Framebuffer | None = None
+        self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
+
+    def require_current(self) -> None:
+        """Raise ``GraphicsError`` unless this thread has the context current."""
+        if threading.get_ident() != self._thread or self._egl.eglGetCurrentContext() != self._context:
+            raise GraphicsError("OpenGL was called without its context: one process and one thread own it")
+
+    def check(self, where: str) -> None:
+        """Raise ``GraphicsError`` if a call since the last check left an error behind."""
+        error = self.ctx.error
+        if error != "GL_NO_ERROR":
+            raise GraphicsError(f"OpenGL error {error} in {where}")
+
+    def program(self, vertex: str, fragment: str) -> moderngl.Program:
+        """A program of two shader texts, compiled once."""
+        self.require_current()
+        key = (vertex, fragment)
+        if key not in self._programs:
+            try:
+                self._programs[key] = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
+            except moderngl.Error as error:
+                raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
+        return self._programs[key]
+
+    def texture(self, array: np.ndarray) -> moderngl.Texture:
+        """A float32 texture of an array (rows, cols) or (rows, cols, 1 to 4); texel (col, row) is element (row, col)."""
+        self.require_current()
+        data = np.ascontiguousarray(array, np.float32)
+        rows, cols = data.shape[:2]
+        texture = self.ctx.texture((cols, rows), 1 if data.ndim == 2 else data.shape[2], data, dtype="f4", alignment=4)
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        return texture
+
+    def depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
+        """A depth-only framebuffer of 16, 24 (normalised) or 32 bits (float), the texture without comparison.
+
+        The last ones are kept for reuse; their content is whatever was drawn last.
+        """
+        self.require_current()
+        key = width, height, bits
+        if key in self._depth_targets:
+            self._depth_targets.move_to_end(key)
+            return self._depth_targets[key]
+        if len(self._depth_targets) >= _DEPTH_TARGETS:
+            _, old = self._depth_targets.popitem(last=False)
+            old.depth_attachment.release()
+            old.release()
+        from OpenGL import GL
+
+        texture = self.ctx.depth_texture((width, height))
+        GL.glBindTexture(_TEXTURE_2D, texture.glo)
+        GL.glTexImage2D(_TEXTURE_2D, 0, _FORMATS[bits], width, height, 0, _DEPTH_COMPONENT, _FLOAT, None)
+        GL.glBindTexture(_TEXTURE_2D, 0)
+        texture.compare_func = ""  # read as numbers; the comparison is the shader's
+        texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        target = self.ctx.framebuffer(depth_attachment=texture)
+        self.check("depth_target")
+        self._depth_targets[key] = target
+        return target
+
+    def float_target(self, width: int, height: int) -> moderngl.Framebuffer:
+        """A one-channel float32 framebuffer; the last one is kept for reuse."""
+        self.require_current()
+        if self._float_target is None or self._float_target.size != (width, height):
+            if self._float_target is not None:
+                self._float_target.color_attachments[0].release()
+                self._float_target.release()
+            self._float_target = self.ctx.framebuffer([self.ctx.texture((width, height), 1, dtype="f4")])
+        return self._float_target
+
+    @contextmanager
+    def depth_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
+        """Draw depth only, nearest wins, geometry before the near plane kept at depth 0 (clamped, not clipped)."""
+        self.require_current()
+        target.use()
+        target.clear(depth=1.0)
+        self.ctx.enable_only(moderngl.DEPTH_TEST)
+        self.ctx.depth_func = "<="
+        self.ctx.enable_direct(_DEPTH_CLAMP)
+        try:
+            yield
+        finally:
+            self.ctx.disable_direct(_DEPTH_CLAMP)
+            self.ctx.enable_only(moderngl.NOTHING)
+
+    def draw_sheet(self, program: moderngl.Program, position: np.ndarray) -> int:
+        """Draw a sheet of nodes (rows, cols, 3), quads cut SW to NE, leaving out triangles with a NaN corner.
+
+        Returns the number of triangles.
+        """
+        rows, cols = position.shape[:2]
+        if rows < 2 or cols < 2:
+            return 0
+        whole = bool(np.isfinite(position[..., 2]).all())
+        if whole:
+            indices = self._whole_indices(rows, cols)
+        else:
+            triangles = sheet_triangles(rows, cols)
+            known = np.isfinite(position[..., 2]).ravel()
+            triangles = triangles[known[triangles].all(axis=1)]
+            if not len(triangles):
+                return 0
+            indices = self.ctx.buffer(triangles)
+        vertices = self.ctx.buffer(np.ascontiguousarray(position, np.float32))
+        array = self.ctx.vertex_array(program, [(vertices, "3f", "position")], index_buffer=indices)
+        array.render(moderngl.TRIANGLES)
+        count = indices.size // 12
+        for item in (array, vertices) if whole else (array, vertices, indices):
+            item.release()
+        return count
+
+    def draw_pixels(self, program: moderngl.Program, target: moderngl.Framebuffer) -> None:
+        """Run a fragment shader once for every pixel of a framebuffer."""
+        self.require_current()
+        target.use()
+        self.ctx.enable_only(moderngl.NOTHING)
+        array = self.ctx.vertex_array(program, [(self._quad, "2f", "corner")])
+        array.render(moderngl.TRIANGLES, vertices=3)
+        array.release()
+
+    def read(self, target: moderngl.Framebuffer, attachment: int = 0) -> np.ndarray:
+        """Read a float framebuffer (or its depth, attachment -1) as float32 (rows, cols); row 0 is the first texel row.
+
+        Raises ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
+        """
+        self.require_current()
+        width, height = target.size
+        out = np.zeros((height, width), np.float32)
+        target.read_into(out, components=1, attachment=attachment, dtype="f4", alignment=4)
+        self.check("read")
+        return out
+
+    def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
+        key = rows, cols
+        if key not in self._indices:
+            if len(self._indices) >= _INDEX_BUFFERS:
+                self._indices.popitem(last=False)[1].release()
+            self._indices[key] = self.ctx.buffer(sheet_triangles(rows, cols))
+        self._indices.move_to_end(key)
+        return self._indices[key]
+
+
+@lru_cache(maxsize=4)
+def sheet_triangles(rows: int, cols: int) -> np.ndarray:
+    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only."""
+    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
+    nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
+    triangles = np.stack([nw, sw, ne, se, ne, sw], axis=-1).reshape(-1, 3)
+    triangles.flags.writeable = False
+    return triangles
+
+
+_device: Device | None = None
+
+
+def device() -> Device:
+    """The process's device; made by the first call, in the thread that will own it. Raises ``GraphicsError``."""
+    global _device
+    if _device is None:
+        _device = Device()
+    return _device

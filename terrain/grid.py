@@ -1,0 +1,153 @@
+"""The sample grid of a map view, and views and blocks in it.
+
+A map view is no camera. Its surface is one world-fixed grid of samples (nodes) per level, CRS and zoom, so that the
+same ground is the same triangles in every view. Node (row, col) lies at ``x = x0 + col * step``,
+``y = y0 - row * step``; rows grow southwards. Each quad is cut from its south-west to its north-east corner.
+
+For tiles the nodes are the centres of the tile matrix's pixels. Other map views take the power-of-two resolution at or
+below the asked one: counted from one tile's resolution in the two CRSs whose tile matrices are ladders of powers of
+two themselves (there the powers are the zooms), from one unit of the CRS and from the anchor elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from morecantile import TileMatrixSet
+from morecantile import tms as matrix_sets
+from pyproj import CRS
+
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+BLOCK_PX = 1024
+"""Side of a map block in pixels: the unit of work and of caching."""
+
+TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
+"""CRSs whose maps share the grids of a tile matrix set."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A world-fixed lattice of samples in a CRS."""
+
+    crs: CRS
+    x0: float
+    y0: float
+    step: float
+
+    def x(self, col: np.ndarray | float) -> np.ndarray | float:
+        """x of a (fractional) column, in CRS units."""
+        return self.x0 + col * self.step
+
+    def y(self, row: np.ndarray | float) -> np.ndarray | float:
+        """y of a (fractional) row, in CRS units."""
+        return self.y0 - row * self.step
+
+    def coarser(self, level: int) -> Grid:
+        """The grid of every 2**level-th node."""
+        return Grid(self.crs, self.x0, self.y0, self.step * 2**level)
+
+
+@dataclass(frozen=True)
+class MapView:
+    """Pixels of a map: their centres in (fractional) node coordinates of a grid.
+
+    The centre of pixel (i, j) lies at row ``row0 + i * row_step`` and column ``col0 + j * col_step``.
+    """
+
+    grid: Grid
+    row0: float
+    col0: float
+    row_step: float
+    col_step: float
+    rows: int
+    cols: int
+
+    @property
+    def on_nodes(self) -> bool:
+        """Whether every pixel centre is a node, as in tiles."""
+        steps = self.row_step == 1.0 and self.col_step == 1.0
+        return steps and float(self.row0).is_integer() and float(self.col0).is_integer()
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """x, y of the middle, in CRS units."""
+        row = self.row0 + (self.rows - 1) / 2 * self.row_step
+        col = self.col0 + (self.cols - 1) / 2 * self.col_step
+        return float(self.grid.x(col)), float(self.grid.y(row))
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the pixels' outer edges, in CRS units."""
+        west, east = self.col0 - self.col_step / 2, self.col0 + (self.cols - 0.5) * self.col_step
+        north, south = self.row0 - self.row_step / 2, self.row0 + (self.rows - 0.5) * self.row_step
+        return float(self.grid.x(west)), float(self.grid.y(south)), float(self.grid.x(east)), float(self.grid.y(north))
+
+    def part(self, row: int, col: int, rows: int, cols: int) -> MapView:
+        """The view of some of the pixels; the offsets may be negative."""
+        return MapView(
+            self.grid, self.row0 + row * self.row_step, self.col0 + col * self.col_step, self.row_step, self.col_step,
+            rows, cols,
+        )  # fmt: skip
+
+
+def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
+    """The grid of a map view other than a tile: the power-of-two resolution at or below ``resolution`` (CRS units)."""
+    name = None if world.flat else TILE_LADDERS.get(crs.to_epsg() or 0)
+    if name is not None:
+        tms = matrix_sets.get(name)
+        base = tms.matrix(0).cellSize
+        zoom = int(np.clip(np.ceil(np.log2(base / resolution) - 1e-9), 0, 30))
+        return tile_grid(tms, zoom)
+    step = float(2.0 ** np.floor(np.log2(resolution) + 1e-9))
+    x, y = world.anchor_x, world.anchor_y
+    if crs != world.crs:
+        x, y = transformer(LONGITUDE_LATITUDE, crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
+    return Grid(crs, x + step / 2, y - step / 2, step)  # pixels, not nodes, touch at the anchor
+
+
+def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
+    """The grid of a tile matrix: nodes are the pixels' centres, counted from the matrix's corner."""
+    step = tms.matrix(zoom).cellSize
+    corner = tms.xy_bounds(0, 0, zoom)
+    return Grid(CRS.from_user_input(tms.rasterio_crs.to_wkt()), corner.left + step / 2, corner.top - step / 2, step)
+
+
+def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], rows: int, cols: int) -> MapView:
+    """The view of a map extent (west, south, east, north in ``crs``) with a size in pixels.
+
+    Pixel centres that lie on nodes but for rounding are put on them.
+    """
+    west, south, east, north = bounds
+    col_px, row_px = (east - west) / cols, (north - south) / rows
+    grid = map_grid(world, crs, min(col_px, row_px))
+    # Differences first: with coordinates in the millions they are exact where sums are not.
+    row0, row_step = _snapped(((grid.y0 - north) + row_px / 2) / grid.step, row_px / grid.step, rows)
+    col0, col_step = _snapped(((west - grid.x0) + col_px / 2) / grid.step, col_px / grid.step, cols)
+    return MapView(grid, row0, col0, row_step, col_step, rows, cols)
+
+
+def block_of(view: MapView) -> list[tuple[MapView, int, int]]:
+    """The blocks a view is made of, each with the view's (row, col) of the block's first pixel (may be negative).
+
+    Where pixels are nodes the blocks are world-fixed: multiples of ``BLOCK_PX`` nodes, whatever the view, so that every
+    view cuts from the same blocks. Else they are counted from the view's corner.
+    """
+    first_row = int(view.row0) % BLOCK_PX if view.on_nodes else 0
+    first_col = int(view.col0) % BLOCK_PX if view.on_nodes else 0
+    blocks = []
+    for row in range(-first_row, view.rows, BLOCK_PX):
+        for col in range(-first_col, view.cols, BLOCK_PX):
+            rows = BLOCK_PX if view.on_nodes else min(BLOCK_PX, view.rows - row)
+            cols = BLOCK_PX if view.on_nodes else min(BLOCK_PX, view.cols - col)
+            blocks.append((view.part(row, col, rows, cols), row, col))
+    return blocks
+
+
+def _snapped(start: float, step: float, count: int) -> tuple[float, float]:
+    whole = np.rint(start), np.rint(step)
+    if abs(start - whole[0]) < 1e-6 and abs(step - whole[1]) * count < 1e-6 and whole[1] >= 1:
+        return float(whole[0]), float(whole[1])
+    return start, step
+

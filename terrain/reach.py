@@ -1,0 +1,213 @@
+"""How far towards the sun ground can still throw a shadow on a block, and which ground does.
+
+Everything here goes by light space, where the earth's curvature is in the points already: ground can shade a block if it
+lies before the block's farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
+The candidates come from the raster's overview; the ground that casts is then read on the block's own grid (so that
+neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.geometry import GeometryBuffer
+from terrain.grid import Grid
+from terrain.light_space import LightSpace, light_bounds
+from terrain.scene import Scene
+from terrain.sun import position_at
+from terrain.world import LONGITUDE_LATITUDE, WGS84, transformer
+
+PATCH_QUADS = 256
+"""Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""
+
+FULL_DETAIL_NODES = 4096
+"""Casters up to this far from a block are read on the block's own grid, up to twice as far at half its detail, ..."""
+
+UNKNOWN_RELIEF_M = 1500.0
+"""What ground beyond the raster is taken to rise to above a block's lowest point, unless the level itself is higher."""
+
+EARTH_RADIUS_M = 6_371_000.0
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far towards the sun casters count, in metres from the block's edge.
+
+    ``needed_m``: as far as known ground can throw a shadow on the block; where the data ends sooner, as far as unknown
+    ground could. ``used_m``: as far as ground was really looked at. ``clipped``: the data ends before ``needed_m``.
+    """
+
+    used_m: float
+    needed_m: float
+    clipped: bool
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A patch of casters: every 2**level-th node from row and column ``PATCH_QUADS * (row, col)`` on."""
+
+    level: int
+    row: int
+    col: int
+
+
+def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True) -> float:
+    """How far ground of a relief throws its shadow: L of H = L tan(a) + L^2 / 2R (no terrestrial refraction), metres."""
+    if relief_m <= 0:
+        return 0.0
+    slope = np.tan(np.radians(max(altitude_deg, 0.0)))
+    if not curved:
+        return float(relief_m / slope) if slope > 0 else np.inf
+    return float(EARTH_RADIUS_M * (np.sqrt(slope**2 + 2.0 * relief_m / EARTH_RADIUS_M) - slope))
+
+
+def casters_of(scene: Scene, buffer: GeometryBuffer, low: np.ndarray, high: np.ndarray) -> tuple[list[Patch], Reach]:
+    """The patches outside a block that can shade it, and the reach; ``low``, ``high`` are the block's light bounds."""
+    if not buffer.there.any():
+        return [], Reach(0.0, 0.0, False)
+    light, cells_m = _overview_in_light(scene)
+    assert scene.light is not None
+    slack = cells_m  # a cell's ground lies within its own width of its centre
+    can = (
+        (light[..., 0] >= low[0] - slack) & (light[..., 0] <= high[0] + slack)
+        & (light[..., 1] >= low[1] - slack) & (light[..., 2] <= high[2] + slack)
+    )  # fmt: skip
+    patches, known_m = _patches(scene, buffer, can)
+    limit_m, unknown_m = _data_limit(scene, buffer)
+    if limit_m >= unknown_m:
+        return patches, Reach(known_m, known_m, False)
+    return patches, Reach(limit_m, unknown_m, True)
+
+
+@lru_cache(maxsize=8)
+def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
+    """Light-space points of the overview's cells at their highest ground (NaN in holes), and a cell's diameter, metres."""
+    point, up = _overview_on_earth(scene.world, scene.elevation)
+    assert scene.light is not None
+    top = point + up * scene.elevation.overview.high_m[..., None]
+    return scene.light.from_earth(top), _overview_cell_m(scene) * 1.5
+
+
+@lru_cache(maxsize=4)
+def _overview_on_earth(world, elevation) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    return world.ground(elevation.crs, *_overview_xy(elevation))
+
+
+def _overview_xy(elevation) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    overview = elevation.overview
+    rows, cols = overview.heights_m.shape
+    factor = 2**overview.level
+    col, row = np.meshgrid((np.arange(cols) + 0.5) * factor - 0.5, (np.arange(rows) + 0.5) * factor - 0.5)
+    return elevation.xy(row, col)
+
+
+def _overview_cell_m(scene: Scene) -> float:
+    return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.level
+
+
+@lru_cache(maxsize=8)
+def overview_on_grid(world, elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes."""
+    x, y = _overview_xy(elevation)
+    if grid.crs != elevation.crs:
+        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
+    row, col = (grid.y0 - np.asarray(y)) / grid.step, (np.asarray(x) - grid.x0) / grid.step
+    size = np.zeros_like(row)
+    with np.errstate(invalid="ignore"):
+        for values in (row, col):
+            for axis in (0, 1):
+                if values.shape[axis] > 1:
+                    size = np.fmax(size, np.abs(np.gradient(values, axis=axis)))
+    return row, col, size + 1.0
+
+
+def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[list[Patch], float]:
+    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres."""
+    row, col, half = overview_on_grid(scene.world, scene.elevation, buffer.view.grid)
+    can = can & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
+    row, col, half = row[can], col[can], half[can]
+    own = buffer.surface
+    rows, cols = own.height_m.shape
+    away = np.maximum.reduce(
+        [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
+    )
+    known_m = 0.0
+    if (away > 0).any():
+        assert scene.light is not None
+        towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can])
+        known_m = max(float(towards[away > 0].max()) - _sunward_edge_m(scene.light, buffer), 0.0)
+    detail = np.maximum(np.floor(np.log2(np.maximum(away, 1.0) / FULL_DETAIL_NODES)) + 1, 0).astype(int)
+    patches: set[Patch] = set()
+    for level in np.unique(detail):
+        at = detail == level
+        quads = PATCH_QUADS * 2**level
+        spans = [np.floor((v[at] + side * half[at]) / quads).astype(int) for v in (row, col) for side in (-1, 1)]
+        for top, bottom, left, right in np.unique(np.stack(spans, axis=1), axis=0):
+            patches.update(
+                Patch(int(level), r, c) for r in range(top, bottom + 1) for c in range(left, right + 1)
+                if not _inside(r * quads, c * quads, quads, own.row0, own.col0, rows, cols)
+            )  # fmt: skip
+    return sorted(patches, key=lambda p: (p.level, p.row, p.col)), known_m
+
+
+def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, cols: int) -> bool:
+    """Whether a patch lies wholly in the block's own window, which casts anyway."""
+    return row >= row0 and col >= col0 and row + quads <= row0 + rows - 1 and col + quads <= col0 + cols - 1
+
+
+def _sunward_edge_m(light: LightSpace, buffer: GeometryBuffer) -> float:
+    """How far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
+    rotation, translation = light.from_frame(buffer.frame)
+    row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)
+    _, high = light_bounds(buffer.position_frame_m, buffer.there, np.tile(row, (3, 1)), np.full(3, offset))
+    return float(high[0])
+
+
+def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of pixels on the rim of what is there: the ends of nine rows and nine columns."""
+    ends = []
+    for axis, mask in enumerate((there, there.T)):
+        lines = np.flatnonzero(mask.any(axis=1))
+        for line in lines[np.unique(np.linspace(0, lines.size - 1, 9).astype(int))]:
+            across = np.flatnonzero(mask[line])
+            ends += [(line, end) if axis == 0 else (end, line) for end in (across[0], across[-1])]
+    i, j = np.array(ends).T
+    return i, j
+
+
+def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
+    """How far towards the sun the raster goes on from the block's receivers (the worst of them), and how far it should."""
+    assert scene.sun is not None and scene.light is not None
+    lowest = float(np.nanmin(buffer.height_m))
+    relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
+    i, j = _rim(buffer.there)
+    view = buffer.view
+    x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
+    if scene.world.flat:
+        azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
+    else:
+        point, up = scene.world.ground(view.grid.crs, *(np.float64(v) for v in view.centre))
+        azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
+    should_m = min(longest_shadow_m(relief, altitude, curved=not scene.world.flat), 1e6)
+    along_m = np.linspace(0.0, should_m, 65)
+    if scene.world.flat:
+        unit = scene.world.metres_per_unit
+        x = x[:, None] + along_m * np.sin(np.radians(azimuth)) / unit
+        y = y[:, None] + along_m * np.cos(np.radians(azimuth)) / unit
+    else:
+        lon, lat = scene.world.lon_lat(view.grid.crs, x, y)
+        shape = (lon.size, along_m.size)
+        start = [np.broadcast_to(v[:, None], shape).ravel() for v in (lon, lat)]
+        lon, lat, _ = WGS84.fwd(*start, np.full(start[0].size, azimuth), np.broadcast_to(along_m, shape).ravel())
+        x, y = np.reshape(lon, shape), np.reshape(lat, shape)
+        if not scene.elevation.crs.is_geographic:
+            x, y = transformer(LONGITUDE_LATITUDE, scene.elevation.crs).transform(x, y)
+    on_data = scene.elevation.covers(x, y)
+    ends = ~on_data
+    ends[:, 0] = False  # the receiver itself is on the data
+    first = np.where(ends.any(axis=1), ends.argmax(axis=1), along_m.size)
+    reached = np.where(first < along_m.size, along_m[np.minimum(first, along_m.size - 1) - 1], should_m)
+    return float(reached.min()), should_m

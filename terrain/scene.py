@@ -1,0 +1,183 @@
+"""Level -> Scene: the level's world with its elevation opened and its sun placed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from pyproj import CRS
+from pyproj.aoi import AreaOfInterest
+from pyproj.database import query_utm_crs_info
+from pyproj.exceptions import CRSError, ProjError
+
+from terrain.elevation import Elevation
+from terrain.errors import InputError, LevelError, SourceError
+from terrain.grid import Grid, MapView, map_view
+from terrain.level import LoadedLevel, MapSpec, SunSpec
+from terrain.light_space import LightSpace, light_space
+from terrain.sun import Sun, position_at, sun_of
+from terrain.surface import Surface
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+DEFAULT_VIEW_PX = 1024
+"""Longest side of a map view whose size nobody gave."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A level's ground and light. Immutable; ``with_sun`` gives another one over the same ground."""
+
+    loaded: LoadedLevel
+    world: World
+    elevation: Elevation
+    sun: Sun | None
+
+    def with_sun(self, spec: SunSpec | None) -> Scene:
+        """The same ground under another sun (``None`` keeps the level's)."""
+        return self if spec is None else replace(self, sun=sun_of(spec, self.world))
+
+    @cached_property
+    def light(self) -> LightSpace | None:
+        """The sun's light space."""
+        return None if self.sun is None else light_space(self.world, self.sun)
+
+    @cached_property
+    def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest ground of the level, from its overview."""
+        overview = self.elevation.overview
+        return float(np.nanmin(overview.heights_m)), float(np.nanmax(overview.high_m))
+
+    @cached_property
+    def bounds_lon_lat(self) -> tuple[float, float, float, float] | None:
+        """West, south, east, north in degrees of what is looked at; ``None`` in a flat world."""
+        if self.world.flat:
+            return None
+        given = self.loaded.level.terrain.bounds
+        if given is not None:
+            return given
+        west, south, east, north = transformer(self.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
+            *self.elevation_bounds, densify_pts=21
+        )
+        if not np.isfinite([west, south, east, north]).all():
+            raise SourceError(self.elevation.name, self.elevation.crs.name, "a CRS whose area PROJ can place on earth")
+        return west, max(south, -90.0), east + 360.0 if east < west else east, min(north, 90.0)
+
+    @property
+    def elevation_bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the raster in its own CRS."""
+        rows, cols = self.elevation.rows, self.elevation.cols
+        x, y = self.elevation.xy(np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]), np.array([-0.5, cols - 0.5] * 2))
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+    @cached_property
+    def highest_sun_deg(self) -> float | None:
+        """The sun's largest altitude anywhere over the level, degrees; ``None`` without a sun."""
+        if self.sun is None:
+            return None
+        if self.world.flat:
+            return self.sun.altitude_deg
+        west, south, east, north = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
+        lon, lat = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
+        point, up = self.world.ground(LONGITUDE_LATITUDE, lon, lat)
+        rotations = (self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True))
+        return max(self.sun.altitude_deg, *(position_at(self.sun.to_sun_earth, r)[1] for r in rotations))
+
+    def surface(self, grid: Grid) -> Surface:
+        """The ground on the nodes of a grid."""
+        return Surface(self.world, self.elevation, grid)
+
+    @cached_property
+    def map_crs(self) -> CRS:
+        """The CRS of map views that name none: the source's if it is projected or engineering, else its UTM zone."""
+        if self.world.flat or self.elevation.crs.is_projected:
+            return self.elevation.crs
+        lon = (self.world.anchor_lon_deg + 180.0) % 360.0 - 180.0
+        lat = self.world.anchor_lat_deg
+        if not -80.0 <= lat <= 84.0:
+            return CRS.from_epsg(3413 if lat > 0 else 3031)
+        zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon, lat, lon, lat))
+        return CRS.from_epsg(int(zones[0].code))
+
+    def view(
+        self,
+        name: str = "map",
+        bounds: tuple[float, float, float, float] | None = None,
+        crs: str | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> MapView:
+        """A view of the level; what is given here goes before what the level says. ``size`` is (width, height).
+
+        Raises ``InputError``.
+        """
+        views = self.loaded.level.views
+        if name not in views:
+            raise InputError("view", name, ", ".join(views))
+        spec: MapSpec = views[name]
+        target = self._crs(crs or spec.crs)
+        extent = bounds or (spec.bounds if crs is None else None) or self._default_bounds(target)
+        west, south, east, north = extent
+        if not (np.isfinite(extent).all() and west < east and south < north):
+            raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
+        size = size or spec.size
+        if size is None:
+            scale = DEFAULT_VIEW_PX / max(east - west, north - south)
+            size = max(int(np.rint((east - west) * scale)), 1), max(int(np.rint((north - south) * scale)), 1)
+        return map_view(self.world, target, extent, rows=size[1], cols=size[0])
+
+    def _crs(self, text: str | None) -> CRS:
+        if text is None:
+            return self.map_crs
+        try:
+            crs = CRS.from_user_input(int(text) if text.isdigit() else text)
+        except CRSError:
+            raise InputError("crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
+        if self.world.flat and crs != self.world.crs:
+            raise InputError("crs", text, f"only the level's own engineering CRS '{self.world.crs.name}'")
+        if not (crs.is_projected or crs.is_geographic or crs.is_engineering):
+            raise InputError("crs", text, "a projected or geographic CRS")
+        return crs
+
+    def _default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
+        if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
+            return self.elevation_bounds
+        assert self.bounds_lon_lat is not None
+        try:
+            bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
+        except ProjError:
+            bounds = (np.inf,) * 4
+        if not np.isfinite(bounds).all():
+            raise InputError("crs", crs.name, "a CRS that covers the level")
+        return bounds
+
+
+def build_scene(loaded: LoadedLevel) -> Scene:
+    """Open a level's elevation and place its anchor and sun. Raises ``LevelError``, ``SourceError`` or ``InputError``."""
+    terrain = loaded.level.terrain
+    elevation = Elevation(loaded.source, terrain.units, terrain.exaggeration)
+    world = _world(loaded, elevation)
+    spec = loaded.level.sun
+    return Scene(loaded, world, elevation, None if spec == "none" else sun_of(spec, world))
+
+
+def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
+    crs, bounds = elevation.crs, loaded.level.terrain.bounds
+    x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
+    unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
+    if elevation.flat:
+        if bounds is not None:
+            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "no degrees in an engineering CRS")
+        return World(crs, True, x, y, metres_per_unit=unit)
+    metres = 1.0 if crs.is_geographic else unit
+    if bounds is not None:
+        lon, lat = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
+        x, y = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
+        cell = elevation.cell_of(x, y)
+        inside = -0.5 <= cell[0] <= elevation.rows - 0.5 and -0.5 <= cell[1] <= elevation.cols - 0.5
+        if not inside:
+            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
+    else:
+        lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y) if not crs.is_geographic else (x, y)
+    if not np.isfinite([lon, lat]).all():
+        raise SourceError(elevation.name, crs.name, "a CRS whose area PROJ can place on earth")
+    return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

@@ -1,0 +1,72 @@
+"""One sun for the whole earth: for a time there is one earth-fixed direction to it.
+
+Azimuth and altitude at a place follow from the place's own axes. Refraction is added once, at the level's anchor;
+angles given by a user are apparent, at the anchor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from terrain.errors import InputError
+from terrain.level import SunSpec
+from terrain.world import World
+
+YEARS = (1678, 2261)
+"""Years for which the sun's position is computed (the range of the library's time stamps)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sun:
+    """The sun: apparent angles at the anchor and the earth-fixed unit vector towards it."""
+
+    azimuth_deg: float
+    altitude_deg: float
+    to_sun_earth: np.ndarray
+    time: datetime | None = None
+
+
+def sun_of(spec: SunSpec, world: World) -> Sun:
+    """The sun of a level or a query. Raises ``InputError``.
+
+    A time needs a place on the globe: in a flat world only angles have a meaning.
+    """
+    if spec.time is None:
+        assert spec.azimuth is not None and spec.altitude is not None
+        azimuth, altitude = spec.azimuth % 360.0, spec.altitude
+    elif world.flat:
+        raise InputError("sun.time", spec.time.isoformat(), "azimuth and altitude: an engineering CRS has no place on earth")
+    else:
+        azimuth, altitude = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
+    to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)
+    return Sun(azimuth, altitude, to_sun, spec.time)
+
+
+def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float]:
+    """Apparent azimuth and altitude in degrees by NREL's solar position algorithm (Reda & Andreas 2004), at sea level.
+
+    Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
+    """
+    moment = time.astimezone(UTC)
+    if not YEARS[0] <= moment.year <= YEARS[1]:
+        raise InputError("time", time.isoformat(), f"years {YEARS[0]} to {YEARS[1]}")
+    import pandas  # with pvlib 0.8 s: paid only where a time is asked for
+    from pvlib.solarposition import spa_python
+
+    position = spa_python(pandas.DatetimeIndex([moment]), lat_deg, lon_deg, altitude=0, pressure=101325, temperature=12)
+    return float(position["azimuth"].iloc[0]) % 360.0, float(position["apparent_elevation"].iloc[0])
+
+
+def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    """Unit vector east, north, up towards an azimuth (clockwise from north) and altitude."""
+    azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
+    return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+
+
+def position_at(to_sun_earth: np.ndarray, earth_from_enu: np.ndarray) -> tuple[float, float]:
+    """Azimuth and altitude in degrees of an earth-fixed direction, seen with the axes of one place."""
+    east, north, up = earth_from_enu.T @ to_sun_earth
+    return float(np.degrees(np.arctan2(east, north))) % 360.0, float(np.degrees(np.arctan2(up, np.hypot(east, north))))

@@ -1,0 +1,138 @@
+"""The earth-fixed space, its local frames, and where a map's coordinates lie in them. All in float64.
+
+On the globe, earth-fixed coordinates are geocentric metres on the WGS 84 ellipsoid (EPSG:4978), so the earth's
+curvature bends every vertex without further ado. In a flat world (an engineering CRS) they are east, north, up metres
+from the anchor. Heights above sea level are taken as heights above the ellipsoid: the geoid's slope, under 0.1 m a
+kilometre, is far below what any raster's heights are good for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pyproj import CRS, Geod, Transformer
+
+from terrain.errors import UnsupportedError
+
+WGS84 = Geod(ellps="WGS84")
+LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
+
+FRAME_PITCH_DEG = 0.25
+"""Spacing of frame origins on the globe: a frame's points lie within about 20 km, where a float32 step is 1 to 2 mm."""
+
+FRAME_PITCH_M = 16384.0
+"""Spacing of frame origins in a flat world."""
+
+
+@lru_cache(maxsize=64)
+def transformer(source: CRS, target: CRS) -> Transformer:
+    """A cached coordinate transformation, x before y."""
+    return Transformer.from_crs(source, target, always_xy=True)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFrame:
+    """A local metric east-north-up frame: ``point_frame = frame_from_earth @ (point_earth - origin_earth_m)``."""
+
+    key: tuple[int, int]
+    origin_earth_m: np.ndarray
+    frame_from_earth: np.ndarray
+
+
+@dataclass(frozen=True)
+class World:
+    """The space a level lives in.
+
+    ``crs`` is the elevation source's. The anchor is the centre of the level's bounds: everything that lies on a lattice
+    (frames, texels, map samples outside tile matrices) is counted from it.
+    """
+
+    crs: CRS
+    flat: bool
+    anchor_x: float
+    anchor_y: float
+    anchor_lon_deg: float = 0.0
+    anchor_lat_deg: float = 0.0
+    metres_per_unit: float = 1.0
+
+    def ground(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
+
+        Raises ``UnsupportedError`` where a flat world is asked for in another CRS. Coordinates that the CRS cannot
+        transform give NaN.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if self.flat:
+            if crs != self.crs:
+                raise UnsupportedError("crs", crs.name, f"the level is in the engineering CRS '{self.crs.name}' alone")
+            east, north = (x - self.anchor_x) * self.metres_per_unit, (y - self.anchor_y) * self.metres_per_unit
+            up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*x.shape, 3))
+            return np.stack([east, north, np.zeros_like(east)], axis=-1), up
+        return geocentric(*self.lon_lat(crs, x, y))
+
+    def lon_lat(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Longitude and latitude in degrees; NaN where the CRS has none. A geographic CRS passes through unwrapped."""
+        if crs == LONGITUDE_LATITUDE or crs.to_epsg() == 4326:
+            return np.asarray(x, np.float64), np.asarray(y, np.float64)
+        lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+        bad = ~(np.isfinite(lon) & np.isfinite(lat))
+        return np.where(bad, np.nan, lon), np.where(bad, np.nan, lat)
+
+    def earth_from_enu(self, point_earth: np.ndarray, up_earth: np.ndarray) -> np.ndarray:
+        """Rotation (3, 3) whose columns are east, north and up at a point, earth-fixed.
+
+        At a pole, where east is undefined, the Greenwich meridian's axes are taken.
+        """
+        if self.flat:
+            return np.eye(3)
+        east = np.array([-point_earth[1], point_earth[0], 0.0])
+        length = np.hypot(east[0], east[1])
+        east = east / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+        return np.column_stack([east, np.cross(up_earth, east), up_earth])
+
+    @property
+    def anchor_earth_m(self) -> np.ndarray:
+        """The anchor at height 0, earth-fixed."""
+        return self._anchor[0]
+
+    @property
+    def earth_from_anchor(self) -> np.ndarray:
+        """Rotation from the anchor's east-north-up axes to earth-fixed ones."""
+        return self.earth_from_enu(*self._anchor)
+
+    @property
+    def _anchor(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.flat:
+            return np.zeros(3), np.array([0.0, 0.0, 1.0])
+        return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg))
+
+    def frame_near(self, crs: CRS, x: float, y: float) -> LocalFrame:
+        """The frame of the lattice whose origin is nearest to a map coordinate. The lattice is counted from the anchor."""
+        if self.flat:
+            point, _ = self.ground(crs, np.float64(x), np.float64(y))
+            i, j = (int(np.rint(v / FRAME_PITCH_M)) for v in point[:2])
+            return LocalFrame((i, j), np.array([i * FRAME_PITCH_M, j * FRAME_PITCH_M, 0.0]), np.eye(3))
+        lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
+        if not np.isfinite(lon + lat):
+            raise UnsupportedError("view", f"{x}, {y}", f"outside of what '{crs.name}' can transform")
+        pitch_lon = FRAME_PITCH_DEG / max(np.cos(np.radians(self.anchor_lat_deg)), 0.01)
+        away = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
+        i, j = int(np.rint(away / pitch_lon)), int(np.rint((lat - self.anchor_lat_deg) / FRAME_PITCH_DEG))
+        origin, up = geocentric(
+            np.float64(self.anchor_lon_deg + i * pitch_lon), np.float64(self.anchor_lat_deg + j * FRAME_PITCH_DEG)
+        )
+        return LocalFrame((i, j), origin, self.earth_from_enu(origin, up).T)
+
+
+def geocentric(lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Geocentric points (..., 3) in metres on the WGS 84 ellipsoid and the unit normals there.
+
+    Source: EPSG Guidance Note 7-2, section 4.1.1 (geographic/geocentric conversions). Latitudes beyond 90 degrees
+    continue over the pole, so that an interpolation across it stays smooth.
+    """
+    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
+    up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    prime_vertical = WGS84.a / np.sqrt(1.0 - WGS84.es * np.sin(lat) ** 2)
+    return up * np.stack([prime_vertical, prime_vertical, prime_vertical * (1.0 - WGS84.es)], axis=-1), up

@@ -1,0 +1,16 @@
+import { defineConfig } from 'vite';
+
+export default defineConfig({
+  // Relative addresses, so that the page works behind any path prefix.
+  base: './',
+  build: {
+    outDir: '../api/static',
+    emptyOutDir: true,
+    // MapLibre alone is larger than the default warning.
+    chunkSizeWarningLimit: 2000,
+    // The licences of what is bundled travel with it.
+    license: { fileName: 'licenses.md' },
+  },
+  // `npm run dev` beside a running service.
+  server: { proxy: { '/levels': 'http://127.0.0.1:8000' } },
+});
