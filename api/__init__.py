@@ -1,0 +1,1 @@
+"""What users touch: the HTTP service, its render workers, and the command line."""

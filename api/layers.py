@@ -1,0 +1,108 @@
+"""Layers of a frame and their files: the same for the command line and HTTP."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from PIL import Image
+
+from shadows.render import Frame
+from terrain.errors import InputError
+
+PictureLayer = Literal["color", "shadow", "mask"]
+DataLayer = Literal["visibility", "depth", "position"]
+Layer = Literal[PictureLayer, DataLayer]
+
+LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer))
+SUFFIXES: dict[str, tuple[str, ...]] = {
+    **{name: (".png", ".webp", ".tif") for name in get_args(PictureLayer)},
+    "visibility": (".npy", ".tif"), "depth": (".npy", ".tif"), "position": (".npy",),
+}  # fmt: skip
+"""Layer -> file suffixes that can hold it without loss."""
+
+MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
+
+
+def layer_of(frame: Frame, layer: str, highest_m: float = 0.0) -> np.ndarray:
+    """A layer of a frame as an array, row 0 northernmost.
+
+    ``color`` and ``shadow`` are RGBA uint8 (shadow: black, alpha = 1 - visibility), transparent where there is no surface;
+    ``mask`` is uint8 (0 shadow, 255 lit, 128 no surface); ``visibility`` float32; ``depth`` float32, metres straight down
+    from the height ``highest_m``; ``position`` float64 (rows, cols, 3), x and y in the view's CRS and height in metres.
+    The last three are NaN where there is no surface.
+    """
+    there, visibility = frame.there, frame.visibility
+    if layer == "color":
+        alpha = np.where(there, np.uint8(255), np.uint8(0))
+        return np.concatenate([frame.color, alpha[..., None]], axis=-1)
+    if layer == "shadow":
+        out = np.zeros((*there.shape, 4), np.uint8)
+        out[..., 3] = np.rint(255.0 * (1.0 - np.where(there, visibility, 1.0)))
+        return out
+    if layer == "mask":
+        return np.where(there, np.where(visibility < 0.5, MASK_SHADOW, MASK_LIT), MASK_NO_SURFACE).astype(np.uint8)
+    if layer == "visibility":
+        return visibility
+    if layer == "depth":
+        return np.where(there, highest_m - frame.height_m, np.nan).astype(np.float32)
+    if layer == "position":
+        view = frame.view
+        out = np.full((view.rows, view.cols, 3), np.nan)
+        row, col = np.nonzero(there)
+        out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
+        out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
+        out[row, col, 2] = frame.height_m[row, col]
+        return out
+    raise InputError("layer", layer, ", ".join(LAYERS))
+
+
+def encode_picture(array: np.ndarray, suffix: str) -> bytes:
+    """PNG or lossless WebP of a picture layer (RGBA or gray)."""
+    out = io.BytesIO()
+    image = Image.fromarray(array)
+    if suffix == ".png":
+        image.save(out, "PNG", compress_level=4)
+    elif suffix == ".webp":
+        image.save(out, "WEBP", lossless=True, method=1, exact=True)
+    else:
+        raise InputError("format", suffix, "png, webp")
+    return out.getvalue()
+
+
+def write_layer(frame: Frame, layer: str, path: Path, highest_m: float = 0.0) -> None:
+    """Write a layer to a file by its suffix; ``.tif`` is georeferenced. Raises ``InputError``."""
+    suffix = path.suffix.lower()
+    check_suffix(layer, path)
+    array = layer_of(frame, layer, highest_m)
+    if suffix == ".npy":
+        with path.open("wb") as file:
+            np.save(file, array)
+    elif suffix == ".tif":
+        _write_tiff(frame, array, path)
+    else:
+        path.write_bytes(encode_picture(array, suffix))
+
+
+def check_suffix(layer: str, path: Path) -> None:
+    """Raise ``InputError`` unless a file of this suffix can hold the layer."""
+    if layer not in SUFFIXES:
+        raise InputError("layer", layer, ", ".join(LAYERS))
+    if path.suffix.lower() not in SUFFIXES[layer]:
+        raise InputError("output", str(path), f"for layer {layer}: {', '.join(SUFFIXES[layer])}")
+
+
+def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:
+    import rasterio
+    from rasterio.transform import from_bounds
+
+    bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
+    view = frame.view
+    with rasterio.open(
+        path, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
+        crs=view.grid.crs.to_wkt(), transform=from_bounds(*view.bounds, view.cols, view.rows), compress="deflate",
+        nodata=np.nan if bands.dtype.kind == "f" else (MASK_NO_SURFACE if len(bands) == 1 else None),
+    ) as dataset:  # fmt: skip
+        dataset.write(bands)
