@@ -8,7 +8,7 @@ import numpy as np
 
 from shadows.plan import Plan, Reasoned, ShadowMapSettings, Target
 from shadows.registry import ALGORITHMS
-from shadows.render import GEOMETRY_PASS, SHADING_PASS
+from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
 from shadows.shadow_map import BORDER_TEXELS
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
@@ -51,7 +51,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     return Plan(
         view=descriptor.view, policy="rules", algorithm={"sun": {"relief": name}}, settings=settings,
         effects=effects, left_out=left_out, rejected=rejected,
-        passes=[GEOMETRY_PASS, *ALGORITHMS[name].passes, SHADING_PASS],
+        passes=[GEOMETRY_PASS, CASTERS_PASS, *ALGORITHMS[name].passes, SHADING_PASS],
         target=Target(max_error=asked["max_error"], max_ms=asked["max_ms"]), reasons=reasons,
     )  # fmt: skip
 

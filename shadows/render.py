@@ -9,14 +9,16 @@ import numpy as np
 from shadows import shadow_map
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
+from terrain.compiled import compiled
 from terrain.errors import InputError, RenderError
 from terrain.geometry import GeometryBuffer, map_geometry
 from terrain.grid import MapView, block_of
-from terrain.reach import Reach
+from terrain.reach import Reach, casters_of
 from terrain.scene import Scene
 from terrain.shading import shade
 
 GEOMETRY_PASS = "geometry"
+CASTERS_PASS = "casters"
 SHADING_PASS = "shading"
 
 MAX_PIXELS = 64_000_000
@@ -61,9 +63,16 @@ def render_frame(scene: Scene, view: MapView, plan: Plan) -> Frame:
     for block, row, col in block_of(view):
         block_color, block_visibility, block_height, block_reach = _render_block(scene, block, plan, log)
         reach = _worse(reach, block_reach)
-        ours = slice(max(row, 0), min(row + block.rows, view.rows)), slice(max(col, 0), min(col + block.cols, view.cols))
+        ours = (
+            slice(max(row, 0), min(row + block.rows, view.rows)),
+            slice(max(col, 0), min(col + block.cols, view.cols)),
+        )
         theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (row, col), strict=True))
-        color[ours], visibility[ours], height[ours] = block_color[theirs], block_visibility[theirs], block_height[theirs]
+        color[ours], visibility[ours], height[ours] = (
+            block_color[theirs],
+            block_visibility[theirs],
+            block_height[theirs],
+        )
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     return Frame(view, plan, color, visibility, height, tuple(log.records.values()), reach)
@@ -76,24 +85,36 @@ def attached(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """
     if scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
         return np.ones(buffer.there.shape, bool)
-    to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    return ~(buffer.normal_frame @ to_sun > 0.0)
+    return _turned_away(buffer.normal_frame, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth)
 
 
-def _render_block(scene: Scene, block: MapView, plan: Plan, log: PassLog) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
+@compiled
+def _turned_away(normal, to_sun):  # type: ignore[no-untyped-def]
+    out = np.empty(normal.shape[:2], np.bool_)
+    for i in range(normal.shape[0]):
+        for j in range(normal.shape[1]):
+            n = normal[i, j]
+            out[i, j] = not n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2] > 0.0
+    return out
+
+
+def _render_block(
+    scene: Scene, block: MapView, plan: Plan, log: PassLog
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
     with log.run(GEOMETRY_PASS):
         frame = scene.world.frame_near(block.grid.crs, *block.centre)
         buffer = map_geometry(scene.surface(block.grid), block, frame)
-    visibility, reach = np.ones(buffer.there.shape, np.float32), Reach(0.0, 0.0, False)
+    with log.run(CASTERS_PASS):
+        casters = casters_of(scene, buffer)
+    visibility = np.ones(buffer.there.shape, np.float32)
     for kind, name in plan.algorithm["sun"].items():
         if name == "shadow_map":
-            seen, reach = shadow_map.fill(buffer, scene, plan.settings["sun"][kind], log)
-            visibility *= seen
+            visibility *= shadow_map.fill(buffer, scene, casters, plan.settings["sun"][kind], log)
     with log.run(SHADING_PASS):
         visibility[attached(buffer, scene)] = 0.0
         color = shade(buffer, scene, visibility)
         visibility[~buffer.there] = np.nan
-    return color, visibility, buffer.height_m, reach
+    return color, visibility, buffer.height_m, casters.reach
 
 
 def _worse(a: Reach, b: Reach) -> Reach:

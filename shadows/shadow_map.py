@@ -40,7 +40,7 @@ from terrain.errors import RenderError
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
 from terrain.light_space import light_bounds
-from terrain.reach import PATCH_QUADS, Reach, casters_of
+from terrain.reach import PATCH_QUADS, Casters
 from terrain.scene import Scene
 
 DEPTH_PASS = "sun/relief: depth map"
@@ -54,8 +54,10 @@ SIZE_STEP = 64
 """Maps are allocated in multiples of this, so that blocks of one level share them."""
 
 
-def fill(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, log: PassLog) -> tuple[np.ndarray, Reach]:
-    """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the relief; and the reach.
+def fill(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: ShadowMapSettings, log: PassLog
+) -> np.ndarray:
+    """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the relief.
 
     Where there is no surface the value means nothing. Raises ``RenderError`` or ``GraphicsError``.
     """
@@ -63,7 +65,7 @@ def fill(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, log:
     rows, cols = buffer.there.shape
     if not buffer.there.any():
         with log.run(DEPTH_PASS), log.run(VISIBILITY_PASS):
-            return np.ones((rows, cols), np.float32), Reach(0.0, 0.0, False)
+            return np.ones((rows, cols), np.float32)
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
     texel = np.array(settings.texel_m)
@@ -90,12 +92,11 @@ def fill(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, log:
     }
 
     with log.run(DEPTH_PASS) as record:
-        patches, reach = casters_of(scene, buffer, low, high)
         target = gl.depth_target(int(size[0]), int(size[1]), settings.depth_bits)
         program = gl.program(_shader("depth.vert"), _shader("depth.frag"))
         _set(program, uniforms)
         with gl.depth_pass(target):
-            sheets = (_patch(scene, buffer, patch.level, patch.row, patch.col) for patch in patches)
+            sheets = (_patch(scene, buffer, patch.level, patch.row, patch.col) for patch in casters.patches)
             for sheet in (buffer.surface.position_frame_m, *sheets):
                 record.triangles += gl.draw_sheet(program, sheet)
                 record.draws += 1
@@ -119,7 +120,7 @@ def fill(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, log:
         visibility = gl.read(visible)
         for texture in textures:
             texture.release()
-    return visibility, reach
+    return visibility
 
 
 def _patch(scene: Scene, buffer: GeometryBuffer, level: int, row: int, col: int) -> np.ndarray:

@@ -64,12 +64,16 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
         spans = []
         for values, step in ((row[known], view.row_step), (col[known], view.col_step)):
             side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
-            spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
+            spans.append(
+                (np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side)
+            )
         (mid_rows, height), (mid_cols, width) = spans
         middle = float(np.mean(scene.height_range_m))
         for mid_row in mid_rows:
             for mid_col in mid_cols:
-                rows, cols = np.meshgrid(mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width)
+                rows, cols = np.meshgrid(
+                    mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width
+                )
                 point, up = scene.world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
                 points = scene.light.from_earth(point + middle * up).reshape(-1, 3)
                 if np.isfinite(points).all():

@@ -93,7 +93,9 @@ class Elevation:
         self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
         self._cell_from_crs = ~dataset.transform
         x_cell = abs(dataset.transform.a)
-        self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
+        self._wrap = (
+            round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
+        )
         self._resampling = Resampling.average
         self._resampling = self._find_resampling()
         self.overview = self._read_overview()
@@ -111,7 +113,8 @@ class Elevation:
 
     def xy(self, row: np.ndarray | float, col: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates in the raster's CRS of (fractional) cells."""
-        return self._dataset.transform * (np.asarray(col) + 0.5, np.asarray(row) + 0.5)
+        gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
+        return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
     def cell_of(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(Fractional) row and column of coordinates in the raster's CRS."""

@@ -150,4 +150,3 @@ def _snapped(start: float, step: float, count: int) -> tuple[float, float]:
     if abs(start - whole[0]) < 1e-6 and abs(step - whole[1]) * count < 1e-6 and whole[1] >= 1:
         return float(whole[0]), float(whole[1])
     return start, step
-

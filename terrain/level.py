@@ -181,7 +181,8 @@ def algorithm_choice(value: str | dict[str, Any]) -> Choice:
                 choice.setdefault(key, {})[kind] = name_of(name)
         else:
             raise PydanticCustomError(
-                "algorithm", "keys that are a light ({lights}) or a caster kind ({kinds})",
+                "algorithm",
+                "keys that are a light ({lights}) or a caster kind ({kinds})",
                 {"lights": ", ".join(lights), "kinds": ", ".join(kinds)},
             )
     automatic = {light: {k: n for k, n in kinds_.items() if n != "auto"} for light, kinds_ in choice.items()}

@@ -162,7 +162,10 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  
                     along[n, k] = exact[m, n, k]
                 else:
                     along[n, k] = (
-                        w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
+                        w[0] * exact[m - 1, n, k]
+                        + w[1] * exact[m, n, k]
+                        + w[2] * exact[m + 1, n, k]
+                        + w[3] * exact[m + 2, n, k]
                     )
         for j in range(cols):
             coarse = (col0 + j) // stride
@@ -172,7 +175,9 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  
                 if v[1] == 1.0:
                     out[i, j, k] = along[n, k]
                 else:
-                    out[i, j, k] = v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
+                    out[i, j, k] = (
+                        v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
+                    )
     return out
 
 

@@ -1,0 +1,98 @@
+"""Shared fixtures: rasters and levels made from parameters, the OpenGL device with an error check round each test."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+ENGINEERING = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+
+
+@pytest.fixture
+def gl():
+    """The process's OpenGL device; a test that leaves an OpenGL error behind fails."""
+    from terrain.gl import device
+
+    owner = device()
+    owner.check("before the test")
+    yield owner
+    owner.check("after the test")
+
+
+@pytest.fixture(autouse=True)
+def _no_gl_error_left() -> Iterator[None]:
+    yield
+    from terrain import gl as module
+
+    if module._device is not None:
+        module._device.check("a test")
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Settings of the machine must not reach a test."""
+    for name in os.environ:
+        if name.startswith("SKUGGA_") and name != "SKUGGA_EXPECT_RENDERER":
+            monkeypatch.delenv(name)
+
+
+@pytest.fixture
+def write_raster(tmp_path: Path) -> Callable[..., Path]:
+    """``write_raster(heights, crs, x0, y0, cell)`` writes a GeoTIFF whose north-west corner is (x0, y0)."""
+
+    def write(
+        heights: np.ndarray,
+        crs: str,
+        x0: float,
+        y0: float,
+        cell: float | tuple[float, float],
+        name: str = "dem.tif",
+        **options,
+    ) -> Path:
+        dx, dy = cell if isinstance(cell, tuple) else (cell, cell)
+        path = tmp_path / name
+        transform = options.pop("transform", Affine(dx, 0, x0, 0, -dy, y0))
+        bands = heights if heights.ndim == 3 else heights[None]
+        with rasterio.open(
+            path, "w", driver="GTiff", height=bands.shape[1], width=bands.shape[2], count=bands.shape[0], dtype=bands.dtype,
+            crs=crs, transform=transform, **options,
+        ) as dataset:  # fmt: skip
+            dataset.write(bands)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def make_scene(tmp_path: Path) -> Callable[..., Scene]:
+    """``make_scene(raster, azimuth, altitude)`` builds the scene of a level over a raster."""
+
+    def make(source: Path | str, azimuth: float = 180.0, altitude: float = 30.0, **keys) -> Scene:
+        terrain = {"source": str(source), **keys.pop("terrain", {})}
+        level = {"version": 1, "terrain": terrain, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
+        path = tmp_path / "level.yaml"
+        # JSON is YAML.
+        path.write_text(json.dumps(level), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return make
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    """The folder of real rasters, beside the repository where it is there."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no sample rasters at {SHARED_DATA}")
+    return SHARED_DATA

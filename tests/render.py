@@ -1,0 +1,38 @@
+"""Rendering for tests: a scene and a view through the same path that users take."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from morecantile import tms as matrix_sets
+
+from selector.rules import choose
+from shadows.plan import Plan
+from shadows.render import Frame, render_frame
+from terrain.descriptor import describe
+from terrain.grid import BLOCK_PX, MapView, tile_grid
+from terrain.scene import Scene
+
+
+def plan_of(scene: Scene, view: MapView, **overrides: Any) -> Plan:
+    return choose(describe(scene, view), scene.loaded.level, overrides)
+
+
+def render(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:
+    """A frame; ``overrides`` are map_size, depth_bits, filter, algorithm."""
+    view = view or scene.view()
+    return render_frame(scene, view, plan_of(scene, view, **overrides))
+
+
+def shadow(frame: Frame) -> np.ndarray:
+    """The class of each pixel: True in shadow, False where lit or where there is no surface."""
+    return np.nan_to_num(frame.visibility, nan=1.0) < 0.5
+
+
+def block_at(lon: float, lat: float, zoom: int, tms: str = "WebMercatorQuad") -> MapView:
+    """The block of the tile that holds a place."""
+    matrix_set = matrix_sets.get(tms)
+    tile = matrix_set.tile(lon, lat, zoom)
+    row, col = (index * 256 // BLOCK_PX * BLOCK_PX for index in (tile.y, tile.x))
+    return MapView(tile_grid(matrix_set, zoom), float(row), float(col), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
