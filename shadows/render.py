@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from shadows.plan import Plan
 from terrain.compiled import compiled
 from terrain.errors import InputError, RenderError
 from terrain.geometry import GeometryBuffer, map_geometry
-from terrain.grid import MapView, block_of
+from terrain.grid import MapView, blocks_of
 from terrain.reach import Reach, casters_of
 from terrain.scene import Scene
 from terrain.shading import shade
@@ -52,27 +53,32 @@ class Frame:
         return self.color.nbytes + self.visibility.nbytes + self.height_m.nbytes
 
 
-def render_frame(scene: Scene, view: MapView, plan: Plan) -> Frame:
-    """Execute a plan. Raises ``RenderError`` where the work fails or where other passes ran than the plan lists."""
+def render_frame(
+    scene: Scene, view: MapView, plan: Plan, on_block: Callable[[int, int], None] | None = None
+) -> Frame:
+    """Execute a plan; ``on_block(done, total)`` is called after each block.
+
+    Raises ``RenderError`` where the work fails or where other passes ran than the plan lists.
+    """
     if view.rows * view.cols > MAX_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
     color = np.zeros((view.rows, view.cols, 3), np.uint8)
     visibility = np.full((view.rows, view.cols), np.nan, np.float32)
     height = np.full((view.rows, view.cols), np.nan, np.float32)
     log, reach = PassLog(), Reach(0.0, 0.0, False)
-    for block, row, col in block_of(view):
-        block_color, block_visibility, block_height, block_reach = _render_block(scene, block, plan, log)
+    blocks = blocks_of(view)
+    for done, (block, row, col) in enumerate(blocks, start=1):
+        *layers, block_reach = _render_block(scene, block, plan, log)
         reach = _worse(reach, block_reach)
         ours = (
             slice(max(row, 0), min(row + block.rows, view.rows)),
             slice(max(col, 0), min(col + block.cols, view.cols)),
         )
         theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (row, col), strict=True))
-        color[ours], visibility[ours], height[ours] = (
-            block_color[theirs],
-            block_visibility[theirs],
-            block_height[theirs],
-        )
+        for whole, part in zip((color, visibility, height), layers, strict=True):
+            whole[ours] = part[theirs]
+        if on_block is not None:
+            on_block(done, len(blocks))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     return Frame(view, plan, color, visibility, height, tuple(log.records.values()), reach)

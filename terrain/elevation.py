@@ -10,6 +10,7 @@ and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty an
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +18,14 @@ import rasterio
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.enums import MaskFlags, Resampling
-from rasterio.errors import RasterioError, RasterioIOError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
 from rasterio.windows import Window
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.bundled import BUNDLED
 from terrain.compiled import compiled
-from terrain.errors import RenderError, SourceError
+from terrain.errors import SourceError
 from terrain.level import METRES_PER_UNIT, Units
 from terrain.world import WGS84
 
@@ -38,7 +39,8 @@ OVERVIEW_CELLS = 512
 """Longest side of the overview that reach and relief are read from."""
 
 EXACT_HIGH_CELLS = 32_000_000
-"""Largest raster whose highest ground is read cell by cell, in strips, when it is opened."""
+"""Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
+cells and not from overviews that somebody else made."""
 
 _NEIGHBOURHOOD = ((maximum_filter, -np.inf), (minimum_filter, np.inf))
 
@@ -70,7 +72,7 @@ class Elevation:
     def __init__(self, source: str, units: Units | None = None, exaggeration: float = 1.0) -> None:
         self.name = source
         try:
-            self._dataset = BUNDLED[source]().open() if source in BUNDLED else rasterio.open(source)
+            self._dataset = BUNDLED[source]().open() if source in BUNDLED else _open(source)
         except (RasterioError, OSError) as error:
             reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
             raise SourceError(source, reason, "a raster that GDAL reads") from None
@@ -204,7 +206,7 @@ class Elevation:
                 1, window=window, out_shape=(row1 - row0, col1 - col0), masked=True, resampling=self._resampling
             )
         except RasterioIOError:
-            raise RenderError(f"{self.name}: a part of the raster cannot be read; the file is damaged") from None
+            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
         values = data.data.astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
             hole = np.ma.getmaskarray(data) | ~((values >= self._limits[0]) & (values <= self._limits[1]))
@@ -247,6 +249,17 @@ class Elevation:
         if len(axes) == 3:
             return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))  # type: ignore[return-value]
         return None
+
+
+def _open(source: str) -> rasterio.DatasetReader:
+    """Open a raster; a small one without its overviews, which may have been made by averaging sentinels into heights."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
+        dataset = rasterio.open(source)
+        if dataset.width * dataset.height > EXACT_HIGH_CELLS or not (dataset.count and dataset.overviews(1)):
+            return dataset
+        dataset.close()
+        return rasterio.open(source, OVERVIEW_LEVEL="NONE")
 
 
 @compiled

@@ -44,7 +44,7 @@ class LevelError(InputError):
 
 
 class SourceError(InputError):
-    """A raster cannot be used."""
+    """A raster cannot be used, or a part of it cannot be read."""
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         super().__init__(name, value, allowed)

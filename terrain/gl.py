@@ -75,6 +75,7 @@ class Device:
             try:
                 self._programs[key] = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
             except moderngl.Error as error:
+                _ = self.ctx.error  # the failed program leaves one behind; it is reported here and nowhere else
                 raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
         return self._programs[key]
 
@@ -215,3 +216,8 @@ def device() -> Device:
     if _device is None:
         _device = Device()
     return _device
+
+
+def is_open() -> bool:
+    """Whether this process has made its device."""
+    return _device is not None

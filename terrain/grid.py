@@ -128,7 +128,7 @@ def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], 
     return MapView(grid, row0, col0, row_step, col_step, rows, cols)
 
 
-def block_of(view: MapView) -> list[tuple[MapView, int, int]]:
+def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
     """The blocks a view is made of, each with the view's (row, col) of the block's first pixel (may be negative).
 
     Where pixels are nodes the blocks are world-fixed: multiples of ``BLOCK_PX`` nodes, whatever the view, so that every

@@ -252,19 +252,34 @@ def load_level(path: Path | str) -> LoadedLevel:
     try:
         level = Level.model_validate(data)
     except ValidationError as error:
-        raise _level_error(str(path), error.errors()) from None
+        raise _level_error(str(path), data, error.errors()) from None
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=digest)
 
 
-def _level_error(path: str, errors: list[ErrorDetails]) -> LevelError:
-    """One message of pydantic's many: the first that says something, since unions repeat themselves."""
-    detail = next((error for error in errors if error["type"] == "unknown_key"), errors[0])
-    where = [str(part) for part in detail["loc"]]
-    if detail["type"] == "unknown_key":
-        context = detail["ctx"]
-        return LevelError(f"{path}: {'.'.join([*where, context['key']])}", "unknown key", context["known"])
-    value = "nothing" if detail["type"] == "missing" else detail["input"]
-    branches = [error["msg"] for error in errors if error["loc"][: len(where)] == detail["loc"]]
-    allowed = " or ".join(dict.fromkeys(message[:1].lower() + message[1:] for message in branches))
-    return LevelError(f"{path}: {'.'.join(where)}", value, allowed.replace("input should be ", ""))
+def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
+    """One message of pydantic's many (a union gives one per branch): the one that leads deepest into the file."""
+    for error in errors:
+        if error["type"] == "unknown_key":
+            context = error["ctx"]
+            where = ".".join([*_keys(data, error["loc"]), context["key"]])
+            return LevelError(f"{path}: {where}", "unknown key", context["known"])
+    paths = [_keys(data, error["loc"]) for error in errors]
+    deepest = max(paths, key=len)
+    here = [error for error, keys in zip(errors, paths, strict=True) if keys == deepest]
+    value = "nothing" if here[0]["type"] == "missing" else here[0]["input"]
+    allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in here))
+    return LevelError(f"{path}: {'.'.join(deepest)}", value, allowed.replace("input should be ", ""))
+
+
+def _keys(data: Any, location: tuple[int | str, ...]) -> list[str]:
+    """The keys of a file on the way to an error: pydantic's location without the names of its own union branches."""
+    keys: list[str] = []
+    for number, part in enumerate(location):
+        inside = isinstance(data, dict) and part in data
+        if inside or (isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)):
+            keys.append(str(part))
+            data = data[part]
+        elif isinstance(data, dict) and number == len(location) - 1 and part != "[key]" and "[" not in str(part):
+            keys.append(str(part))  # a key that is missing
+    return keys

@@ -24,6 +24,9 @@ DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
 
 
+UTM_WIDTH_DEG = 18.0
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A level's ground and light. Immutable; ``with_sun`` gives another one over the same ground."""
@@ -91,8 +94,14 @@ class Scene:
 
     @cached_property
     def map_crs(self) -> CRS:
-        """The CRS of map views that name none: the source's if it is projected or engineering, else its UTM zone."""
+        """The CRS of map views that name none: the source's if it is projected or engineering, else its UTM zone.
+
+        A level wider than ``UTM_WIDTH_DEG``, which no zone holds, stays in longitude and latitude.
+        """
         if self.world.flat or self.elevation.crs.is_projected:
+            return self.elevation.crs
+        west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
+        if east - west > UTM_WIDTH_DEG:
             return self.elevation.crs
         lon = (self.world.anchor_lon_deg + 180.0) % 360.0 - 180.0
         lat = self.world.anchor_lat_deg

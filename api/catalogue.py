@@ -1,0 +1,58 @@
+"""Which levels there are, and what they say of themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from configs import LEVELS_FOLDER
+from terrain.errors import InputError
+from terrain.level import load_level
+from terrain.scene import build_scene
+
+
+def bundled_levels() -> list[Path]:
+    """Paths of the bundled level files, by name."""
+    return sorted(LEVELS_FOLDER.glob("*.yaml"))
+
+
+def find_level(name: str) -> Path:
+    """The file of a bundled level's name or of a path. Raises ``InputError``."""
+    bundled = LEVELS_FOLDER / f"{name}.yaml"
+    if Path(name).name == name and bundled.is_file():
+        return bundled
+    path = Path(name)
+    if path.is_file():
+        return path
+    names = ", ".join(level.stem for level in bundled_levels())
+    raise InputError("LEVEL", name, f"a level file, or one of the bundled levels: {names}")
+
+
+def summary(path: Path) -> dict[str, Any]:
+    """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
+    scene = build_scene(load_level(path))
+    level = scene.loaded.level
+    return {
+        "name": scene.loaded.name,
+        "title": level.title,
+        "bounds": scene.bounds_lon_lat,
+        "views": list(level.views),
+    }
+
+
+def remarks(path: Path) -> list[str]:
+    """What an author may want to know of a level that is not wrong."""
+    scene = build_scene(load_level(path))
+    elevation, notes = scene.elevation, []
+    low, high = scene.height_range_m
+    notes.append(
+        f"{elevation.cols} x {elevation.rows} cells of about {elevation.cell_size_m(scene.world.metres_per_unit):.3g} m, "
+        f"heights {low:.0f} to {high:.0f} m, {elevation.crs.name}"
+    )
+    if elevation.units is None:
+        notes.append("the raster does not say its unit of height: taken as metres; set terrain.units if that is wrong")
+        if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):
+            notes.append("its horizontal unit is a foot: are its heights in feet too?")
+    if scene.world.flat:
+        notes.append("an engineering CRS has no place on earth: no web tiles, and a sun by angles only")
+    return notes

@@ -1,0 +1,204 @@
+"""The command line. Exit status 0: done, 1: the work failed, 2: the input is wrong; errors are one line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from api import doctor as doctor_checks
+from api.catalogue import bundled_levels, find_level
+from api.errors import exit_status
+from terrain.errors import InputError, SkuggaError
+from terrain.level import parse_algorithm, parse_sun
+
+app = typer.Typer(
+    help="Terrain with the sun's true cast shadows.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.callback()
+def _everywhere(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+    """Terrain with the sun's true cast shadows."""
+
+
+@app.command()
+def serve(
+    levels: Annotated[list[str] | None, typer.Argument(metavar="[LEVEL]...", help="Default: all bundled levels.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
+    workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
+) -> None:
+    """Serve levels as map tiles over HTTP, with a viewer on /."""
+    from api.app import serve as run
+    from api.settings import load_settings
+
+    given = {"host": host, "port": port, "workers": workers}
+    settings = load_settings(**{key: value for key, value in given.items() if value is not None})
+    run(settings, [find_level(name) for name in levels] if levels else bundled_levels())
+
+
+@app.command()
+def render(
+    level: LevelName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
+    view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
+    layer: Annotated[str, typer.Option(help="color, shadow, mask, visibility, depth or position.")] = "color",
+    algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME.")] = None,
+    time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
+    altitude: Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
+    bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
+    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
+    map_size: Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")] = None,
+    depth_bits: Annotated[int | None, typer.Option(help="16, 24 or 32.")] = None,
+    filter: Annotated[int | None, typer.Option(help="Taps a side: 1, 2, 3 or 5.")] = None,
+    stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
+) -> None:
+    """Render one snapshot of a level's view into a file."""
+    from api.layers import check_suffix, write_layer
+    from api.snapshot import snapshot, statistics
+
+    check_suffix(layer, output)
+    overrides = {
+        "algorithm": None if algorithm is None else parse_algorithm(algorithm, "--algorithm"),
+        "map_size": map_size,
+        "depth_bits": depth_bits,
+        "filter": filter,
+    }
+    with _progress("Rendering") as advance:
+        scene, frame = snapshot(
+            find_level(level), view, parse_sun(time, azimuth, altitude), overrides, _size(size), _bounds(bounds), crs, advance
+        )
+    write_layer(frame, layer, output, scene.height_range_m[1])
+    if stats is not None:
+        stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")
+
+
+@app.command()
+def levels(as_json: AsJson = False) -> None:
+    """List the bundled levels."""
+    from api.catalogue import summary
+
+    rows = [summary(path) for path in bundled_levels()]
+    if as_json:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("name", "title", "bounds (west, south, east, north)", "views", box=None)
+    for row in rows:
+        bounds = "flat world" if row["bounds"] is None else ", ".join(f"{v:.3f}" for v in row["bounds"])
+        table.add_row(row["name"], row["title"], bounds, ", ".join(row["views"]))
+    Console().print(table)
+
+
+@app.command()
+def validate(level: LevelName) -> None:
+    """Check a level file and the data it names."""
+    from api.catalogue import remarks, summary
+
+    path = find_level(level)
+    row = summary(path)
+    typer.echo(f"{path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}")
+    for remark in remarks(path):
+        typer.echo(f"  note: {remark}")
+
+
+@app.command()
+def doctor(as_json: AsJson = False) -> None:
+    """Say what this machine renders with and what is missing."""
+    findings = doctor_checks.examine()
+    if as_json:
+        typer.echo(json.dumps([finding.__dict__ for finding in findings], indent=2))
+    else:
+        for finding in findings:
+            typer.echo(f"{'ok     ' if finding.ok else 'MISSING'}  {finding.subject}: {finding.detail}")
+    if not all(finding.ok for finding in findings):
+        raise typer.Exit(1)
+
+
+def main() -> None:
+    """Entry point of ``skugga``."""
+    debug = "--debug" in sys.argv[1:]
+    try:
+        status = app(standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as help_wanted:
+        click.echo(help_wanted.format_message())
+        status = 2
+    except click.ClickException as error:
+        status = _fail(error.format_message(), 2)
+    except click.Abort:
+        status = _fail("interrupted", 1)
+    except SkuggaError as error:
+        if debug:
+            raise
+        status = _fail(str(error), exit_status(error))
+    except OSError as error:
+        if debug:
+            raise
+        status = _fail(f"{error.filename or 'output'}: {error.strerror}", 1)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str, status: int) -> int:
+    click.echo(f"skugga: {' '.join(message.split())}", err=True)
+    return status
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+        raise InputError("--size", text, "WxH, 1x1 to 16384x16384, as 1280x1024")
+    return int(width), int(height)
+
+
+def _bounds(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError("--bounds", text, "W,S,E,N: four numbers in units of the output CRS") from None
+    return west, south, east, north
+
+
+class _progress:  # noqa: N801  (used as a function)
+    """A progress bar on a terminal for work of more than a few blocks; silent elsewhere."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._bar: Any = None
+
+    def __enter__(self) -> Any:
+        return self._advance
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _advance(self, done: int, total: int) -> None:
+        if total < 4 or not sys.stderr.isatty():
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bar = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(self._what, total=total)
+            self._bar.start()
+        self._bar.update(self._task, completed=done)

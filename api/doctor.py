@@ -1,0 +1,70 @@
+"""What this machine renders with, and what is missing."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+
+from terrain.errors import SkuggaError
+
+PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: whether it is in order, and the detail or the remedy."""
+
+    subject: str
+    ok: bool
+    detail: str
+
+
+def examine() -> list[Finding]:
+    """Look at everything; never raises."""
+    return [
+        Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
+        *map(_package, PACKAGES),
+        _opengl(),
+        _drawing(),
+        _viewer(),
+    ]
+
+
+def _package(name: str) -> Finding:
+    try:
+        return Finding(name, True, version(name))
+    except PackageNotFoundError:
+        return Finding(name, False, f"not installed: pip install {name}")
+
+
+def _opengl() -> Finding:
+    from terrain.gl import device
+
+    try:
+        gl = device()
+    except SkuggaError as error:
+        return Finding("OpenGL", False, f"{error}. On Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri")
+    return Finding("OpenGL", True, f"{gl.renderer}, {gl.version}, textures up to {gl.max_size}")
+
+
+def _drawing() -> Finding:
+    """Draw a small known map: the whole path from a level to a frame."""
+    from api.catalogue import find_level
+    from api.snapshot import snapshot
+    from terrain.level import SunSpec
+
+    try:
+        sun = SunSpec(azimuth=237, altitude=10)
+        _, frame = snapshot(find_level("jacksboro"), "map", sun, {"filter": 1}, size=(64, 64))
+    except SkuggaError as error:
+        return Finding("a shadowed map", False, str(error))
+    share = float((frame.visibility[frame.there] < 0.5).mean())
+    return Finding("a shadowed map", 0.05 < share < 0.6, f"{100 * share:.0f} % in shadow")
+
+
+def _viewer() -> Finding:
+    built = files("api").joinpath("static", "index.html").is_file()
+    return Finding("viewer", built, "built" if built else "not built: make viewer (tiles are served without it)")

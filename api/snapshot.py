@@ -1,0 +1,59 @@
+"""One snapshot: level -> scene -> descriptor -> plan -> frame, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from selector.rules import choose
+from shadows.render import Frame, render_frame
+from terrain.descriptor import describe
+from terrain.level import SunSpec, load_level
+from terrain.scene import Scene, build_scene
+
+
+def snapshot(
+    level: Path,
+    view: str,
+    sun: SunSpec | None,
+    overrides: dict[str, Any],
+    size: tuple[int, int] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    crs: str | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> tuple[Scene, Frame]:
+    """The scene and the frame of a level's view. Raises ``SkuggaError``."""
+    scene = build_scene(load_level(level)).with_sun(sun)
+    map_view = scene.view(view, bounds, crs, size)
+    plan = choose(describe(scene, map_view, view), scene.loaded.level, overrides)
+    return scene, render_frame(scene, map_view, plan, on_block)
+
+
+def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
+    """What ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
+    from terrain import gl
+
+    used_gl = gl.is_open()
+    return {
+        "level": scene.loaded.name,
+        "plan": frame.plan.model_dump(mode="json"),
+        "passes": [asdict(record) for record in frame.passes],
+        "ms": sum(record.ms for record in frame.passes),
+        "caster_reach": asdict(frame.reach),
+        "sun": None
+        if scene.sun is None
+        else {"azimuth": scene.sun.azimuth_deg, "altitude": scene.sun.altitude_deg, "time": _iso(scene)},
+        "view": {
+            "crs": frame.view.grid.crs.to_string(),
+            "bounds": frame.view.bounds,
+            "size": [frame.view.cols, frame.view.rows],
+            "node_step": frame.view.grid.step,
+        },
+        "device": {"renderer": gl.device().renderer, "version": gl.device().version} if used_gl else None,
+    }
+
+
+def _iso(scene: Scene) -> str | None:
+    return scene.sun.time.isoformat() if scene.sun and scene.sun.time else None

@@ -1,0 +1,203 @@
+"""Heights from rasters: interpolation, units, holes, windows, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from terrain.elevation import FILL_CELLS, Elevation
+from terrain.errors import SourceError
+from tests.conftest import ENGINEERING
+
+UTM = "EPSG:32633"
+
+
+def heights_at(elevation: Elevation, row, col, level: int = 0):
+    row, col = np.broadcast_arrays(np.atleast_2d(row).astype(float), np.atleast_2d(col).astype(float))
+    return elevation.heights_at(level, row, col)
+
+
+def test_bilinear_between_cell_centres_and_clamped_at_the_border(write_raster):
+    values = np.array([[0, 10], [20, 50]], np.float32)
+    elevation = Elevation(str(write_raster(values, UTM, 0, 20, 10)))
+    height, there = heights_at(elevation, [[0, 0.5, 1, -0.5, -0.6]], [[0, 0.5, 0.25, 1.5, 0]])
+    np.testing.assert_allclose(height[0, :4], [0, 20, 27.5, 10])
+    assert np.isnan(height[0, 4]) and there.tolist() == [[True, True, True, True, False]]
+
+
+def test_windows_agree_with_the_whole(write_raster):
+    values = np.random.default_rng(0).normal(size=(150, 170)).astype(np.float32)
+    values[60:90, 50:120] = np.nan  # filled from its rim, the same in every window
+    elevation = Elevation(str(write_raster(values, UTM, 0, 1500, 10)))
+    col, row = np.meshgrid(np.arange(0, 169, 0.7), np.arange(0, 149, 0.7))
+    whole, _ = elevation.heights_at(0, row, col)
+    part, _ = elevation.heights_at(0, row[80:140, 60:200], col[80:140, 60:200])
+    np.testing.assert_array_equal(whole[80:140, 60:200], part)
+
+
+def test_zoomed_out_cells_are_means_counted_from_the_corner(write_raster):
+    values = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
+    elevation = Elevation(str(write_raster(values, UTM, 0, 640, 10)))
+    mean = values.reshape(16, 4, 16, 4).mean(axis=(1, 3))
+    centre = np.arange(16) * 4 + 1.5
+    col, row = np.meshgrid(centre, centre)
+    whole, _ = elevation.heights_at(2, row, col)
+    np.testing.assert_allclose(whole, mean, rtol=1e-6)
+    part, _ = elevation.heights_at(2, row[5:7, 9:11], col[5:7, 9:11])
+    np.testing.assert_array_equal(part, whole[5:7, 9:11])
+
+
+@pytest.mark.parametrize("sentinel", [-9999.0, 3.4e38, -32768.0, np.nan, np.inf, -np.inf])
+def test_holes_are_no_surface_and_neither_walls_nor_pits(write_raster, sentinel):
+    values = np.full((60, 60), 100.0, np.float32)
+    values[20:40, 20:40] = sentinel
+    tagged = sentinel == -9999.0
+    elevation = Elevation(str(write_raster(values, UTM, 0, 600, 10, nodata=sentinel if tagged else None)))
+    col, row = np.meshgrid(np.arange(60.0), np.arange(60.0))
+    height, there = elevation.heights_at(0, row, col)
+    np.testing.assert_allclose(height, 100.0)
+    assert (~there).sum() == 400 and not there[20:40, 20:40].any()
+    coarse, _ = elevation.heights_at(2, row, col)
+    np.testing.assert_allclose(coarse[np.isfinite(coarse)], 100.0)
+
+
+def test_far_inside_a_big_hole_there_is_nothing(write_raster):
+    values = np.full((30, 400), 7.0, np.float32)
+    values[:, 50:350] = np.nan
+    elevation = Elevation(str(write_raster(values, UTM, 0, 300, 10)))
+    height, there = heights_at(elevation, 15, np.arange(400))
+    assert np.isnan(height[0, 50 + FILL_CELLS + 2 : 350 - FILL_CELLS - 2]).all()
+    assert np.isfinite(height[0, :52]).all() and not there[0, 50:350].any()
+
+
+def test_a_hole_in_a_slope_is_filled_between_its_rims(write_raster):
+    values = np.tile(np.arange(40, dtype=np.float32) * 10, (40, 1))
+    values[15:25, 15:25] = np.nan
+    elevation = Elevation(str(write_raster(values, UTM, 0, 400, 10)))
+    height, _ = heights_at(elevation, np.arange(15, 25)[:, None], np.arange(15, 25)[None, :])
+    assert height.min() >= 140 - 1e-3 and height.max() <= 250 + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("keys", "factor"),
+    [
+        ({}, 1.0),
+        ({"units": "ft"}, 0.3048),
+        ({"units": "us-ft"}, 1200 / 3937),
+        ({"units": "ft", "exaggeration": 2.0}, 0.6096),
+    ],
+)
+def test_units_and_exaggeration(write_raster, keys, factor):
+    elevation = Elevation(str(write_raster(np.full((3, 3), 1000, np.int16), UTM, 0, 30, 10)), **keys)
+    assert heights_at(elevation, 1, 1)[0][0, 0] == pytest.approx(1000 * factor)
+
+
+def test_the_raster_s_own_unit_is_taken(write_raster):
+    path = write_raster(np.full((3, 3), 1000, np.int16), UTM, 0, 30, 10)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = ("ft",)
+    assert heights_at(Elevation(str(path)), 1, 1)[0][0, 0] == pytest.approx(304.8)
+
+
+def test_the_first_of_several_bands_is_taken(write_raster):
+    bands = np.stack([np.full((4, 4), v, np.float32) for v in (5, 6, 7)])
+    assert heights_at(Elevation(str(write_raster(bands, UTM, 0, 40, 10))), 1, 1)[0][0, 0] == 5
+
+
+def test_a_global_raster_has_no_border_at_its_seam(write_raster):
+    values = np.broadcast_to(np.cos(np.radians(np.arange(-179.5, 180))) * 100, (180, 360)).astype(np.float32)
+    elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 1.0)))
+    height, there = heights_at(elevation, 90, np.array([-1.0, -0.5, 359.5, 360.0]))
+    np.testing.assert_allclose(height[0], [values[0, 359], values[0, 359], values[0, 0], values[0, 0]], atol=0.02)
+    assert there.all()
+
+
+def test_the_overview_knows_the_highest_cell(write_raster):
+    values = np.zeros((1100, 1300), np.float32)
+    values[777, 555] = 3000.0
+    elevation = Elevation(str(write_raster(values, UTM, 0, 11000, 10)))
+    assert elevation.overview.level == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 3))
+@settings(max_examples=25, deadline=None)
+def test_any_shape_can_be_read_at_any_level(tmp_path_factory, rows, cols, level):
+    path = tmp_path_factory.mktemp("r") / "dem.tif"
+    values = np.arange(rows * cols, dtype=np.float32).reshape(rows, cols)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=UTM,
+        transform=rasterio.Affine(10, 0, 0, 0, -10, 0),
+    ) as dataset:  # fmt: skip
+        dataset.write(values, 1)
+    height, there = heights_at(
+        Elevation(str(path)), (min(rows, 2**level) - 1) / 2, (min(cols, 2**level) - 1) / 2, level
+    )
+    assert there.all() and values.min() <= height[0, 0] <= values.max()
+
+
+def test_what_is_no_usable_raster_is_refused_by_name(tmp_path, write_raster):
+    text = tmp_path / "broken.tif"
+    text.write_text("this is no raster")
+    no_crs = tmp_path / "no_crs.tif"
+    with rasterio.open(
+        no_crs,
+        "w",
+        driver="GTiff",
+        width=3,
+        height=3,
+        count=1,
+        dtype="float32",
+        transform=rasterio.Affine(2, 0, 0, 0, -2, 0),
+    ) as dataset:
+        dataset.write(np.ones((1, 3, 3), np.float32))
+    empty = write_raster(np.full((5, 5), -9999, np.float32), UTM, 0, 5, 1, name="empty.tif", nodata=-9999)
+    nans = write_raster(np.full((5, 5), np.nan, np.float32), UTM, 0, 5, 1, name="nans.tif")
+    complex_ = write_raster(np.ones((5, 5), np.complex64), UTM, 0, 5, 1, name="complex.tif")
+    for path, words in (
+        (tmp_path / "absent.tif", "raster that GDAL reads"),
+        (text, "raster that GDAL reads"),
+        (no_crs, "a raster with a CRS"),
+        (empty, "all nodata"),
+        (nans, "all nodata"),
+        (complex_, "real numbers"),
+    ):
+        with pytest.raises(SourceError) as caught:
+            Elevation(str(path))
+        assert words in str(caught.value) and path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kept", [0.3, 0.9])
+def test_a_damaged_raster_fails_with_one_line(write_raster, kept):
+    values = np.random.default_rng(0).normal(size=(400, 400)).astype(np.float32)
+    path = write_raster(values, UTM, 0, 4000, 10, compress="deflate", tiled=True, blockxsize=128, blockysize=128)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(SourceError) as caught:
+        heights_at(Elevation(str(path)), np.arange(400)[:, None], np.arange(400)[None, :])
+    assert path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_engineering_crs_is_flat(write_raster):
+    assert Elevation(str(write_raster(np.ones((3, 3), np.float32), ENGINEERING, 0, 3, 1))).flat
+
+
+REAL = {
+    # file: share of cells with a surface, lowest and highest height in metres, as SOURCES.md or gdalinfo say
+    "mountain/bigtujunga_30m_utm11.tif": (1.0, 315, 2295),
+    "mountain/zion_srtm_4326.tif": (1.0, 1000, 2900),
+    "odd/vanderford_64m_epsg3031.tif": (0.07, -2340, -19),
+    "odd/nz_elev_1km_oceanholes.tif": (0.17, 0, 4141),
+    "large/globe_30arcsec_himalaya_4326.tif": (1.0, 0, 8752),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_rasters_have_their_heights(shared_data, name):
+    share, low, high = REAL[name]
+    overview = Elevation(str(shared_data / name)).overview
+    assert np.isfinite(overview.heights_m).mean() == pytest.approx(share, abs=0.02)
+    assert low - 1 <= np.nanmin(overview.heights_m) and np.nanmax(overview.high_m) <= high + 1
+    assert np.nanmax(overview.high_m) >= high * 0.9 - 10 if high > 0 else True

@@ -1,0 +1,116 @@
+"""The OpenGL module: the rasteriser CI runs on, depth formats, clamping, guarded reads."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import moderngl
+import numpy as np
+import pytest
+
+from terrain.errors import GraphicsError
+from terrain.gl import sheet_triangles
+
+VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
+FRAGMENT = "#version 430\nvoid main() {}\n"
+
+
+def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
+    """A sheet over the whole clip square at a depth in [0, 1]."""
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
+    return np.stack([x, y, np.full_like(x, 2 * depth - 1)], axis=-1)
+
+
+def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
+    target = gl.depth_target(size, size, bits)
+    program = gl.program(VERTEX, FRAGMENT)
+    with gl.depth_pass(target):
+        for one in sheets:
+            gl.draw_sheet(program, one)
+    return gl.read(target, attachment=-1)
+
+
+def test_ci_runs_on_the_rasteriser_that_goldens_are_made_on(gl):
+    expected = os.environ.get("SKUGGA_EXPECT_RENDERER")
+    if expected is None:
+        assert not os.environ.get("CI"), "CI must say which rasteriser it expects"
+        pytest.skip("SKUGGA_EXPECT_RENDERER is not set")
+    assert expected in gl.renderer
+
+
+@pytest.mark.parametrize(("bits", "step"), [(16, 1 / (2**16 - 1)), (24, 1 / (2**24 - 1)), (32, 2.0**-24)])
+def test_depth_is_stored_with_the_bits_asked_for(gl, bits, step):
+    depth = 0.123456789
+    stored = draw(gl, [sheet(depth)], bits)
+    assert np.ptp(stored) == 0.0
+    assert abs(float(stored[0, 0]) - depth) <= step / 2 + 2e-8
+    assert bits != 16 or float(stored[0, 0]) * (2**16 - 1) == pytest.approx(round(depth * (2**16 - 1)), abs=0.01)
+
+
+def test_casters_before_the_near_plane_are_kept_and_the_nearest_wins(gl):
+    assert (draw(gl, [sheet(0.5), sheet(-3.0)]) == 0.0).all()
+    assert draw(gl, [sheet(0.5), sheet(0.25), sheet(0.75)]) == pytest.approx(0.25, abs=1e-6)
+    assert (draw(gl, []) == 1.0).all()
+
+
+def test_depth_clamp_does_not_leak_into_the_next_pass(gl):
+    draw(gl, [sheet(-3.0)])
+    target = gl.depth_target(8, 8, 24)
+    target.use()
+    target.clear(depth=1.0)
+    gl.ctx.enable_only(moderngl.DEPTH_TEST)
+    gl.draw_sheet(gl.program(VERTEX, FRAGMENT), sheet(-3.0))
+    assert (gl.read(target, attachment=-1) == 1.0).all(), "clipped, as OpenGL does by default"
+
+
+def test_triangles_with_a_missing_corner_are_left_out(gl):
+    whole = sheet(0.5, 3, 3)
+    whole[0, 0] = np.nan  # the NW corner of the NW quad: only its NW triangle goes
+    program = gl.program(VERTEX, FRAGMENT)
+    assert gl.draw_sheet(program, whole) == 7
+    assert gl.draw_sheet(program, sheet(0.5, 3, 3)) == 8
+    assert gl.draw_sheet(program, np.full((3, 3, 3), np.nan)) == 0
+    assert gl.draw_sheet(program, sheet(0.5, 1, 3)) == 0
+
+
+def test_quads_are_cut_from_south_west_to_north_east():
+    assert sheet_triangles(2, 2).tolist() == [[0, 2, 1], [3, 1, 2]]  # NW SW NE, SE NE SW; row 0 is the north
+
+
+def test_reading_without_the_context_raises_and_gives_no_bytes(gl):
+    target = gl.float_target(4, 4)
+    caught: list[Exception] = []
+
+    def read() -> None:
+        try:
+            gl.read(target)
+        except GraphicsError as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    thread.join()
+    assert len(caught) == 1 and "context" in str(caught[0])
+
+
+def test_an_error_left_behind_is_found_once(gl):
+    gl.ctx.enable_direct(0x1234)  # no such capability
+    with pytest.raises(GraphicsError, match="GL_INVALID_ENUM in the sheet"):
+        gl.check("the sheet")
+    gl.check("what comes after")
+
+
+def test_a_shader_that_does_not_compile_is_one_line(gl):
+    with pytest.raises(GraphicsError) as caught:
+        gl.program("#version 430\nvoid main() { nonsense }", FRAGMENT)
+    assert "\n" not in str(caught.value)
+    gl.check("what comes after")
+
+
+def test_depth_targets_and_textures_do_not_pile_up(gl):
+    """A bounded number of targets is kept; the others are released."""
+    for size in (16, 32, 48, 64, 80):
+        gl.depth_target(size, size, 16)
+    assert len(gl._depth_targets) <= 2
+    assert gl.depth_target(80, 80, 16) is gl.depth_target(80, 80, 16)

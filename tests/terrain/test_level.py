@@ -1,0 +1,108 @@
+"""Level files: what is read, and one clear message for each way to be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from api.catalogue import bundled_levels
+from shadows.registry import ALGORITHMS
+from terrain.effects import EFFECTS
+from terrain.errors import InputError, LevelError
+from terrain.level import AlgorithmName, EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun
+
+GOOD = "version: 1\nterrain: {source: jacksboro}\n"
+
+
+def level(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "my.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_literals_are_the_registries():
+    assert set(get_args(AlgorithmName)) == set(ALGORITHMS)
+    assert set(get_args(EffectName)) == set(EFFECTS)
+
+
+def test_bundled_levels_load():
+    paths = bundled_levels()
+    assert {path.stem for path in paths} >= {"jacksboro", "jacksboro_alpine"}
+    for path in paths:
+        loaded = load_level(path)
+        assert loaded.level.title and loaded.level.attribution
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value", "allowed"),
+    [
+        ("terrain: {source: jacksboro}\n", "version", "nothing", "required"),
+        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, sun, views"),
+        ("version: 1\nterrain: {sourc: x}\n", "terrain.sourc", "unknown key", "source, bounds"),
+        ("version: 2\nterrain: {source: x}\n", "version", "2", "1"),
+        ("version: 1\nterrain: {source: x, units: yards}\n", "terrain.units", "yards", "'m', 'ft' or 'us-ft'"),
+        ("version: 1\nterrain: {source: x, exaggeration: -2}\n", "terrain.exaggeration", "-2", "greater than 0"),
+        ("version: 1\nterrain: {source: x, bounds: [3, 2, 1, 4]}\n", "terrain.bounds", "[3, 2, 1, 4]", "west < east"),
+        (GOOD + "sun: {azimuth: 100, altitude: 91}\n", "sun.altitude", "91", "less than or equal to 90"),
+        (GOOD + "sun: {time: '2024-06-01T12:00:00'}\n", "sun", "2024-06-01", "offset"),
+        (GOOD + "sun: {azimuth: 100}\n", "sun", "100", "time, or azimuth and altitude"),
+        (GOOD + "shadows: {algorithm: magic}\n", "shadows.algorithm", "magic", "shadow_map"),
+        (GOOD + "shadows: {map_size: 10}\n", "shadows.map_size", "10", "64"),
+        (GOOD + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
+        (GOOD + "views: {a: {kind: perspective}}\n", "views.a.kind", "perspective", "map"),
+        ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
+        ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
+    ],
+)
+def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, key, value, allowed):
+    with pytest.raises(LevelError) as caught:
+        load_level(level(tmp_path, text))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(tmp_path / "my.yaml") in message
+    for part in (key, value, allowed):
+        assert part in message, message
+
+
+def test_a_missing_level_and_one_that_is_no_text(tmp_path):
+    with pytest.raises(LevelError, match="No such file"):
+        load_level(tmp_path / "absent.yaml")
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(LevelError, match="UTF-8"):
+        load_level(tmp_path / "b.yaml")
+
+
+def test_overrides_are_spelt_out():
+    assert algorithm_choice("auto") == {}
+    assert algorithm_choice("shadow_map") == {"sun": {"relief": "shadow_map"}}
+    assert algorithm_choice({"relief": "none"}) == {"sun": {"relief": "none"}}
+    assert algorithm_choice({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
+    assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
+    with pytest.raises(InputError, match="relief"):
+        parse_algorithm("leaves=shadow_map")
+    with pytest.raises(InputError, match="shadow_map, none, auto"):
+        parse_algorithm("sweeep")
+
+
+def test_suns_of_parameters():
+    assert parse_sun(None, None, None) is None
+    given = parse_sun("2024-06-01T12:00:00 02:00", None, None)  # a "+" that a query turned into a space
+    assert given is not None and given.time is not None and given.time.utcoffset().total_seconds() == 7200
+    for wrong, name in (
+        (("yesterday", None, None), "time"),
+        (("2024-06-01T12:00:00", None, None), "time"),
+        ((None, 10.0, None), "azimuth, altitude"),
+        ((None, 10.0, 91.0), "altitude"),
+        (("2024-06-01T12:00:00Z", 10.0, 20.0), "time"),
+    ):
+        with pytest.raises(InputError) as caught:
+            parse_sun(*wrong)
+        assert caught.value.name == name
+
+
+def test_relative_sources_are_relative_to_the_level(tmp_path):
+    loaded = load_level(level(tmp_path, "version: 1\nterrain: {source: data/dem.tif}\n"))
+    assert loaded.source == str((tmp_path / "data/dem.tif").resolve())
+    assert load_level(level(tmp_path, GOOD)).source == "jacksboro"

@@ -1,0 +1,168 @@
+"""Grids, surfaces and geometry buffers of map views."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from morecantile import tms as matrix_sets
+from pyproj import CRS, Geod, Transformer
+
+from api.layers import layer_of
+from terrain.geometry import map_geometry
+from terrain.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
+from terrain.level import load_level
+from terrain.scene import build_scene
+from terrain.world import World
+from tests.conftest import ENGINEERING
+from tests.render import block_at, render
+
+WORLD = World(CRS.from_epsg(4326), False, 15.0, 47.0, 15.0, 47.0)
+
+
+@pytest.mark.parametrize(("name", "epsg"), [("WebMercatorQuad", 3857), ("WGS1984Quad", 4326)])
+def test_map_views_at_a_zoom_s_resolution_share_the_tiles_grid(name, epsg):
+    tms = matrix_sets.get(name)
+    for zoom in (3, 9, 14):
+        grid = tile_grid(tms, zoom)
+        assert map_grid(WORLD, CRS.from_epsg(epsg), grid.step) == grid
+        assert map_grid(WORLD, CRS.from_epsg(epsg), grid.step * 1.9) == grid
+        bounds = tms.xy_bounds(*tms.tile(15.0, 47.0, zoom))
+        view = map_view(WORLD, CRS.from_epsg(epsg), (bounds.left, bounds.bottom, bounds.right, bounds.top), 256, 256)
+        assert view.on_nodes and view.grid == grid
+        tile = tms.tile(15.0, 47.0, zoom)
+        assert (view.row0, view.col0) == (tile.y * 256, tile.x * 256)
+
+
+@given(st.floats(0.01, 5000))
+def test_other_map_views_take_the_power_of_two_at_or_below(resolution):
+    grid = map_grid(WORLD, CRS.from_epsg(32633), resolution)
+    assert grid.step <= resolution * (1 + 1e-9) < 2 * grid.step * (1 + 2e-9)
+    assert float(np.log2(grid.step)).is_integer()
+
+
+def test_blocks_on_nodes_are_world_fixed_and_cover_the_view():
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 12)
+    view = block_at(15.0, 47.0, 12).part(700, 900, 1300, 300)
+    covered = np.zeros((view.rows, view.cols), int)
+    for block, row, col in blocks_of(view):
+        assert block.grid == grid and block.rows == block.cols == BLOCK_PX
+        assert block.row0 % BLOCK_PX == 0 and block.col0 % BLOCK_PX == 0
+        assert (block.row0, block.col0) == (view.row0 + row, view.col0 + col)
+        covered[max(row, 0) : row + BLOCK_PX, max(col, 0) : col + BLOCK_PX] += 1
+    assert (covered == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("epsg", "place"), [(3857, (-84.25, 36.58)), (4326, (-84.25, 36.58)), (32616, (-84.25, 36.58))]
+)
+def test_nodes_lie_where_proj_says(epsg, place):
+    """Interpolated nodes against the transformation of every node: under a millimetre on earth, 1e-6 of a cell."""
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    crs = CRS.from_epsg(epsg)
+    x, y = Transformer.from_crs(4326, crs, always_xy=True).transform(*place)
+    grid = map_grid(scene.world, crs, 20.0 if epsg != 4326 else 2e-4)
+    frame = scene.world.frame_near(crs, x, y)
+    row0, col0 = int((grid.y0 - y) / grid.step), int((x - grid.x0) / grid.step)
+    window = scene.surface(grid).window(row0, col0, 130, 140, frame)
+    cols, rows = np.meshgrid(col0 + np.arange(140), row0 + np.arange(130))
+    lon, lat = Transformer.from_crs(crs, 4326, always_xy=True).transform(grid.x(cols), grid.y(rows))
+    to_earth = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    earth = np.stack(to_earth.transform(lon, lat, window.height_m.astype(float)), axis=-1)
+    back = window.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
+    assert np.abs(back - earth).max() < 1e-3
+    row, col = scene.elevation.cell_of(lon, lat)
+    height, _ = scene.elevation.heights_at(scene.surface(grid).level, row, col)
+    np.testing.assert_allclose(window.height_m, height, atol=1e-3)
+
+
+def test_a_node_has_the_same_bits_in_every_window():
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    block = block_at(-84.25, 36.58, 13)
+    frame = scene.world.frame_near(block.grid.crs, *block.centre)
+    surface = scene.surface(block.grid)
+    row, col = int(block.row0), int(block.col0)
+    one = surface.window(row, col, 300, 300, frame)
+    other = surface.window(row + 111, col + 57, 300, 300, frame)
+    np.testing.assert_array_equal(one.position_frame_m[111:, 57:], other.position_frame_m[:-111, :-57])
+    np.testing.assert_array_equal(one.height_m[111:, 57:], other.height_m[:-111, :-57])
+
+
+@pytest.mark.parametrize("tile", [True, False])
+def test_points_lie_on_the_triangle_they_name(tile):
+    scene = build_scene(load_level("configs/jacksboro_alpine.yaml"))
+    if tile:
+        view = block_at(-84.25, 36.58, 12)
+    else:
+        view = scene.view(size=(300, 310))
+    frame = scene.world.frame_near(view.grid.crs, *view.centre)
+    buffer = map_geometry(scene.surface(view.grid), view, frame)
+    there = buffer.there
+    assert there.sum() > 5000
+    r = buffer.triangle[there][:, 0] - buffer.surface.row0
+    c = buffer.triangle[there][:, 1] - buffer.surface.col0
+    half = buffer.triangle[there][:, 2]
+    nodes = buffer.surface.position_frame_m
+    corner = np.where((half == 0)[:, None], nodes[r, c], nodes[r + 1, c + 1])
+    normal, point = buffer.normal_frame[there].astype(float), buffer.position_frame_m[there]
+    ends = (nodes[r + 1, c], nodes[r, c + 1])  # SW and NE belong to both triangles of a quad
+    for vertex in (corner, *ends):
+        assert np.abs(np.einsum("ij,ij->i", vertex - point, normal)).max() < 1e-2  # float32 normals
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-6
+    assert (normal[:, 2] > 0).all() and (buffer.shading_normal_frame[there][:, 2] > 0).all()
+
+
+@pytest.mark.parametrize(("tile", "share"), [(True, 1.0), (False, 0.99)])
+def test_position_lies_on_the_raster_s_surface(tile, share):
+    """``--layer position`` within 1 % of a cell of the bilinear surface: everywhere in tiles, whose pixels are nodes.
+
+    Between nodes the drawn quads, half a pixel wide, cut the bilinear surface's kinks: there for 99 % of the pixels.
+    """
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    view = block_at(-84.25, 36.58, 12).part(300, 300, 200, 200) if tile else scene.view()
+    position = layer_of(render(scene, view, algorithm="none"), "position")
+    known = np.isfinite(position[..., 2])
+    assert known.sum() > 10_000
+    x, y, height = position[known].T
+    lon, lat = scene.world.lon_lat(view.grid.crs, x, y)
+    row, col = scene.elevation.cell_of(lon, lat)
+    truth, _ = scene.elevation.heights_at(scene.surface(view.grid).level, row[None], col[None])
+    within = np.abs(height - truth[0]) < 0.01 * scene.elevation.cell_size_m(1.0)
+    assert within.mean() >= share
+
+
+def test_crease_is_zero_on_planes_and_the_normals_distance_on_folds(write_raster, make_scene):
+    heights = np.zeros((40, 40), np.float32)
+    heights[:, 20:] = np.arange(20) * 10.0  # a plane of 45 degrees from column 20 on
+    scene = make_scene(write_raster(heights, ENGINEERING, 0, 400, 10))
+    view = scene.view(bounds=(0, 0, 400, 400), size=(50, 50))
+    buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
+    crease = buffer.crease[20]
+    fold = np.hypot(np.sin(np.radians(45)), 1 - np.cos(np.radians(45)))
+    # Nodes of 8 m do not fall on the fold, so the slope turns over one quad in two steps.
+    assert crease[:20] == pytest.approx(0.0, abs=1e-6) and crease[32:45] == pytest.approx(0.0, abs=1e-6)
+    assert 0.5 * fold < crease.max() <= fold * 1.001
+
+
+def test_frames_are_true_to_north_and_scale_in_web_mercator():
+    """A metre in a frame is a metre on the ground, and its north is true north, at latitude 60."""
+    world = World(CRS.from_epsg(4326), False, 10.0, 60.0, 10.0, 60.0)
+    frame = world.frame_near(CRS.from_epsg(4326), 10.0, 60.0)
+    lon, lat, _ = Geod(ellps="WGS84").fwd(10.0, 60.0, 0.0, 1000.0)
+    point, _ = world.ground(CRS.from_epsg(4326), np.array(lon), np.array(lat))
+    east, north, up = frame.frame_from_earth @ (point - frame.origin_earth_m)
+    assert (east, north) == (pytest.approx(0.0, abs=1e-3), pytest.approx(1000.0, abs=0.01))
+    assert up == pytest.approx(-(1000.0**2) / 2 / 6.38e6, abs=1e-3)  # the earth falls away
+
+
+def test_neighbouring_frames_place_the_same_ground_alike():
+    world = World(CRS.from_epsg(4326), False, 10.0, 45.0, 10.0, 45.0)
+    crs = CRS.from_epsg(4326)
+    one, other = world.frame_near(crs, 10.1, 45.0), world.frame_near(crs, 10.3, 45.0)
+    assert one.key != other.key
+    point, _ = world.ground(crs, np.array(10.2), np.array(45.1))
+    for frame in (one, other):
+        local = frame.frame_from_earth @ (point - frame.origin_earth_m)
+        assert np.abs(local).max() < 25_000
+        np.testing.assert_allclose(frame.frame_from_earth.T @ local + frame.origin_earth_m, point, atol=1e-8)
