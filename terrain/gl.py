@@ -54,6 +54,7 @@ class Device:
         self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
         self._depth_targets: OrderedDict[tuple[int, int, int], moderngl.Framebuffer] = OrderedDict()
         self._float_target: moderngl.Framebuffer | None = None
+        self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
 
     def require_current(self) -> None:
@@ -100,8 +101,7 @@ class Device:
             return self._depth_targets[key]
         if len(self._depth_targets) >= _DEPTH_TARGETS:
             _, old = self._depth_targets.popitem(last=False)
-            old.depth_attachment.release()
-            old.release()
+            self._release_target(old, old.depth_attachment)
         from OpenGL import GL
 
         texture = self.ctx.depth_texture((width, height))
@@ -120,8 +120,7 @@ class Device:
         self.require_current()
         if self._float_target is None or self._float_target.size != (width, height):
             if self._float_target is not None:
-                self._float_target.color_attachments[0].release()
-                self._float_target.release()
+                self._release_target(self._float_target, self._float_target.color_attachments[0])
             self._float_target = self.ctx.framebuffer([self.ctx.texture((width, height), 1, dtype="f4")])
         return self._float_target
 
@@ -186,6 +185,11 @@ class Device:
         target.read_into(out, components=1, attachment=attachment, dtype="f4", alignment=4)
         self.check("read")
         return out
+
+    def _release_target(self, target: moderngl.Framebuffer, texture: moderngl.Texture) -> None:
+        self._parking.use()  # moderngl would bind a released framebuffer again if it was the current one
+        target.release()
+        texture.release()
 
     def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
         key = rows, cols
