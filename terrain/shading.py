@@ -9,8 +9,13 @@ from terrain.geometry import GeometryBuffer
 from terrain.scene import Scene
 
 TINT = (
-    (0.00, "#7d9a78"), (0.18, "#a3b58a"), (0.38, "#cfcb9f"), (0.58, "#d8bf97"), (0.78, "#c9a68a"), (1.00, "#efe9e2"),
-)  # fmt: skip
+    (0.00, "#8fb07c"),
+    (0.18, "#b3c58c"),
+    (0.38, "#dcd6a0"),
+    (0.58, "#e0c494"),
+    (0.78, "#d0a988"),
+    (1.00, "#efe6cf"),
+)
 """Hypsometric tint: share of the level's relief -> sRGB colour, from humid lowland to bare heights."""
 
 SUNLIGHT = (1.00, 0.95, 0.86)

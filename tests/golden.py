@@ -1,0 +1,49 @@
+"""Golden pictures: compared on the one rasteriser they were made on, 1 of 255 per channel.
+
+On a failure the actual picture, the expected one and their magnified difference lie in ``tests/output``. A missing
+picture is written off CI and fails on CI. ``pytest --regenerate-goldens`` writes them anew: look at each before it is
+committed.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+RENDERER = "llvmpipe"
+TOLERANCE = 1
+
+FOLDER = Path(__file__).parent / "golden"
+OUTPUT = Path(__file__).parent / "output"
+
+
+def assert_golden(name: str, picture: np.ndarray, renderer: str, regenerate: bool) -> None:
+    """Compare a uint8 picture (gray, RGB or RGBA) with ``golden/NAME.png``."""
+    if RENDERER not in renderer:
+        pytest.skip(f"golden pictures are compared on {RENDERER}; this is {renderer}")
+    path = FOLDER / f"{name}.png"
+    if regenerate or (not path.is_file() and not os.environ.get("CI")):
+        FOLDER.mkdir(exist_ok=True)
+        Image.fromarray(picture).save(path, optimize=True)
+        return
+    assert path.is_file(), f"there is no golden picture {path}: make it off CI, look at it, commit it"
+    expected = np.asarray(Image.open(path))
+    assert expected.shape == picture.shape, f"{name}: {picture.shape} instead of {expected.shape}"
+    difference = np.abs(expected.astype(int) - picture.astype(int))
+    if difference.max() <= TOLERANCE:
+        return
+    OUTPUT.mkdir(exist_ok=True)
+    magnified = np.rint(255 * (difference / 255) ** 0.25).astype(np.uint8)
+    if picture.ndim == 3 and picture.shape[2] == 4:
+        magnified = magnified.max(axis=2)
+    for kind, image in (("actual", picture), ("expected", expected), ("difference", magnified)):
+        Image.fromarray(image).save(OUTPUT / f"{name}.{kind}.png")
+    share = (difference.reshape(*picture.shape[:2], -1).max(axis=-1) > TOLERANCE).mean()
+    pytest.fail(
+        f"{name}: {100 * share:.3f} % of the pixels differ by more than {TOLERANCE} of 255, at most by "
+        f"{difference.max()}; see {OUTPUT}/{name}.{{actual,expected,difference}}.png"
+    )

@@ -1,0 +1,65 @@
+"""Pictures: what a user sees of the bundled levels, against stored ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from api.layers import layer_of
+from terrain.level import SunSpec, load_level
+from terrain.scene import build_scene
+from tests import golden
+from tests.golden import assert_golden
+from tests.render import block_at, render
+
+SUNS = {"evening": (246, 12), "morning": (110, 25), "low": (67, 3), "usual": (315, 45), "dusk": (250, -4)}
+
+PICTURES = [
+    ("jacksboro", "evening", "color"),
+    ("jacksboro", "evening", "shadow"),
+    ("jacksboro", "evening", "mask"),
+    ("jacksboro", "low", "color"),
+    ("jacksboro", "usual", "color"),
+    ("jacksboro", "dusk", "color"),
+    ("jacksboro_alpine", "morning", "color"),
+    ("jacksboro_alpine", "evening", "mask"),
+]
+
+
+@pytest.mark.parametrize(("level", "sun", "layer"), PICTURES)
+def test_map_views(gl, level, sun, layer, request):
+    azimuth, altitude = SUNS[sun]
+    scene = build_scene(load_level(f"configs/{level}.yaml")).with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+    frame = render(scene, scene.view(size=(300, 300)))
+    picture = layer_of(frame, layer)
+    assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
+
+
+def test_tiles_of_a_block(gl, request):
+    """Four tiles round the corner of a ridge at zoom 13, cut from their block."""
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    view = block_at(-84.25, 36.58, 13).part(256, 256, 512, 512)
+    picture = layer_of(render(scene, view), "color")
+    assert_golden("jacksboro-tiles-13", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
+
+
+def test_a_changed_picture_is_found_and_a_missing_one_fails_on_ci(tmp_path, monkeypatch):
+    """The comparison itself can fail."""
+    monkeypatch.setattr(golden, "FOLDER", tmp_path / "golden")
+    monkeypatch.setattr(golden, "OUTPUT", tmp_path / "output")
+    picture = np.full((8, 8, 3), 100, np.uint8)
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(AssertionError, match="no golden picture"):
+        assert_golden("p", picture, "llvmpipe", regenerate=False)
+    monkeypatch.delenv("CI")
+    assert_golden("p", picture, "llvmpipe", regenerate=False)  # writes it
+    assert_golden("p", picture + np.uint8(1), "llvmpipe", regenerate=False)
+    with pytest.raises(pytest.fail.Exception, match="1.562 % of the pixels"):
+        changed = picture.copy()
+        changed[3, 4, 1] += 2
+        assert_golden("p", changed, "llvmpipe", regenerate=False)
+    assert {path.name for path in (tmp_path / "output").iterdir()} == {
+        f"p.{k}.png" for k in ("actual", "expected", "difference")
+    }
+    with pytest.raises(pytest.skip.Exception):
+        assert_golden("p", picture, "another", regenerate=False)
