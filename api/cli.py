@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from api import doctor as doctor_checks
@@ -22,6 +21,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+_UsageError = typer.BadParameter.__mro__[1]
+"""Typer's error of usage, which it exports under no name of its own."""
 
 LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -134,13 +136,10 @@ def main() -> None:
     """Entry point of ``skugga``."""
     debug = "--debug" in sys.argv[1:]
     try:
-        status = app(standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as help_wanted:
-        click.echo(help_wanted.format_message())
-        status = 2
-    except click.ClickException as error:
+        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+    except _UsageError as error:
         status = _fail(error.format_message(), 2)
-    except click.Abort:
+    except typer.Abort:
         status = _fail("interrupted", 1)
     except SkuggaError as error:
         if debug:
@@ -154,7 +153,7 @@ def main() -> None:
 
 
 def _fail(message: str, status: int) -> int:
-    click.echo(f"skugga: {' '.join(message.split())}", err=True)
+    typer.echo(f"skugga: {' '.join(message.split())}", err=True)
     return status
 
 

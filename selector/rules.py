@@ -13,7 +13,7 @@ from shadows.shadow_map import BORDER_TEXELS
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.errors import UnsupportedError
-from terrain.level import Choice, Level, algorithm_choice
+from terrain.level import Choice, Level, Shadows, algorithm_choice, override
 
 TEXEL_PX = 0.75
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
@@ -25,10 +25,10 @@ DEPTH_PX = 0.25
 def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | None = None) -> Plan:
     """The plan of a view. ``overrides`` (algorithm, map_size, depth_bits, filter) go before what the level says.
 
-    Raises ``UnsupportedError`` for an override that cannot be served.
+    Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
-    asked = {**level.shadows.model_dump(), **{k: v for k, v in (overrides or {}).items() if v is not None}}
-    by_request = set(overrides or {})
+    overrides = overrides or {}
+    asked = override(level.shadows, overrides)
     reasons: list[Reasoned] = []
     effects, left_out = [], []
     for effect in EFFECTS.values():
@@ -38,8 +38,8 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         if wish != "auto":
             runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
         (effects if runs else left_out).append(Reasoned(name=effect.name, reason=reason))
-    choice: Choice = algorithm_choice(asked["algorithm"])
-    who = "the request" if "algorithm" in by_request and (overrides or {}).get("algorithm") is not None else "the level"
+    choice: Choice = algorithm_choice(asked.algorithm)
+    who = "the level" if overrides.get("algorithm") is None else "the request"
     rejected: list[Reasoned] = []
     name, reason = _algorithm(descriptor, choice, who, effects, left_out, rejected)
     reasons.append(Reasoned(name=name, reason=reason))
@@ -52,7 +52,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         view=descriptor.view, policy="rules", algorithm={"sun": {"relief": name}}, settings=settings,
         effects=effects, left_out=left_out, rejected=rejected,
         passes=[GEOMETRY_PASS, CASTERS_PASS, *ALGORITHMS[name].passes, SHADING_PASS],
-        target=Target(max_error=asked["max_error"], max_ms=asked["max_ms"]), reasons=reasons,
+        target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
 
 
@@ -78,13 +78,13 @@ def _algorithm(descriptor, choice, who, effects, left_out, rejected):  # type: i
     return "shadow_map", "the algorithm at hand for relief under the sun in a map view"
 
 
-def _shadow_map_settings(descriptor: Descriptor, asked: dict[str, Any]) -> tuple[ShadowMapSettings, list[Reasoned]]:
+def _shadow_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     right, up, along = descriptor.receivers_light_m
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
     footprint_px = np.array([right, up / np.sin(altitude)]) / descriptor.pixel_m
     reasons = []
-    size, bits, taps = asked["map_size"], asked["depth_bits"], asked["filter"]
+    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
     if size == "auto":
         wanted = float(footprint_px.max()) / TEXEL_PX + 2 * BORDER_TEXELS
         size = int(np.clip(2 ** np.ceil(np.log2(wanted)), 512, 4096))

@@ -53,9 +53,7 @@ class Frame:
         return self.color.nbytes + self.visibility.nbytes + self.height_m.nbytes
 
 
-def render_frame(
-    scene: Scene, view: MapView, plan: Plan, on_block: Callable[[int, int], None] | None = None
-) -> Frame:
+def render_frame(scene: Scene, view: MapView, plan: Plan, on_block: Callable[[int, int], None] | None = None) -> Frame:
     """Execute a plan; ``on_block(done, total)`` is called after each block.
 
     Raises ``RenderError`` where the work fails or where other passes ran than the plan lists.
@@ -104,9 +102,7 @@ def _turned_away(normal, to_sun):  # type: ignore[no-untyped-def]
     return out
 
 
-def _render_block(
-    scene: Scene, block: MapView, plan: Plan, log: PassLog
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
+def _render_block(scene: Scene, block: MapView, plan: Plan, log: PassLog) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
     with log.run(GEOMETRY_PASS):
         frame = scene.world.frame_near(block.grid.crs, *block.centre)
         buffer = map_geometry(scene.surface(block.grid), block, frame)

@@ -54,9 +54,7 @@ SIZE_STEP = 64
 """Maps are allocated in multiples of this, so that blocks of one level share them."""
 
 
-def fill(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: ShadowMapSettings, log: PassLog
-) -> np.ndarray:
+def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: ShadowMapSettings, log: PassLog) -> np.ndarray:
     """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the relief.
 
     Where there is no surface the value means nothing. Raises ``RenderError`` or ``GraphicsError``.

@@ -64,9 +64,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
         spans = []
         for values, step in ((row[known], view.row_step), (col[known], view.col_step)):
             side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
-            spans.append(
-                (np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side)
-            )
+            spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
         (mid_rows, height), (mid_cols, width) = spans
         middle = float(np.mean(scene.height_range_m))
         for mid_row in mid_rows:

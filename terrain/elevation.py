@@ -95,9 +95,7 @@ class Elevation:
         self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
         self._cell_from_crs = ~dataset.transform
         x_cell = abs(dataset.transform.a)
-        self._wrap = (
-            round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        )
+        self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
         self._resampling = Resampling.average
         self._resampling = self._find_resampling()
         self.overview = self._read_overview()

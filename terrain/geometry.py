@@ -173,9 +173,7 @@ def _pixels(position, height, shown, faces, smooth, row, col):  # type: ignore[n
                     point[i, j, k] = o + fr * (position[r + 1, c, k] - o) + fc * (position[r, c + 1, k] - o)
                 else:
                     o = position[r + 1, c + 1, k]
-                    point[i, j, k] = (
-                        o + (1.0 - fr) * (position[r, c + 1, k] - o) + (1.0 - fc) * (position[r + 1, c, k] - o)
-                    )
+                    point[i, j, k] = o + (1.0 - fr) * (position[r, c + 1, k] - o) + (1.0 - fc) * (position[r + 1, c, k] - o)
                 normal[i, j, k] = faces[r, c, half, k]
             if half == 0:
                 o = np.float64(height[r, c])

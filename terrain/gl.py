@@ -40,9 +40,7 @@ class Device:
                 standalone=True, require=430, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1"
             )
         except Exception as error:  # glcontext raises bare exceptions of several kinds
-            raise GraphicsError(
-                f"no OpenGL 4.3 context through EGL: {error}; 'skugga doctor' says what is missing"
-            ) from None
+            raise GraphicsError(f"no OpenGL 4.3 context through EGL: {error}; 'skugga doctor' says what is missing") from None
         self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
         self._egl = ctypes.CDLL("libEGL.so.1")
         self._egl.eglGetCurrentContext.restype = ctypes.c_void_p

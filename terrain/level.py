@@ -205,6 +205,19 @@ def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, 
     return value
 
 
+def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
+    """What is asked of the shadows with a request's changes (``None`` changes nothing). Raises ``InputError``."""
+    changes = {key: value for key, value in changes.items() if value is not None}
+    try:
+        return Shadows.model_validate({**shadows.model_dump(), **changes})
+    except ValidationError as error:
+        details = error.errors()
+        name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
+        said = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
+        allowed = " or ".join(dict.fromkeys(said))
+        raise InputError(name, changes.get(name), allowed) from None
+
+
 def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
     """A sun from query or command-line parameters; ``None`` where none is given. Raises ``InputError``.
 

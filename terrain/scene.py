@@ -83,9 +83,7 @@ class Scene:
         west, south, east, north = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         lon, lat = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
         point, up = self.world.ground(LONGITUDE_LATITUDE, lon, lat)
-        rotations = (
-            self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True)
-        )
+        rotations = (self.world.earth_from_enu(p, u) for p, u in zip(point.reshape(-1, 3), up.reshape(-1, 3), strict=True))
         return max(self.sun.altitude_deg, *(position_at(self.sun.to_sun_earth, r)[1] for r in rotations))
 
     def surface(self, grid: Grid) -> Surface:

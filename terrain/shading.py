@@ -101,8 +101,6 @@ def _shade(there, height, normal, visibility, to_sun, centre, position, low, rel
             for k in range(3):
                 albedo = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
                 light = albedo * (sun[k] * facing + sky[k] * (0.5 + 0.5 * up))
-                shown = (
-                    light if light <= 0.5 else 1.0 - 0.25 / light
-                )  # a shoulder: slopes that face a low sun keep their tint
+                shown = light if light <= 0.5 else 1.0 - 0.25 / light  # a shoulder: slopes that face a low sun keep their tint
                 out[i, j, k] = srgb[min(int(shown * srgb.size), last)]
     return out

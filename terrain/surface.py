@@ -175,9 +175,7 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  
                 if v[1] == 1.0:
                     out[i, j, k] = along[n, k]
                 else:
-                    out[i, j, k] = (
-                        v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
-                    )
+                    out[i, j, k] = v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
     return out
 
 

@@ -11,9 +11,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
-        return Verdict(
-            False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level"
-        )
+        return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "all ground is at one height: nothing can cast")
     return Verdict(

@@ -54,9 +54,7 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
     texel_m = max(texel[0], texel[1] / np.sin(np.radians(ALTITUDE)))
     assert texel_m < 1.5
     frame = render(scene, view, filter=1, map_size=1024)
-    cols, rows = np.meshgrid(
-        view.col0 + np.arange(view.cols) * view.col_step, view.row0 + np.arange(view.rows) * view.row_step
-    )
+    cols, rows = np.meshgrid(view.col0 + np.arange(view.cols) * view.col_step, view.row0 + np.arange(view.rows) * view.row_step)
     middle = view.centre
     points = np.stack(to_local(view.grid.x(cols) - middle[0], view.grid.y(rows) - middle[1]), axis=-1)
     roof, foot = (np.stack(to_local(*(side * corners).T), axis=-1) for side in (2.0, 3.0))

@@ -132,9 +132,7 @@ def test_any_shape_can_be_read_at_any_level(tmp_path_factory, rows, cols, level)
         transform=rasterio.Affine(10, 0, 0, 0, -10, 0),
     ) as dataset:  # fmt: skip
         dataset.write(values, 1)
-    height, there = heights_at(
-        Elevation(str(path)), (min(rows, 2**level) - 1) / 2, (min(cols, 2**level) - 1) / 2, level
-    )
+    height, there = heights_at(Elevation(str(path)), (min(rows, 2**level) - 1) / 2, (min(cols, 2**level) - 1) / 2, level)
     assert there.all() and values.min() <= height[0, 0] <= values.max()
 
 

@@ -54,9 +54,7 @@ def test_blocks_on_nodes_are_world_fixed_and_cover_the_view():
     assert (covered == 1).all()
 
 
-@pytest.mark.parametrize(
-    ("epsg", "place"), [(3857, (-84.25, 36.58)), (4326, (-84.25, 36.58)), (32616, (-84.25, 36.58))]
-)
+@pytest.mark.parametrize(("epsg", "place"), [(3857, (-84.25, 36.58)), (4326, (-84.25, 36.58)), (32616, (-84.25, 36.58))])
 def test_nodes_lie_where_proj_says(epsg, place):
     """Interpolated nodes against the transformation of every node: under a millimetre on earth, 1e-6 of a cell."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))

@@ -1,0 +1,183 @@
+"""The command line: what it writes, and one line with the right exit status for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+
+from api import cli
+from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """``run("render", ...)`` gives exit status, standard output and standard error."""
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code, out, err
+
+    return call
+
+
+SMALL = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
+
+
+def test_render_writes_every_layer(gl, run, tmp_path):
+    arrays = {}
+    for layer, suffix in (
+        ("color", "png"), ("shadow", "webp"), ("mask", "png"), ("visibility", "npy"), ("depth", "npy"), ("position", "npy"),
+    ):  # fmt: skip
+        path = tmp_path / f"{layer}.{suffix}"
+        status, out, err = run("render", "jacksboro", *SMALL, "--layer", layer, "-o", str(path))
+        assert (status, out, err) == (0, "", "")
+        arrays[layer] = np.load(path) if suffix == "npy" else np.asarray(Image.open(path))
+    there = np.isfinite(arrays["visibility"])
+    assert 0.5 < there.mean() < 1.0
+    assert arrays["visibility"].dtype == np.float32 and arrays["position"].dtype == np.float64
+    assert arrays["position"].shape == (100, 96, 3) and arrays["color"].shape == (100, 96, 4)
+    assert set(np.unique(arrays["mask"])) == {MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT}
+    np.testing.assert_array_equal(arrays["mask"] == MASK_NO_SURFACE, ~there)
+    np.testing.assert_array_equal(arrays["mask"][there] == MASK_SHADOW, arrays["visibility"][there] < 0.5)
+    expected = np.rint(255 * (1 - np.where(there, arrays["visibility"], 1)))
+    np.testing.assert_array_equal(arrays["shadow"][..., 3], expected)
+    assert (arrays["shadow"][..., :3] == 0).all()
+    np.testing.assert_array_equal(arrays["color"][..., 3] == 255, there)
+    np.testing.assert_array_equal(np.isfinite(arrays["position"][..., 2]), there)
+    highest = (arrays["depth"] + arrays["position"][..., 2])[there]
+    assert np.ptp(highest) < 1e-3 and np.nanmin(arrays["depth"]) >= 0
+
+
+def test_a_geotiff_lies_where_it_should(gl, run, tmp_path):
+    path = tmp_path / "mask.tif"
+    bounds = "-84.30,36.55,-84.20,36.65"
+    status, _, err = run(
+        "render",
+        "jacksboro",
+        "--crs",
+        "EPSG:4326",
+        "--bounds",
+        bounds,
+        "--size",
+        "200x200",
+        "--layer",
+        "mask",
+        "-o",
+        str(path),
+    )
+    assert (status, err) == (0, "")
+    with rasterio.open(path) as dataset:
+        assert dataset.crs.to_epsg() == 4326 and dataset.nodata == MASK_NO_SURFACE
+        assert dataset.bounds == pytest.approx((-84.30, 36.55, -84.20, 36.65))
+        assert set(np.unique(dataset.read(1))) == {MASK_SHADOW, MASK_LIT}
+
+
+def test_stats_say_what_ran(gl, run, tmp_path):
+    stats = tmp_path / "stats.json"
+    assert run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "c.png"), "--stats", str(stats))[0] == 0
+    said = json.loads(stats.read_text())
+    assert [record["name"] for record in said["passes"]] == said["plan"]["passes"]
+    assert said["caster_reach"]["clipped"] is True and said["caster_reach"]["needed_m"] > 5000
+    assert said["sun"]["altitude"] == 12 and said["view"]["size"] == [96, 100]
+    assert said["device"]["renderer"] == gl.renderer
+
+
+def test_options_change_the_picture(gl, run, tmp_path):
+    def picture(*options: str) -> np.ndarray:
+        path = tmp_path / "p.png"
+        assert run("render", "jacksboro", "--size", "120x120", *options, "-o", str(path))[0] == 0
+        return np.asarray(Image.open(path))
+
+    usual = picture()
+    for options in (
+        ("--algorithm", "none"), ("--algorithm", "relief=none"), ("--time", "2024-10-21T09:00:00-04:00"), ("--filter", "1"),
+        ("--azimuth", "100", "--altitude", "10"), ("--map-size", "64"), ("--bounds", "740000,4040000,750000,4050000"),
+        ("--crs", "3857"),
+    ):  # fmt: skip
+        assert (picture(*options) != usual).any(), options
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("render", "nowhere", "-o", "x.png"), ("nowhere", "jacksboro")),
+        (("render", "jacksboro", "-o", "x.gif"), ("output", "x.gif", ".png")),
+        (("render", "jacksboro", "--layer", "sparkle", "-o", "x.png"), ("layer", "sparkle", "visibility")),
+        (("render", "jacksboro", "--layer", "position", "-o", "x.png"), ("x.png", ".npy")),
+        (("render", "jacksboro", "--size", "0x5", "-o", "x.png"), ("--size", "0x5", "16384")),
+        (("render", "jacksboro", "--size", "16384x16384", "-o", "x.png"), ("size", "16384x16384", "pixels")),
+        (("render", "jacksboro", "--bounds", "1,2,3", "-o", "x.png"), ("--bounds", "1,2,3", "W,S,E,N")),
+        (("render", "jacksboro", "--bounds", "5,5,1,1", "-o", "x.png"), ("bounds", "west < east")),
+        (("render", "jacksboro", "--bounds", "nan,0,1,1", "-o", "x.png"), ("bounds", "west < east")),
+        (("render", "jacksboro", "--crs", "EPSG:999999", "-o", "x.png"), ("crs", "EPSG:999999")),
+        (("render", "jacksboro", "--algorithm", "magic", "-o", "x.png"), ("--algorithm", "magic", "shadow_map")),
+        (("render", "jacksboro", "--filter", "4", "-o", "x.png"), ("filter", "4", "1, 2, 3")),
+        (("render", "jacksboro", "--depth-bits", "12", "-o", "x.png"), ("depth_bits", "12", "16, 24")),
+        (("render", "jacksboro", "--map-size", "9", "-o", "x.png"), ("map_size", "9", "64")),
+        (("render", "jacksboro", "--time", "noon", "-o", "x.png"), ("time", "noon", "offset")),
+        (("render", "jacksboro", "--altitude", "10", "-o", "x.png"), ("azimuth",)),
+        (("render", "jacksboro", "--view", "ridge", "-o", "x.png"), ("view", "ridge", "map")),
+        (("render", "jacksboro"), ("-o",)),
+        (("render", "jacksboro", "--sparkle", "-o", "x.png"), ("--sparkle",)),
+        (("validate", "nowhere.yaml"), ("nowhere.yaml",)),
+        (("frobnicate",), ("frobnicate",)),
+    ],
+)
+def test_wrong_input_is_one_line_and_status_2(run, arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(*arguments)
+    assert status == 2, err
+    assert out == "" and err.count("\n") == 1 and "Traceback" not in err
+    for word in words:
+        assert word in err, err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_raster_that_cannot_be_used_is_status_2(run, tmp_path):
+    level = tmp_path / "level.yaml"
+    level.write_text("version: 1\nterrain: {source: absent.tif}\n")
+    status, _, err = run("validate", str(level))
+    assert status == 2 and "absent.tif" in err and err.count("\n") == 1
+
+
+def test_an_unwritable_output_is_status_1(run, tmp_path):
+    status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "no" / "such" / "x.png"))
+    assert status == 1 and "x.png" in err and err.count("\n") == 1
+
+
+def test_levels_and_validate(run):
+    status, out, _ = run("levels", "--json")
+    rows = {row["name"]: row for row in json.loads(out)}
+    assert status == 0 and {"jacksboro", "jacksboro_alpine"} <= set(rows)
+    assert set(rows["jacksboro"]) == {"name", "title", "bounds", "views"}
+    assert rows["jacksboro"]["bounds"] == pytest.approx([-84.41375, 36.44625, -84.07792, 36.73292], abs=1e-4)
+    status, out, _ = run("validate", "jacksboro")
+    assert status == 0 and "403 x 344 cells" in out
+    status, out, _ = run("levels")
+    assert status == 0 and "jacksboro" in out
+
+
+def test_doctor_finds_this_machine_able_to_draw(gl, run):
+    status, out, _ = run("doctor", "--json")
+    findings = {finding["subject"]: finding for finding in json.loads(out)}
+    assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
+    assert findings["a shadowed map"]["ok"]
+    assert status == (0 if all(finding["ok"] for finding in findings.values()) else 1)
+
+
+def test_the_installed_command_runs():
+    command = Path(sys.executable).with_name("skugga")
+    if not command.is_file():
+        pytest.skip("skugga is not installed beside this Python")
+    done = subprocess.run([command, "render", "nowhere", "-o", "x.png"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("skugga: LEVEL") and done.stderr.count("\n") == 1
