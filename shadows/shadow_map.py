@@ -40,7 +40,7 @@ from terrain.errors import RenderError
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
 from terrain.light_space import light_bounds
-from terrain.reach import PATCH_QUADS, Casters
+from terrain.reach import Casters, caster_sheets
 from terrain.scene import Scene
 
 DEPTH_PASS = "sun/relief: depth map"
@@ -94,8 +94,7 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
         program = gl.program(_shader("depth.vert"), _shader("depth.frag"))
         _set(program, uniforms)
         with gl.depth_pass(target):
-            sheets = (_patch(scene, buffer, patch.level, patch.row, patch.col) for patch in casters.patches)
-            for sheet in (buffer.surface.position_frame_m, *sheets):
+            for sheet in caster_sheets(scene, buffer, casters):
                 record.triangles += gl.draw_sheet(program, sheet)
                 record.draws += 1
         gl.check(DEPTH_PASS)
@@ -119,13 +118,6 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
         for texture in textures:
             texture.release()
     return visibility
-
-
-def _patch(scene: Scene, buffer: GeometryBuffer, level: int, row: int, col: int) -> np.ndarray:
-    grid = buffer.view.grid if level == 0 else buffer.view.grid.coarser(level)
-    side = PATCH_QUADS + 1
-    window = scene.surface(grid).window(row * PATCH_QUADS, col * PATCH_QUADS, side, side, buffer.frame)
-    return window.position_frame_m
 
 
 def _set(program, values: dict) -> None:  # type: ignore[no-untyped-def]

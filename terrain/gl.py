@@ -14,7 +14,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +22,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
 from terrain.errors import GraphicsError  # noqa: E402
+from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
@@ -149,9 +149,7 @@ class Device:
         if whole:
             indices = self._whole_indices(rows, cols)
         else:
-            triangles = sheet_triangles(rows, cols)
-            known = np.isfinite(position[..., 2]).ravel()
-            triangles = triangles[known[triangles].all(axis=1)]
+            triangles = known_triangles(position)
             if not len(triangles):
                 return 0
             indices = self.ctx.buffer(triangles)
@@ -197,16 +195,6 @@ class Device:
             self._indices[key] = self.ctx.buffer(sheet_triangles(rows, cols))
         self._indices.move_to_end(key)
         return self._indices[key]
-
-
-@lru_cache(maxsize=4)
-def sheet_triangles(rows: int, cols: int) -> np.ndarray:
-    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only."""
-    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
-    nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
-    triangles = np.stack([nw, sw, ne, se, ne, sw], axis=-1).reshape(-1, 3)
-    triangles.flags.writeable = False
-    return triangles
 
 
 _device: Device | None = None

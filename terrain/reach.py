@@ -8,6 +8,7 @@ neighbouring blocks see identical casters), and ever more coarsely from ``FULL_D
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -90,6 +91,15 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
     if limit_m >= unknown_m:
         return Casters(patches, Reach(known_m, known_m, False))
     return Casters(patches, Reach(limit_m, unknown_m, True))
+
+
+def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters) -> Iterator[np.ndarray]:
+    """All ground that casts on a block: sheets of nodes (rows, cols, 3) in its frame, its own first."""
+    yield buffer.surface.position_frame_m
+    side = PATCH_QUADS + 1
+    for patch in casters.patches:
+        surface = scene.surface(buffer.view.grid.coarser(patch.level))
+        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).position_frame_m
 
 
 @lru_cache(maxsize=8)

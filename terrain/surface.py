@@ -9,13 +9,14 @@ window that shares its frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
 from terrain.compiled import compiled
 from terrain.elevation import Elevation
 from terrain.grid import Grid
-from terrain.world import LocalFrame, World, transformer
+from terrain.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 
 EXACT_SPACING_M = 16000.0
 """Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""
@@ -116,6 +117,23 @@ class Surface:
         return self.elevation.cell_of(x, y)
 
 
+@lru_cache(maxsize=4)
+def sheet_triangles(rows: int, cols: int) -> np.ndarray:
+    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only."""
+    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
+    nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
+    triangles = np.stack([nw, sw, ne, se, ne, sw], axis=-1).reshape(-1, 3)
+    triangles.flags.writeable = False
+    return triangles
+
+
+def known_triangles(position: np.ndarray) -> np.ndarray:
+    """Node indices (n, 3) int32 of the triangles of a sheet (rows, cols, 3) that have no NaN corner."""
+    triangles = sheet_triangles(*position.shape[:2])
+    known = np.isfinite(position[..., 2]).ravel()
+    return triangles if known.all() else triangles[known[triangles].all(axis=1)]
+
+
 def step_at_anchor_m(world: World, grid: Grid) -> float:
     """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
 
@@ -126,8 +144,6 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
     if grid.crs == world.crs:
         x, y = world.anchor_x, world.anchor_y
     else:
-        from terrain.world import LONGITUDE_LATITUDE
-
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
     half = grid.step / 2
     point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half]))

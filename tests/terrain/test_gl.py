@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from terrain.errors import GraphicsError
-from terrain.gl import sheet_triangles
+from terrain.surface import sheet_triangles
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"
