@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shadows.plan import Plan, Reasoned, ShadowMapSettings, Target
+from shadows.plan import Plan, Reasoned, ShadowMapSettings, Target, TruthSettings
 from shadows.registry import ALGORITHMS
 from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
 from shadows.shadow_map import BORDER_TEXELS
@@ -48,6 +48,8 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         resolved, why = _shadow_map_settings(descriptor, asked)
         settings = {"sun": {"relief": resolved}}
         reasons += why
+    elif name == "truth":
+        settings = {"sun": {"relief": TruthSettings()}}
     return Plan(
         view=descriptor.view, policy="rules", algorithm={"sun": {"relief": name}}, settings=settings,
         effects=effects, left_out=left_out, rejected=rejected,
@@ -74,6 +76,7 @@ def _algorithm(descriptor, choice, who, effects, left_out, rejected):  # type: i
             if name != wish:
                 rejected.append(Reasoned(name=name, reason=f"{who} asks for {wish}"))
         return wish, f"asked for by {who}"
+    rejected.append(Reasoned(name="truth", reason=ALGORITHMS["truth"].about))
     rejected.append(Reasoned(name="none", reason=called["cast_shadows"]))
     return "shadow_map", "the algorithm at hand for relief under the sun in a map view"
 

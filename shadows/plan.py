@@ -36,6 +36,12 @@ class ShadowMapSettings(_Value):
     bias_scale: float = Field(default=1.0, ge=0)
 
 
+class TruthSettings(_Value):
+    """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
+
+    sun_samples: int = Field(default=1, ge=1, le=1024)
+
+
 class Target(_Value):
     """What was asked, and whether the plan is expected to meet it (``None``: not known)."""
 
@@ -57,7 +63,7 @@ class Plan(_Value):
     view: str
     policy: Literal["rules", "predict", "measure"]
     algorithm: dict[LightName, dict[CasterKind, AlgorithmName]]
-    settings: dict[LightName, dict[CasterKind, ShadowMapSettings]]
+    settings: dict[LightName, dict[CasterKind, ShadowMapSettings | TruthSettings]]
     effects: list[Reasoned]
     left_out: list[Reasoned]
     rejected: list[Reasoned]

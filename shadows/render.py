@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows import shadow_map
+from shadows import shadow_map, truth
+from shadows.attached import attached
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
-from terrain.compiled import compiled
 from terrain.errors import InputError, RenderError
-from terrain.geometry import GeometryBuffer, map_geometry
+from terrain.geometry import map_geometry
 from terrain.grid import MapView, blocks_of
 from terrain.reach import Reach, casters_of
 from terrain.scene import Scene
@@ -21,6 +21,9 @@ from terrain.shading import shade
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "casters"
 SHADING_PASS = "shading"
+
+FILLS = {"shadow_map": shadow_map.fill, "truth": truth.fill}
+"""Algorithm -> what fills the visibility of one light for a buffer's points; ``none`` needs nothing."""
 
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
@@ -82,26 +85,6 @@ def render_frame(scene: Scene, view: MapView, plan: Plan, on_block: Callable[[in
     return Frame(view, plan, color, visibility, height, tuple(log.records.values()), reach)
 
 
-def attached(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Where the geometric normal does not face the sun (n.l <= 0): in attached shadow for every algorithm alike.
-
-    Everything is, while the sun is nowhere above the horizon or where there is none.
-    """
-    if scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
-        return np.ones(buffer.there.shape, bool)
-    return _turned_away(buffer.normal_frame, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth)
-
-
-@compiled
-def _turned_away(normal, to_sun):  # type: ignore[no-untyped-def]
-    out = np.empty(normal.shape[:2], np.bool_)
-    for i in range(normal.shape[0]):
-        for j in range(normal.shape[1]):
-            n = normal[i, j]
-            out[i, j] = not n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2] > 0.0
-    return out
-
-
 def _render_block(scene: Scene, block: MapView, plan: Plan, log: PassLog) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
     with log.run(GEOMETRY_PASS):
         frame = scene.world.frame_near(block.grid.crs, *block.centre)
@@ -110,8 +93,8 @@ def _render_block(scene: Scene, block: MapView, plan: Plan, log: PassLog) -> tup
         casters = casters_of(scene, buffer)
     visibility = np.ones(buffer.there.shape, np.float32)
     for kind, name in plan.algorithm["sun"].items():
-        if name == "shadow_map":
-            visibility *= shadow_map.fill(buffer, scene, casters, plan.settings["sun"][kind], log)
+        if name in FILLS:
+            visibility *= FILLS[name](buffer, scene, casters, plan.settings["sun"][kind], log)
     with log.run(SHADING_PASS):
         visibility[attached(buffer, scene)] = 0.0
         color = shade(buffer, scene, visibility)

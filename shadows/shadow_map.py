@@ -6,26 +6,27 @@ and depth step are the plan's, one for all blocks of a level, zoom and sun; only
 Depth spans the receivers. Casters before it are clamped to depth 0: they are before every receiver. Casters beyond the
 last receiver cannot shade anything.
 
-**Bias.** The map holds the depth at texel centres, so a receiver is compared with a surface point beside it. With n taps
-a side the farthest centre lies d = (n/2) t away along each axis (t: the texel's side; 1/256 of a texel more for the
-rasteriser's grid). On a plane of unit normal (nx, ny, nz) in light space depth changes by |nx/nz| and |ny/nz| per
-metre, so the plane's depth there differs by up to (dx |nx| + dy |ny|) / |nz|. Moving the receiver by b along its normal
-gains a clearance of b / |nz| to its plane along the ray, so
+**Comparison.** The map holds depths at texel centres, so a receiver is held against a surface point beside it: half a texel
+away along each axis, (n/2) t with n taps a side (t: the texel's side; 1/128 more for the rasteriser's grid of 1/256). Two
+ways keep a surface from shading itself:
 
-    b = dx |nx| + dy |ny|
+1. *In the ring.* If the texel's centre falls, as the sun sees it, into one of the six triangles round the receiver's nearest
+   node that face the sun, the depth of that very triangle there is what the map holds unless something else is nearer. It is
+   compared as it is: no bias at all, at any slope.
+2. *Beside the ring* (coarse maps, wide filters, surfaces that the sun grazes) the receiver is moved along its normal. With unit
+   normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies up to
+   (dx |nx| + dy |ny|) / |nz| nearer. Moving by b gains a clearance of b / |nz| along the ray, so b = dx |nx| + dy |ny| is exactly
+   enough at every slope, and never more than d times the root of 2, where a bias in depth would grow without bound. (For
+   t = tx = ty this is the k t sin(theta) of the tables of slope-scaled offsets.)
+   The centre may lie on a neighbouring triangle of unit normal m, with |m - n| at most the buffer's ``crease`` c. For it
+   dx |mx| + dy |my| <= dx |nx| + dy |ny| + |d| c, and n.m >= 1 - c^2 / 2, hence
 
-is exactly enough at every slope and never more than d times the root of 2, where a bias in depth would grow without
-bound. (For t = tx = ty this is the k t sin(theta) of the slope-scaled tables; normal offset: Holbert 2011.)
+       b = (dx |nx| + dy |ny| + |d| c) / (1 - c^2 / 2),
 
-A heightfield is no plane: the texel's centre may lie on a neighbouring triangle of unit normal m, with |m - n| at most
-the buffer's ``crease`` c. For it dx |mx| + dy |my| <= dx |nx| + dy |ny| + |d| c, and n.m >= 1 - c^2 / 2, hence
+   the divisor held above 1/4, so that b stays below 8 texels even on a knife edge.
 
-    b = (dx |nx| + dy |ny| + |d| c) / (1 - c^2 / 2),
-
-the divisor held above 1/4, so that b stays below 8 texels even on a knife edge.
-
-Two constants remain: e for float32 positions (8 units in the last place of the coordinates' extent, added to b), and
-half a depth step plus the same e in depth for the map's rounding.
+Constants remain: e for float32 positions (8 units in the last place of the coordinates' extent), half a depth step and e for the
+map's rounding, and in the ring the slope times (t/128 + e) for the rasteriser's grid.
 """
 
 from __future__ import annotations
@@ -102,13 +103,15 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
     with log.run(VISIBILITY_PASS) as record:
         program = gl.program(_shader("pixels.vert"), _shader("shadow_map.frag"))
         _set(program, uniforms)
+        view, window = buffer.view, buffer.surface
         _set(program, {
-            "position_frame_m": 0, "normal_frame": 1, "depth_map": 2, "texel_m": tuple(texel),
-            "map_size": tuple(int(v) for v in size), "taps": settings.filter, "normal_bias_scale": settings.bias_scale,
-            "position_error_m": error_m, "depth_bias": (step_m / 2 + error_m) / window_m[2],
+            "position_frame_m": 0, "normal_frame": 1, "node_frame_m": 2, "depth_map": 3, "texel_m": tuple(texel),
+            "map_size": tuple(int(v) for v in size), "taps": settings.filter, "bias_scale": settings.bias_scale,
+            "first_node": (view.col0 - window.col0, view.row0 - window.row0), "node_step": (view.col_step, view.row_step),
+            "error_m": error_m, "step_m": step_m,
         })  # fmt: skip
-        normal = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
-        textures = [gl.texture(buffer.position_frame_m), gl.texture(normal)]
+        facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
+        textures = [gl.texture(array) for array in (buffer.position_frame_m, facing, window.position_frame_m)]
         for unit, texture in enumerate((*textures, target.depth_attachment)):
             texture.use(unit)
         visible = gl.float_target(cols, rows)

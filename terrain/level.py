@@ -18,7 +18,7 @@ from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
 
-AlgorithmName = Literal["shadow_map", "none"]
+AlgorithmName = Literal["shadow_map", "truth", "none"]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
 EffectName = Literal["cast_shadows"]

@@ -24,7 +24,7 @@ def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     assert plan.algorithm == {"sun": {"relief": "shadow_map"}} and plan.headline == "shadow_map"
     assert [effect.name for effect in plan.effects] == ["cast_shadows"]
     assert {reason.name.split()[0] for reason in plan.reasons} == {"shadow_map", "map_size", "depth_bits", "filter"}
-    assert [item.name for item in plan.rejected] == ["none"]
+    assert [item.name for item in plan.rejected] == ["truth", "none"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
 
 
@@ -33,7 +33,7 @@ def test_night_needs_nothing_and_says_so(scene):
     plan = plan_of(night, night.view())
     assert plan.algorithm == {"sun": {"relief": "none"}} and plan.settings == {}
     assert plan.left_out[0].name == "cast_shadows" and "night" in plan.left_out[0].reason
-    assert [item.name for item in plan.rejected] == ["shadow_map"]
+    assert [item.name for item in plan.rejected] == ["shadow_map", "truth"]
 
 
 def test_overrides_win_and_are_named(scene):
@@ -92,7 +92,7 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
         with log.run(shadow_map.VISIBILITY_PASS):
             return np.ones(buffer.there.shape, np.float32)
 
-    monkeypatch.setattr(render_module.shadow_map, "fill", lazy)
+    monkeypatch.setitem(render_module.FILLS, "shadow_map", lazy)
     with pytest.raises(RenderError, match="are not the plan's"):
         render(scene, scene.view(size=(64, 64)))
 

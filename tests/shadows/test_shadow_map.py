@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from shadows import shadow_map
+from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.render import attached
 from terrain.geometry import map_geometry
 from terrain.grid import MapView
 from terrain.level import SunSpec, load_level

@@ -82,7 +82,7 @@ def test_overrides_are_spelt_out():
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
     with pytest.raises(InputError, match="relief"):
         parse_algorithm("leaves=shadow_map")
-    with pytest.raises(InputError, match="shadow_map, none, auto"):
+    with pytest.raises(InputError, match="shadow_map, truth, none, auto"):
         parse_algorithm("sweeep")
 
 
