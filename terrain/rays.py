@@ -43,13 +43,20 @@ class AlphaMesh:
 
 
 class RayScene:
-    """What rays can meet: sheets of nodes (rows, cols, 3), quads cut SW to NE, and alpha-tested meshes.
+    """What rays can meet: sheets of nodes (rows, cols, 3), quads cut SW to NE; meshes of vertices (n, 3) and triangles
+    (m, 3); and alpha-tested meshes. All float64 in one frame, metres.
 
     ``offset_m`` is the derived distance by which a start is lifted off its triangle.
     """
 
-    def __init__(self, sheets: Iterable[np.ndarray], alpha: Iterable[AlphaMesh] = ()) -> None:
+    def __init__(
+        self,
+        sheets: Iterable[np.ndarray] = (),
+        meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
+        alpha: Iterable[AlphaMesh] = (),
+    ) -> None:
         parts = [(sheet.reshape(-1, 3), known_triangles(sheet)) for sheet in sheets if min(sheet.shape[:2]) >= 2]
+        parts += list(meshes)
         self._alpha_meshes = tuple(alpha)
         known = [part[np.isfinite(part[:, 2])] for part, _ in parts] + [mesh.vertices_m for mesh in self._alpha_meshes]
         points = [part for part in known if len(part)]

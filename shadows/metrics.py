@@ -1,0 +1,160 @@
+"""What accuracy means: an algorithm's visibility against truth, pixel by pixel, on the same points.
+
+`D` are the decidable pixels of the surface. A pixel's class is shadow where visibility is under 0.5. Every figure is defined
+for every picture: a share of nothing is 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation, distance_transform_edt, label
+
+from shadows.truth import Truth
+
+INTERIOR_PX = 2.0
+"""Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
+
+PART_PX = 8
+"""Size from which a connected part of wrong interior pixels counts as one."""
+
+BLOCK_PX = 16
+"""Side of the blocks that coverage is compared in."""
+
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
+_SQUARE = np.ones((3, 3), bool)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Figures of one picture; shares in [0, 1].
+
+    Attributes
+    ----------
+    wrong
+        Share of D whose class is wrong.
+    wrong_cast
+        Wrong pixels as a share of those that truth or the algorithm puts in cast shadow (attached excluded); 0 without any.
+    false_shadow, missed_shadow
+        Wrong among truth-lit and among truth-shadowed pixels of D.
+    edge_mean_px, edge_p95_px, edge_mean_m, edge_p95_m
+        Symmetric distance between the class boundaries of shadow components that overlap; 0 where there are none.
+    interior, interior_parts
+        Share of D wrong and farther from truth's boundary than 2 px and two texel footprints; and the number of its
+        connected parts of 8 px or more.
+    boundary
+        Share of the surface that is not decidable.
+    """
+
+    wrong: float
+    wrong_cast: float
+    false_shadow: float
+    missed_shadow: float
+    edge_mean_px: float
+    edge_p95_px: float
+    edge_mean_m: float
+    edge_p95_m: float
+    interior: float
+    interior_parts: int
+    boundary: float
+
+
+def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footprint_px: float = 0.0) -> Errors:
+    """Hold a visibility (rows, cols) in [0, 1], attached shadow included, against truth.
+
+    ``pixel_m`` is a pixel's side on the receiver; ``texel_footprint_px`` that of an algorithm's texel in pixels, if it has any.
+    """
+    decidable = truth.decidable
+    dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.there
+    true_dark = ~truth.lit & truth.there
+    wrong = decidable & (dark != true_dark)
+    cast = decidable & (dark | true_dark) & ~truth.attached
+    distances = edge_distances(dark, true_dark, truth.there)
+    inside = interior(wrong, true_dark, truth.there, max(INTERIOR_PX, 2.0 * texel_footprint_px))
+    parts, count = label(inside, structure=_SQUARE)
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
+    mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
+    return Errors(
+        wrong=_share(wrong, decidable),
+        wrong_cast=_share(wrong & ~truth.attached, cast),
+        false_shadow=_share(wrong & truth.lit, decidable & truth.lit),
+        missed_shadow=_share(wrong & true_dark, decidable & true_dark),
+        edge_mean_px=mean,
+        edge_p95_px=p95,
+        edge_mean_m=mean * pixel_m,
+        edge_p95_m=p95 * pixel_m,
+        interior=_share(inside, decidable),
+        interior_parts=int((sizes >= PART_PX).sum()),
+        boundary=truth.boundary,
+    )
+
+
+def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Distances in pixels, both ways, between the boundaries of overlapping shadow components of two pictures.
+
+    A component that meets none of the other picture was lost or invented: it counts in ``interior``, not here.
+    """
+    edges = []
+    for one, other in ((dark, true_dark), (true_dark, dark)):
+        parts, _ = label(one, structure=_SQUARE)
+        shared = np.unique(parts[other & one])
+        edges.append(boundary(np.isin(parts, shared[shared > 0]), there))
+    if not (edges[0].any() and edges[1].any()):
+        return np.zeros(0)
+    there_and_back = [distance_transform_edt(~b)[a] for a, b in (edges, edges[::-1])]
+    return np.concatenate(there_and_back)
+
+
+def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Shadow pixels beside a lit one (of the four neighbours); the borders of surface and picture are no boundary."""
+    return dark & binary_dilation(there & ~dark, structure=_CROSS)
+
+
+def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float) -> np.ndarray:
+    """Wrong pixels farther than a distance from truth's boundary: all of them where truth has none."""
+    edge = boundary(true_dark, there) | boundary(there & ~true_dark, there)
+    if not edge.any():
+        return wrong
+    return wrong & (distance_transform_edt(~edge) > distance_px)
+
+
+def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
+    """Mean over 16 x 16 px blocks of the difference in shadow share; of both pictures, in [0, 1], NaN off the surface.
+
+    Blocks with any surface count alike; the last rows and columns that fill no block are left out.
+    """
+    blocks = [_block_means(array) for array in (share, true_share)]
+    difference = np.abs(blocks[0] - blocks[1])
+    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
+
+
+def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
+    """Mean absolute difference of sun visibility over the surface (NaN off it)."""
+    difference = np.abs(visibility - true_visibility)
+    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
+
+
+def flicker(
+    dark: np.ndarray, next_dark: np.ndarray, true_dark: np.ndarray, next_true_dark: np.ndarray, comparable: np.ndarray
+) -> float:
+    """Share of fixed world points whose class changes from one frame to the next though truth's does not.
+
+    Arrays hold the same points in both frames; ``comparable`` are those decidable in both.
+    """
+    steady = comparable & (true_dark == next_true_dark)
+    return _share(steady & (dark != next_dark), steady)
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    total = int(np.count_nonzero(whole))
+    return float(np.count_nonzero(part & whole) / total) if total else 0.0
+
+
+def _block_means(array: np.ndarray) -> np.ndarray:
+    rows, cols = (size // BLOCK_PX * BLOCK_PX for size in array.shape)
+    blocks = array[:rows, :cols].reshape(rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

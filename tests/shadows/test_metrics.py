@@ -1,0 +1,148 @@
+"""Each metric on an example small enough to do by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shadows.metrics import (
+    boundary, coverage_error, edge_distances, errors_of, flicker, interior, soft_error,
+)  # fmt: skip
+from shadows.truth import Truth
+
+
+def truth(lit, attached=None, decidable=None, there=None) -> Truth:
+    lit = np.asarray(lit, bool)
+    full = np.ones(lit.shape, bool)
+    return Truth(
+        lit,
+        ~full if attached is None else np.asarray(attached, bool),
+        full if decidable is None else np.asarray(decidable, bool),
+        full if there is None else np.asarray(there, bool),
+    )
+
+
+def strip(text: str) -> np.ndarray:
+    """One row: 1 lit, 0 shadow."""
+    return np.array([[float(c) for c in text]])
+
+
+def test_shares_of_wrong_pixels():
+    """Ten decidable pixels: truth has four in shadow, one of them attached. One lit too many, one dark too many."""
+    real = truth(strip("1111110000"), attached=strip("0000000001"))
+    found = errors_of(strip("1111101000"), real, pixel_m=10.0)
+    assert found.wrong == 2 / 10
+    assert found.false_shadow == 1 / 6 and found.missed_shadow == 1 / 4
+    # Cast shadow of either: pixels 5, 6, 7, 8 (9 is attached); two of them are wrong.
+    assert found.wrong_cast == 2 / 4
+    assert found.boundary == 0.0
+
+
+def test_boundary_pixels_do_not_count():
+    real = truth(strip("1111110000"), decidable=strip("1111100111"))
+    found = errors_of(strip("1111101000"), real, pixel_m=1.0)
+    assert found.wrong == found.wrong_cast == found.false_shadow == found.missed_shadow == 0.0
+    assert found.boundary == pytest.approx(2 / 10)
+
+
+def test_visibility_of_one_half_is_lit():
+    assert errors_of(np.array([[0.5, 0.49]]), truth([[1, 0]]), 1.0).wrong == 0.0
+
+
+def test_boundaries_are_shadow_pixels_beside_lit_ones():
+    dark = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1], [0, 1, 1, 1]], bool)
+    expected = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 0, 0], [0, 1, 0, 0]], bool)
+    np.testing.assert_array_equal(boundary(dark, np.ones((4, 4), bool)), expected)
+    no_surface_above = np.ones((4, 4), bool)
+    no_surface_above[0] = False
+    assert boundary(dark, no_surface_above)[1].tolist() == [False, True, False, False]
+
+
+def test_an_edge_displaced_by_three_pixels():
+    """A straight edge moved by 3 px: every distance is 3, both ways."""
+    real, found = np.zeros((10, 20), bool), np.zeros((10, 20), bool)
+    real[:, 8:], found[:, 11:] = True, True
+    everywhere = np.ones((10, 20), bool)
+    distances = edge_distances(found, real, everywhere)
+    assert distances.size == 20 and (distances == 3.0).all()
+    said = errors_of((~found).astype(float), truth(~real), pixel_m=30.0)
+    assert (said.edge_mean_px, said.edge_p95_px, said.edge_mean_m, said.edge_p95_m) == (3.0, 3.0, 90.0, 90.0)
+
+
+def test_p95_of_edges_that_mostly_agree():
+    """One row of twenty has its edge 10 px off: of 40 distances two are 10 or near, the others 0."""
+    real, found = np.zeros((20, 40), bool), np.zeros((20, 40), bool)
+    real[:, 10:], found[:, 10:] = True, True
+    found[0, 10:20] = False
+    distances = np.sort(edge_distances(found, real, np.ones((20, 40), bool)))
+    # The notch's own pixels: its floor at column 20 (row 0) and the row below it, columns 10 to 19, now an edge as well.
+    assert (distances == 0).sum() == 38 and distances[-1] == pytest.approx(np.hypot(1, 9), abs=1.1)
+
+
+def test_lost_and_invented_components_are_no_edges_but_interior():
+    real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
+    real[5:25, 5:25] = True  # lost
+    found[5:25, 35:55] = True  # invented
+    said = errors_of((~found).astype(float), truth(~real), pixel_m=1.0)
+    assert said.edge_mean_px == said.edge_p95_px == 0.0
+    assert said.interior_parts == 2
+    # Farther than 2 px from truth's boundary: the lost square's inner 20 - 2 * 2 - ... pixels and all that was invented.
+    assert said.interior == pytest.approx((16 * 16 + 400) / 1800, abs=16 * 4 / 1800)
+
+
+def test_interior_leaves_out_what_lies_at_the_boundary():
+    real = np.zeros((20, 20), bool)
+    real[:, 10:] = True
+    wrong = np.zeros((20, 20), bool)
+    wrong[:, 8:12] = True
+    everywhere = np.ones((20, 20), bool)
+    assert not interior(wrong, real, everywhere, 2.0).any()
+    wrong[4, 3] = True
+    assert interior(wrong, real, everywhere, 2.0).sum() == 1
+    assert not interior(wrong, real, everywhere, 7.0).any()  # within two footprints of a coarse texel
+    assert interior(wrong, np.zeros((20, 20), bool), everywhere, 2.0).sum() == wrong.sum()  # truth has no boundary
+
+
+def test_small_interior_parts_are_no_parts():
+    real, found = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
+    found[5, 5:12] = True  # seven pixels
+    found[20, 5:13] = True  # eight
+    assert errors_of((~found).astype(float), truth(~real), 1.0).interior_parts == 1
+
+
+def test_coverage_compares_shares_in_blocks():
+    """Two blocks: shares 1/4 against 1/2, and 1 against 1; what fills no block is left out."""
+    share, real = np.zeros((16, 35)), np.zeros((16, 35))
+    share[:4, :16], real[:8, :16] = 1.0, 1.0
+    share[:, 16:32] = real[:, 16:32] = 1.0
+    real[:, 32:] = 1.0
+    assert coverage_error(share, real) == pytest.approx((0.25 + 0.0) / 2)
+    share[:, 16:32] = np.nan  # no surface there: the block does not count
+    real[:, 16:32] = np.nan
+    assert coverage_error(share, real) == pytest.approx(0.25)
+
+
+def test_soft_error_is_the_mean_difference_on_the_surface():
+    assert soft_error(np.array([[0.0, 0.5, np.nan]]), np.array([[0.25, 0.5, 0.0]])) == pytest.approx(0.125)
+
+
+def test_flicker_counts_changes_that_truth_does_not_make():
+    dark, after = strip("0011").astype(bool), strip("0110").astype(bool)
+    real, real_after = strip("0011").astype(bool), strip("0111").astype(bool)
+    # Points 1 and 3 change; at point 1 truth changes too. Comparable are all but the first: 2 of them steady.
+    assert flicker(dark, after, real, real_after, strip("0111").astype(bool)) == 1 / 2
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_a_picture_without_surface_light_or_shadow_divides_by_nothing(dark):
+    nothing = np.zeros((20, 20), bool)
+    for real in (
+        Truth(nothing, nothing, nothing, nothing),
+        truth(np.full((20, 20), not dark)),
+        truth(np.full((20, 20), not dark), decidable=nothing),
+    ):
+        said = errors_of(np.full((20, 20), 0.0 if dark else 1.0), real, 1.0)
+        assert all(np.isfinite(value) for value in vars(said).values())
+        assert said.wrong == 0.0 and said.interior == 0.0
+    assert coverage_error(np.full((20, 20), np.nan), np.full((20, 20), np.nan)) == 0.0
+    assert soft_error(np.full((2, 2), np.nan), np.full((2, 2), np.nan)) == 0.0

@@ -1,0 +1,187 @@
+"""Truth's rays against shadows known in closed form, and the offset they start with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from terrain.rays import AlphaMesh, RayScene, sample_alpha
+from terrain.sun import direction_enu
+
+PIXEL_M = 0.5
+NEAR_PX = 0.02
+SUNS = [(190.0, 45.0), (233.0, 17.0), (67.0, 24.0), (311.0, 71.0)]
+
+
+def receiver(tilt: float, size_m: float = 200.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A plane z = tilt * x as a sheet, its pixels' centres (n, 3), and its unit normal."""
+    axis = np.linspace(-size_m, size_m, 9)
+    x, y = np.meshgrid(axis, -axis)
+    normal = np.array([-tilt, 0.0, 1.0]) / np.hypot(tilt, 1.0)
+    centres = np.arange(-size_m + PIXEL_M / 2, size_m, PIXEL_M)
+    px, py = np.meshgrid(centres, -centres)
+    return np.stack([x, y, tilt * x], -1), np.stack([px, py, tilt * px], -1).reshape(-1, 3), normal
+
+
+def hull_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Signed distance (inside negative) of points (n, 2) to the convex hull of corners (m, 2)."""
+    hull = ConvexHull(corners)
+    return np.max(points @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
+
+
+def along_sun(points: np.ndarray, sun: np.ndarray) -> np.ndarray:
+    """Points moved along the sun's direction onto z = 0, seen there: (n, 2)."""
+    return (points - points[:, 2:] / sun[2] * sun)[:, :2]
+
+
+def box(centre, half) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * half + centre
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+
+
+def fan(apex: np.ndarray, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    n = len(ring)
+    index = np.arange(n)
+    sides = np.stack([np.zeros(n, int), 1 + index, 1 + (index + 1) % n], 1)
+    base = np.stack([np.full(n - 2, 1), 2 + index[: n - 2], 3 + index[: n - 2] - (index[: n - 2] == n - 1)], 1)[: n - 2]
+    return np.vstack([apex, ring]), np.vstack([sides, base])
+
+
+def sphere(centre: np.ndarray, radius: float, rings: int = 700) -> tuple[np.ndarray, np.ndarray]:
+    latitude, longitude = np.meshgrid(
+        np.linspace(-np.pi / 2, np.pi / 2, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij"
+    )
+    vertices = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], -1)
+    index = np.arange(latitude.size).reshape(latitude.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
+    triangles = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([d, c, b], -1).reshape(-1, 3)])
+    return vertices.reshape(-1, 3) * radius + centre, triangles
+
+
+def check(mesh, tilt: float, sun: np.ndarray, distance) -> None:
+    """Every pixel farther than 0.02 px from the outline agrees; ``distance`` is on z = 0 seen along the sun."""
+    sheet, points, normal = receiver(tilt)
+    assert normal @ sun > 0.02
+    scene = RayScene([sheet], [mesh])
+    blocked = scene.blocked(points + scene.offset_m * normal, sun)
+    away = distance(points)
+    far = np.abs(away) > NEAR_PX * PIXEL_M
+    assert 0.001 < blocked.mean() < 0.5 and far.mean() > 0.99
+    wrong = far & (blocked != (away < 0))
+    assert wrong.sum() == 0, f"{wrong.sum()} of {far.sum()}, up to {np.abs(away[wrong]).max():.3f} m from the outline"
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_box(tilt, azimuth, altitude):
+    sun = direction_enu(azimuth, altitude)
+    mesh = box([0.0, 0.0, 40.0], [10.0, 6.0, 8.0])
+    check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_wall(tilt, azimuth, altitude):
+    sun = direction_enu(azimuth, altitude)
+    mesh = box([5.0, 0.0, 40.0], [0.05, 60.0, 12.0])
+    check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_sphere(tilt, azimuth, altitude):
+    """In shadow if the ray passes the centre within the radius; the mesh's own error is r (1 - cos(half a step)): 0.1 mm."""
+    sun, centre, radius = direction_enu(azimuth, altitude), np.array([0.0, 0.0, 45.0]), 12.0
+
+    def distance(points: np.ndarray) -> np.ndarray:
+        to_centre = centre - points
+        return np.linalg.norm(to_centre - (to_centre @ sun)[:, None] * sun, axis=1) - radius
+
+    check(sphere(centre, radius), tilt, sun, distance)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_cone(tilt, azimuth, altitude):
+    """The hull of a disc and the apex, seen along the sun on the level of the disc: tangents from the apex."""
+    sun, base_z, radius, apex = direction_enu(azimuth, altitude), 30.0, 10.0, np.array([0.0, 0.0, 55.0])
+    angle = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(4000, base_z)], 1)
+    tip = (apex - (apex[2] - base_z) / sun[2] * sun)[:2]
+
+    def distance(points: np.ndarray) -> np.ndarray:
+        at = (points - (points[:, 2:] - base_z) / sun[2] * sun)[:, :2]
+        disc = np.linalg.norm(at, axis=1) - radius
+        reach = np.linalg.norm(tip)
+        if reach <= radius:
+            return disc
+        towards = tip / reach
+        u, v = at @ towards, np.abs(at @ np.array([-towards[1], towards[0]]))
+        sine = radius / reach
+        cosine = np.sqrt(1 - sine**2)
+        side = u * sine + v * cosine - radius  # from the tangent; it touches at u = radius * sine
+        wedge = (u * cosine - v * sine > 0) & (u > radius * sine - 1e-9)
+        return np.where(wedge, np.where(u < reach, side, np.maximum(side, 0.0)), disc)
+
+    check(fan(apex, ring), tilt, sun, distance)
+
+
+def test_the_offset_neither_hits_its_own_triangle_nor_leaks():
+    """Rough ground over 40 km: no start meets the triangle it lies on, and none is lifted over its neighbours."""
+    rng = np.random.default_rng(2)
+    n = 400
+    x, y = np.meshgrid(np.arange(n) * 100.0, -np.arange(n) * 100.0)
+    z = rng.normal(size=(n, n)).cumsum(0).cumsum(1) * 0.5 + 3000.0
+    sheet = np.stack([x, y, z], -1)
+    scene = RayScene([sheet])
+    assert scene.offset_m == pytest.approx(16 * 20_000 / 2**24, rel=0.2)
+    corners = sheet[:-1, :-1], sheet[1:, :-1], sheet[:-1, 1:]
+    middle = sum(corners) / 3
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    start = (middle + scene.offset_m * normal).reshape(-1, 3)
+    assert not scene.blocked(start, np.array([0.0, 0.0, 1.0])).any()
+    assert not scene.blocked(start, normal.reshape(-1, 3)).mean() > 0.02  # what stands in the normal's way is real
+    assert scene.blocked((middle - scene.offset_m * normal).reshape(-1, 3), np.array([0.0, 0.0, 1.0])).all()
+
+
+def test_rays_go_on_through_transparent_texels():
+    """Five alpha-tested sheets one behind the other, each opaque in another fifth: together they stop all, alone a fifth."""
+    corners = np.array([[-1.0, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]]) * 10
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)
+    x = np.linspace(-9.9, 9.9, 400)
+    start = np.stack([x, np.full(400, -5.0), np.full(400, 0.5)], 1)
+    north = np.array([0.0, 1.0, 0.0])
+    meshes = []
+    for k in range(5):
+        alpha = np.zeros((20, 20))
+        alpha[:, 4 * k : 4 * k + 4] = 1.0
+        meshes.append(AlphaMesh(corners + [0, 3.0 * k, 0], triangles, uv, alpha, 0.5))
+        expected = (x >= -10 + 4 * k) & (x < -6 + 4 * k)
+        away = np.abs(np.abs(x - (-8 + 4 * k)) - 2) > 0.06
+        seen = RayScene(alpha=[meshes[-1]]).blocked(start, north)
+        np.testing.assert_array_equal(seen[away], expected[away])
+    assert RayScene(alpha=meshes).blocked(start, north).mean() > 0.99
+    stacked = AlphaMesh(
+        np.concatenate([mesh.vertices_m for mesh in meshes]),
+        np.concatenate([triangles + 4 * k for k in range(5)]),
+        np.tile(uv, (5, 1)),
+        np.where(np.arange(20) >= 10, 1.0, 0.0)[None, :].repeat(20, 0),
+    )
+    seen = RayScene(alpha=[stacked]).blocked(start, north)
+    np.testing.assert_array_equal(seen[np.abs(x) > 0.06], (x > 0)[np.abs(x) > 0.06])
+    assert not RayScene(alpha=[AlphaMesh(corners, triangles, uv, np.zeros((4, 4)))]).blocked(start, north).any()
+
+
+def test_alpha_is_bilinear_between_texel_centres():
+    alpha = np.array([[0.0, 1.0], [1.0, 0.0]])
+    uv = np.array([[0.25, 0.25], [0.75, 0.25], [0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.5, 0.25]])
+    np.testing.assert_allclose(sample_alpha(alpha, uv), [0, 1, 0.5, 0, 1, 0.5])
+
+
+def test_an_empty_scene_stops_nothing():
+    assert not RayScene().blocked(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])).any()
+    assert RayScene([np.full((3, 3, 3), np.nan)]).blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)
