@@ -38,8 +38,9 @@ class Errors:
         Wrong pixels as a share of those that truth or the algorithm puts in cast shadow (attached excluded); 0 without any.
     false_shadow, missed_shadow
         Wrong among truth-lit and among truth-shadowed pixels of D.
-    edge_mean_px, edge_p95_px, edge_mean_m, edge_p95_m
-        Symmetric distance between the class boundaries of shadow components that overlap; 0 where there are none.
+    edge_mean, edge_p95, edge_mean_m, edge_p95_m
+        Symmetric distance between the class boundaries of shadow components that overlap, in pixels and in
+        metres; 0 where there are none.
     interior, interior_parts
         Share of D wrong and farther from truth's boundary than 2 px and two texel footprints; and the number of its
         connected parts of 8 px or more.
@@ -51,8 +52,8 @@ class Errors:
     wrong_cast: float
     false_shadow: float
     missed_shadow: float
-    edge_mean_px: float
-    edge_p95_px: float
+    edge_mean: float
+    edge_p95: float
     edge_mean_m: float
     edge_p95_m: float
     interior: float
@@ -80,8 +81,8 @@ def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footpr
         wrong_cast=_share(wrong & ~truth.attached, cast),
         false_shadow=_share(wrong & truth.lit, decidable & truth.lit),
         missed_shadow=_share(wrong & true_dark, decidable & true_dark),
-        edge_mean_px=mean,
-        edge_p95_px=p95,
+        edge_mean=mean,
+        edge_p95=p95,
         edge_mean_m=mean * pixel_m,
         edge_p95_m=p95 * pixel_m,
         interior=_share(inside, decidable),
@@ -119,13 +120,22 @@ def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distan
     return wrong & (distance_transform_edt(~edge) > distance_px)
 
 
-def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
-    """Mean over 16 x 16 px blocks of the difference in shadow share; of both pictures, in [0, 1], NaN off the surface.
+def block_shares(shadow_share: np.ndarray) -> np.ndarray:
+    """Means of whole 16 x 16 px blocks of a picture (rows, cols); NaN where a block has no surface.
 
-    Blocks with any surface count alike; the last rows and columns that fill no block are left out.
+    Rows and columns at the end that fill no block are left out.
     """
-    blocks = [_block_means(array) for array in (share, true_share)]
-    difference = np.abs(blocks[0] - blocks[1])
+    rows, cols = (size // BLOCK_PX * BLOCK_PX for size in shadow_share.shape)
+    blocks = shadow_share[:rows, :cols].reshape(rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
+    """Mean difference of the shadow shares of blocks (any shape), in [0, 1]; NaN blocks do not count."""
+    difference = np.abs(share - true_share)
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
@@ -149,12 +159,3 @@ def flicker(
 def _share(part: np.ndarray, whole: np.ndarray) -> float:
     total = int(np.count_nonzero(whole))
     return float(np.count_nonzero(part & whole) / total) if total else 0.0
-
-
-def _block_means(array: np.ndarray) -> np.ndarray:
-    rows, cols = (size // BLOCK_PX * BLOCK_PX for size in array.shape)
-    blocks = array[:rows, :cols].reshape(rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -13,8 +13,8 @@ ways keep a surface from shading itself:
 1. *In the ring.* If the texel's centre falls, as the sun sees it, into one of the six triangles round the receiver's nearest
    node that face the sun, the depth of that very triangle there is what the map holds unless something else is nearer. It is
    compared as it is: no bias at all, at any slope.
-2. *Beside the ring* (coarse maps, wide filters, surfaces that the sun grazes) the receiver is moved along its normal. With unit
-   normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies up to
+   Taps whose centre falls beside the ring do not count, unless all of them do.
+2. *Beside the ring* (coarse maps, surfaces that the sun grazes) the receiver is moved along its normal instead. With unit normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies up to
    (dx |nx| + dy |ny|) / |nz| nearer. Moving by b gains a clearance of b / |nz| along the ray, so b = dx |nx| + dy |ny| is exactly
    enough at every slope, and never more than d times the root of 2, where a bias in depth would grow without bound. (For
    t = tx = ty this is the k t sin(theta) of the tables of slope-scaled offsets.)

@@ -17,7 +17,7 @@ from shadows.plan import TruthSettings
 from terrain.geometry import GeometryBuffer, map_geometry
 from terrain.grid import MapView
 from terrain.rays import RayScene
-from terrain.reach import Casters, caster_sheets
+from terrain.reach import Casters, caster_sheets, casters_of
 from terrain.scene import Scene
 
 RAYS_PASS = "sun/relief: rays"
@@ -77,6 +77,81 @@ def truth_of(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: in
         sample = map_geometry(scene.surface(view.grid), view, buffer.frame)
         decidable &= sample.there & (lit_from(sample, rays, to_sun) == lit)
     return Truth(lit, turned, decidable, buffer.there)
+
+
+def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
+    """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
+    visibility = fill(buffer, scene, casters, TruthSettings(sun_samples=samples), PassLog())
+    return np.where(buffer.there, visibility, np.nan)
+
+
+def coverage_truth(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, block_px: int, blocks: int = 256, samples: int = 64, seed: int = 0
+) -> np.ndarray:
+    """True shadow shares of blocks of ``block_px`` pixels: (rows // block_px, cols // block_px), NaN where none was taken.
+
+    At most ``blocks`` of those with a surface are taken, stratified over the picture; a pixel has ``samples`` (a square)
+    regular sub-samples.
+    """
+    shape = tuple(size // block_px for size in buffer.there.shape)
+    out = np.full(shape, np.nan)
+    has_surface = buffer.there[: shape[0] * block_px, : shape[1] * block_px]
+    has_surface = has_surface.reshape(shape[0], block_px, shape[1], block_px).any(axis=(1, 3))
+    candidates = np.flatnonzero(has_surface)
+    if not len(candidates) or scene.sun is None:
+        return out
+    bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
+    rng = np.random.default_rng(seed)
+    rays = ray_scene(buffer, scene, casters)
+    to_sun = buffer.frame.frame_from_earth @ _sun(scene)
+    surface, view, side = scene.surface(buffer.view.grid), buffer.view, int(round(samples**0.5))
+    dark_everywhere = (scene.highest_sun_deg or 0.0) <= 0.0
+    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        i, j = np.unravel_index(candidates[rng.integers(first, last)], shape)
+        if dark_everywhere:
+            out[i, j] = 1.0
+            continue
+        start = (np.arange(side) + 0.5) / side - 0.5
+        fine = replace(
+            view,
+            row0=view.row0 + (i * block_px + start[0]) * view.row_step,
+            col0=view.col0 + (j * block_px + start[0]) * view.col_step,
+            row_step=view.row_step / side,
+            col_step=view.col_step / side,
+            rows=block_px * side,
+            cols=block_px * side,
+        )
+        sample = map_geometry(surface, fine, buffer.frame)
+        if sample.there.any():
+            out[i, j] = 1.0 - lit_from(sample, rays, to_sun)[sample.there].mean()
+    return out
+
+
+def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_px: int = 256) -> float:
+    """Simplification: share of pixels whose truth differs between the drawn surface and the full raster's.
+
+    The full surface is the raster's bilinear one on a grid of half its cells (or half the drawn step, if that is finer).
+    Taken on the middle ``size_px`` pixels; both truths at the pixels' own points.
+    """
+    view = buffer.view
+    rows, cols = min(size_px, view.rows), min(size_px, view.cols)
+    part = view.part((view.rows - rows) // 2, (view.cols - cols) // 2, rows, cols)
+    surface = scene.surface(view.grid)
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
+    grid = view.grid.finer(finer)
+    fine = MapView(
+        grid, part.row0 * 2**finer, part.col0 * 2**finer, part.row_step * 2**finer, part.col_step * 2**finer, rows, cols
+    )
+    classes = []
+    for its_view in (part, fine):
+        its = map_geometry(scene.surface(its_view.grid), its_view, buffer.frame)
+        if not its.there.any() or scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
+            return 0.0
+        rays = ray_scene(its, scene, casters_of(scene, its))
+        classes.append((lit_from(its, rays, its.frame.frame_from_earth @ _sun(scene)), its.there))
+    both = classes[0][1] & classes[1][1]
+    return float((classes[0][0] != classes[1][0])[both].mean()) if both.any() else 0.0
 
 
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> RayScene:

@@ -48,6 +48,10 @@ class Grid:
         """The grid of every 2**level-th node."""
         return Grid(self.crs, self.x0, self.y0, self.step * 2**level)
 
+    def finer(self, level: int) -> Grid:
+        """The grid with 2**level times as many nodes a side, those of this one among them."""
+        return Grid(self.crs, self.x0, self.y0, self.step / 2**level)
+
 
 @dataclass(frozen=True)
 class MapView:

@@ -21,6 +21,11 @@ const ivec2 RING[6] = ivec2[](ivec2(1, 0), ivec2(1, -1), ivec2(0, -1), ivec2(-1,
 
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 
+bool is_lit(vec2 at, float depth) {
+    bool outside = any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size)));
+    return outside || min(depth, 1.0) <= texelFetch(depth_map, ivec2(at), 0).r;
+}
+
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec3 point = light_from_frame * texelFetch(position_frame_m, pixel, 0).xyz + light_offset_m;
@@ -37,39 +42,39 @@ void main() {
     }
     ring[6] = ring[0];
 
-    // A point moved clear of every surface that passes through it.
-    vec2 reach = (0.5 * float(taps) + 1.0 / 128.0) * texel_m;
-    float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
-    vec3 clear = point + normal * (bias_scale * offset_m + error_m);
-
-    int lit = 0;
+    float rounding = (0.5 * step_m + error_m) / window_m.z;
+    int lit = 0, counted = 0;
     for (int row = 0; row < taps; row++) {
         for (int col = 0; col < taps; col++) {
-            vec2 shift = vec2(col, row) - 0.5 * float(taps - 1);
-            vec2 at = floor(point.xy / texel_m + shift);
+            vec2 at = floor(point.xy / texel_m + vec2(col, row) - 0.5 * float(taps - 1));
             vec2 aside = (at + 0.5) * texel_m - middle.xy;
-            float surface = 0.0, slack = 0.0;
-            bool found = false;
-            for (int k = 0; k < 6 && !found; k++) {
+            for (int k = 0; k < 6; k++) {
                 vec3 a = ring[k], b = ring[k + 1];
                 float area = cross2(a.xy, b.xy);  // positive where the triangle faces the sun; NaN without a node
                 float u = cross2(aside, b.xy), v = cross2(a.xy, aside);
                 if (area > 0.0 && u >= 0.0 && v >= 0.0 && u + v <= area) {
-                    found = true;
                     vec2 slope = vec2(a.z * b.y - b.z * a.y, b.z * a.x - a.z * b.x) / area;
-                    surface = middle.z + dot(slope, aside);
-                    surface = mix(point.z, surface, bias_scale);
-                    slack = min(dot(abs(slope), texel_m / 128.0 + error_m), length(a - b) + length(a));
+                    float surface = mix(point.z, middle.z + dot(slope, aside), bias_scale);
+                    float slack = min(dot(abs(slope), texel_m / 128.0 + error_m), length(a - b) + length(a));
+                    if (is_lit(at, (surface - slack) / window_m.z - rounding)) lit++;
+                    counted++;
+                    break;
                 }
             }
-            if (!found) {
-                at = floor(clear.xy / texel_m + shift);
-                surface = clear.z;
-            }
-            bool outside = any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size)));
-            float depth = min((surface - slack) / window_m.z, 1.0) - (0.5 * step_m + error_m) / window_m.z;
-            if (outside || depth <= texelFetch(depth_map, ivec2(at), 0).r) lit++;
         }
     }
-    visibility = float(lit) / float(taps * taps);
+
+    if (counted == 0) {  // all beside the ring: a point moved clear of every surface that passes through it
+        vec2 reach = (0.5 * float(taps) + 1.0 / 128.0) * texel_m;
+        float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
+        vec3 clear = point + normal * (bias_scale * offset_m + error_m);
+        for (int row = 0; row < taps; row++) {
+            for (int col = 0; col < taps; col++) {
+                vec2 at = floor(clear.xy / texel_m + vec2(col, row) - 0.5 * float(taps - 1));
+                if (is_lit(at, clear.z / window_m.z - rounding)) lit++;
+                counted++;
+            }
+        }
+    }
+    visibility = float(lit) / float(counted);
 }
