@@ -89,6 +89,40 @@ def render(
 
 
 @app.command()
+def compare(
+    level: LevelName,
+    view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write false-colour error pictures.")
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
+    time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
+    altitude: Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
+    bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
+    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
+    fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
+) -> None:
+    """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
+    from api.comparison import show, write_pictures
+    from api.snapshot import scene_and_view
+    from selector.compare import compare as measure
+
+    scene, map_view = scene_and_view(
+        find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs
+    )
+    with _progress("Comparing") as advance:
+        comparison = measure(scene, map_view, view, fine, advance)
+    show(comparison)
+    if output is not None:
+        write_pictures(scene, comparison, output)
+    if json_file is not None:
+        rows = [row.figures for row in comparison.rows]
+        json_file.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+
+
+@app.command()
 def levels(as_json: AsJson = False) -> None:
     """List the bundled levels."""
     from api.catalogue import summary

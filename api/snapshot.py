@@ -10,6 +10,7 @@ from typing import Any
 from selector.rules import choose
 from shadows.render import Frame, render_frame
 from terrain.descriptor import describe
+from terrain.grid import MapView
 from terrain.level import SunSpec, load_level
 from terrain.scene import Scene, build_scene
 
@@ -25,10 +26,22 @@ def snapshot(
     on_block: Callable[[int, int], None] | None = None,
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view. Raises ``SkuggaError``."""
-    scene = build_scene(load_level(level)).with_sun(sun)
-    map_view = scene.view(view, bounds, crs, size)
+    scene, map_view = scene_and_view(level, view, sun, size, bounds, crs)
     plan = choose(describe(scene, map_view, view), scene.loaded.level, overrides)
     return scene, render_frame(scene, map_view, plan, on_block)
+
+
+def scene_and_view(
+    level: Path,
+    view: str,
+    sun: SunSpec | None,
+    size: tuple[int, int] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    crs: str | None = None,
+) -> tuple[Scene, MapView]:
+    """A level's scene under a sun and one of its views. Raises ``SkuggaError``."""
+    scene = build_scene(load_level(level)).with_sun(sun)
+    return scene, scene.view(view, bounds, crs, size)
 
 
 def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from terrain.effects import EFFECTS
 from terrain.errors import UnsupportedError
 from terrain.level import Choice, Level, Shadows, algorithm_choice, override
 
-TEXEL_PX = 0.75
+TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
 
 DEPTH_PX = 0.25

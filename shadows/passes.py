@@ -10,12 +10,16 @@ from dataclasses import dataclass, field
 
 @dataclass
 class PassRecord:
-    """One executed pass: its name, wall-clock milliseconds, draw calls and triangles."""
+    """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, and the bytes of
+    textures and buffers it held at a time.
+    """
 
     name: str
     ms: float = 0.0
     draws: int = 0
     triangles: int = 0
+    map_texels: int = 0
+    bytes: int = 0
 
 
 @dataclass

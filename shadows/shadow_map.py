@@ -43,6 +43,7 @@ from terrain.gl import device
 from terrain.light_space import light_bounds
 from terrain.reach import Casters, caster_sheets
 from terrain.scene import Scene
+from terrain.surface import sheet_triangles
 
 DEPTH_PASS = "sun/relief: depth map"
 VISIBILITY_PASS = "sun/relief: visibility"
@@ -95,9 +96,14 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
         program = gl.program(_shader("depth.vert"), _shader("depth.frag"))
         _set(program, uniforms)
         with gl.depth_pass(target):
+            largest = 0
             for sheet in caster_sheets(scene, buffer, casters):
                 record.triangles += gl.draw_sheet(program, sheet)
                 record.draws += 1
+                largest = max(largest, sheet[..., 0].size * 12 + sheet_triangles(*sheet.shape[:2]).nbytes)
+        record.map_texels += int(size[0] * size[1])
+        map_bytes = int(size[0] * size[1]) * (2 if settings.depth_bits == 16 else 4)
+        record.bytes = max(record.bytes, map_bytes + largest)
         gl.check(DEPTH_PASS)
 
     with log.run(VISIBILITY_PASS) as record:
@@ -118,6 +124,8 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
         gl.draw_pixels(program, visible)
         record.draws += 1
         visibility = gl.read(visible)
+        held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
+        record.bytes = max(record.bytes, map_bytes + held + visibility.nbytes)
         for texture in textures:
             texture.release()
     return visibility
