@@ -27,7 +27,7 @@ from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
-_INDEX_BUFFERS = 4
+_INDEX_BUFFERS = 2
 _DEPTH_TARGETS = 2
 
 

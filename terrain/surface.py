@@ -117,7 +117,7 @@ class Surface:
         return self.elevation.cell_of(x, y)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def sheet_triangles(rows: int, cols: int) -> np.ndarray:
     """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only."""
     node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
