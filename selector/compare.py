@@ -165,10 +165,11 @@ def _measure(scene: Scene, view: MapView, grounds: list[Ground], real: Truth, pl
     settings = plan.settings.get("sun", {}).get("relief")
     times_ms, parts = [], []
     log = PassLog()
-    for repeat in range(REPEATS + 1):  # the first one warms up
+    repeats = REPEATS + 1 if real.there.any() else 1
+    for repeat in range(repeats):  # the first one warms up
         log, start = PassLog(), time.perf_counter()
         parts = [_visibility(scene, ground, name, settings, log) for ground in grounds]
-        if repeat:
+        if repeat or repeats == 1:
             times_ms.append((time.perf_counter() - start) * 1000.0)
         if name not in FILLS:
             times_ms = [0.0]

@@ -131,11 +131,18 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     """Simplification: share of pixels whose truth differs between the drawn surface and the full raster's.
 
     The full surface is the raster's bilinear one on a grid of half its cells (or half the drawn step, if that is finer).
-    Taken on the middle ``size_px`` pixels; both truths at the pixels' own points.
+    Taken on ``size_px`` pixels a side round the middle of what is there; both truths at the pixels' own points.
     """
     view = buffer.view
+    if not buffer.there.any():
+        return 0.0
     rows, cols = min(size_px, view.rows), min(size_px, view.cols)
-    part = view.part((view.rows - rows) // 2, (view.cols - cols) // 2, rows, cols)
+    middle = [int(np.median(index)) for index in np.nonzero(buffer.there)]
+    row, col = (
+        int(np.clip(m - side // 2, 0, size - side))
+        for m, side, size in zip(middle, (rows, cols), (view.rows, view.cols), strict=True)
+    )
+    part = view.part(row, col, rows, cols)
     surface = scene.surface(view.grid)
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)

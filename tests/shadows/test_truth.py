@@ -1,0 +1,228 @@
+"""Truth through the whole path: analytic terrain, decidability, its noise, and defects that its metrics must catch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from selector.compare import Comparison, candidates, compare, false_colours
+from shadows import shadow_map, truth
+from shadows.attached import attached
+from shadows.metrics import Errors, block_shares, coverage_error, errors_of, soft_error
+from shadows.passes import PassLog
+from shadows.truth import Truth, coverage_truth, fill, soft_truth, sub_views, sun_disc, surface_error, truth_of
+from terrain.geometry import GeometryBuffer, map_geometry
+from terrain.grid import MapView
+from terrain.level import SunSpec, load_level
+from terrain.reach import Casters, casters_of
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import block_at, plan_of, render, shadow
+
+ALTITUDE = 10.0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
+
+
+@pytest.fixture(scope="module")
+def view() -> MapView:
+    return block_at(-84.25, 36.58, 12).part(300, 300, 256, 256)
+
+
+def geometry(scene: Scene, view: MapView) -> tuple[GeometryBuffer, Casters]:
+    buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
+    return buffer, casters_of(scene, buffer)
+
+
+@pytest.fixture(scope="module")
+def real(scene, view) -> Truth:
+    return truth_of(*_swap(scene, geometry(scene, view)))
+
+
+def _swap(scene: Scene, ground: tuple[GeometryBuffer, Casters]) -> tuple[GeometryBuffer, Scene, Casters]:
+    return ground[0], scene, ground[1]
+
+
+def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bool = True) -> np.ndarray:
+    buffer, casters = geometry(scene, view)
+    if not patches:
+        casters = Casters((), casters.reach)
+    settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
+    seen = shadow_map.fill(buffer, scene, casters, settings.model_copy(update={"bias_scale": bias_scale}), PassLog())
+    seen[attached(buffer, scene)] = 0.0
+    return seen
+
+
+@pytest.fixture(scope="module")
+def usual(scene, view, real) -> Errors:
+    return errors_of(visibility(scene, view), real, 30.0)
+
+
+def test_the_shadow_map_is_near_truth(gl, usual):
+    """What the defects below are measured against."""
+    assert usual.wrong < 0.005 and usual.wrong_cast < 0.03 and usual.interior < 0.001 and usual.edge_p95 <= 2.0
+    assert usual.boundary < 0.15
+
+
+def test_too_much_or_too_little_slope_in_the_comparison_moves_false_shadow(gl, scene, view, real, usual):
+    found = errors_of(visibility(scene, view, bias_scale=50.0), real, 30.0)
+    assert found.false_shadow > 20 * max(usual.false_shadow, 1e-3)
+    found = errors_of(visibility(scene, view, bias_scale=0.0), real, 30.0)
+    assert found.false_shadow > 5 * max(usual.false_shadow, 1e-3)
+
+
+def test_a_sun_wrong_by_one_degree_moves_the_edges(gl, scene, view, real, usual):
+    off = scene.with_sun(SunSpec(azimuth=237, altitude=ALTITUDE + 1.0))
+    found = errors_of(visibility(off, view), real, 30.0)
+    assert found.edge_mean > usual.edge_mean + 0.3 and found.wrong_cast > 3 * usual.wrong_cast
+
+
+def test_a_mirrored_azimuth_moves_false_and_missed_shadow(gl, scene, view, real, usual):
+    mirrored = scene.with_sun(SunSpec(azimuth=360 - 237, altitude=ALTITUDE))
+    found = errors_of(visibility(mirrored, view), real, 30.0)
+    assert found.false_shadow > 0.1 and found.missed_shadow > 0.1 and found.interior > 0.05
+
+
+def test_heights_times_1_02_move_the_edges(gl, view, real, usual, scene):
+    level = scene.loaded.level.model_copy(
+        update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})}
+    )
+    higher = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
+    found = errors_of(visibility(higher, view), real, 30.0)
+    assert found.edge_mean > usual.edge_mean and found.wrong_cast > 1.5 * usual.wrong_cast
+
+
+def test_a_dropped_caster_moves_interior_and_its_parts(gl, write_raster, make_scene):
+    """A ridge outside of the view throws its shadow into it; without the patches outside it is lost."""
+    heights = np.zeros((100, 300), np.float32)
+    heights[:, 40:45] = 300.0
+    ridge = make_scene(write_raster(heights, ENGINEERING, 0, 1000, 10.0), 270, 12)
+    view = ridge.view(bounds=(1000, 200, 2200, 800), size=(240, 120))
+    real = truth_of(*_swap(ridge, geometry(ridge, view)))
+    assert 0.2 < (~real.lit).mean() < 0.9
+    with_it = errors_of(visibility(ridge, view), real, 5.0)
+    without = errors_of(visibility(ridge, view, patches=False), real, 5.0)
+    assert with_it.interior == 0.0 and with_it.missed_shadow < 0.01
+    assert without.interior > 0.2 and without.interior_parts >= 1 and without.missed_shadow > 0.9
+
+
+@pytest.mark.parametrize("azimuth", [270.0, 90.0])
+def test_truth_of_a_wall_ends_where_the_closed_form_says(write_raster, make_scene, azimuth):
+    """A 30 m wall's shadow at 30 degrees ends within a pixel (0.1 m) and a node of the grid (0.06 m) of h / tan(a)."""
+    heights = np.zeros((21, 201), np.float32)
+    heights[:, 99:102] = 30.0  # its top reaches from x = 99.5 to 101.5
+    wall = make_scene(write_raster(heights, ENGINEERING, 0, 21.0, 1.0), azimuth, 30.0)
+    view = wall.view(bounds=(20, 5, 180, 15), size=(1600, 100))
+    frame = render(wall, view, algorithm="truth")
+    x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
+    dark = shadow(frame)[:, (x < 98) | (x > 103)]
+    outside = x[(x < 98) | (x > 103)]
+    end = (101.5 if azimuth == 270.0 else 99.5) + (1 if azimuth == 270.0 else -1) * 30.0 / np.tan(np.radians(30.0))
+    ends = [(outside[row].max() if azimuth == 270.0 else outside[row].min()) for row in dark]
+    np.testing.assert_allclose(ends, end, atol=0.17)
+
+
+def test_pixels_away_from_edges_are_decidable(real):
+    """Boundary pixels lie at edges: each has the other class within two pixels."""
+    from scipy.ndimage import binary_dilation
+
+    near = binary_dilation(real.lit, iterations=2) & binary_dilation(~real.lit, iterations=2)
+    undecided = real.there & ~real.decidable
+    assert undecided.any() and (undecided & ~near).sum() <= 0.02 * undecided.sum() + 0.002 * real.there.sum()
+
+
+def test_more_sub_samples_decide_less(scene, view, real):
+    finer = truth_of(*_swap(scene, geometry(scene, view)), samples=16)
+    np.testing.assert_array_equal(finer.lit, real.lit)
+    assert finer.boundary >= real.boundary - 0.01
+    with pytest.raises(ValueError, match="square"):
+        sub_views(view, 5)
+
+
+@pytest.fixture(scope="module")
+def comparison(scene) -> Comparison:
+    x, y = scene.view().centre
+    return compare(scene, scene.view(bounds=(x - 4000, y - 4000, x + 4000, y + 4000), size=(250, 250)))
+
+
+def test_the_noise_floor_is_far_below_the_errors(gl, comparison, usual):
+    assert comparison.noise_floor < usual.wrong / 3
+    assert 0.0 < comparison.surface < 0.1
+
+
+def test_a_disc_of_directions_has_the_sun_s_size_and_middle():
+    to_sun = np.array([0.3, -0.4, 0.5]) / np.linalg.norm([0.3, -0.4, 0.5])
+    directions = sun_disc(to_sun, 400)
+    angles = np.degrees(np.arccos(np.clip(directions @ to_sun, -1, 1)))
+    assert 0.25 < angles.max() <= 0.2651 and np.allclose(directions.mean(axis=0), to_sun, atol=1e-3)
+    assert (angles < 0.265 / 2**0.5).mean() == pytest.approx(0.5, abs=0.02)  # equal areas
+
+
+def test_soft_truth_is_between_the_classes_and_hard_far_from_edges(scene, view, real):
+    buffer, casters = geometry(scene, view)
+    soft = soft_truth(buffer, scene, casters, samples=16)
+    assert ((soft > 0) & (soft < 1)).mean() > 0.005
+    hard = fill(buffer, scene, casters, truth.TruthSettings(), PassLog())
+    assert soft_error(np.where(buffer.there, hard, np.nan), soft) < 0.1
+    assert ((soft < 0.5) == ~real.lit)[real.decidable].mean() > 0.97
+
+
+def test_coverage_of_truth_by_itself_is_small(scene, view, real):
+    buffer, casters = geometry(scene, view)
+    shares = coverage_truth(buffer, scene, casters, 16)
+    assert np.isfinite(shares).sum() == 256
+    hard = np.where(real.there, (~real.lit).astype(float), np.nan)
+    assert coverage_error(block_shares(hard), shares) < 0.02
+    assert coverage_error(block_shares(1.0 - hard), shares) > 0.3
+
+
+def test_simplification_is_measured(scene):
+    """A grid of the raster's own detail loses little; one of eight times coarser nodes much."""
+    results = {}
+    for zoom in (9, 13):
+        block = block_at(-84.25, 36.58, zoom)
+        buffer, casters = geometry(scene, block)
+        results[zoom] = surface_error(buffer, scene, casters)
+    assert results[13] < 0.02 < results[9]
+
+
+def test_compare_lists_candidates_and_marks_the_front(gl, comparison):
+    names = [row.figures["algorithm"]["sun"]["relief"] for row in comparison.rows]
+    assert names.count("shadow_map") >= 8 and names.count("none") == 1 and "truth" not in names
+    for row in comparison.rows:
+        assert set(row.figures) >= {
+            "algorithm", "settings", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "edge_mean", "edge_p95", "interior",
+            "interior_parts", "coverage", "boundary", "ms_median", "ms_p95", "bytes", "counters", "pareto",
+        }  # fmt: skip
+    front = [row.figures for row in comparison.rows if row.figures["pareto"]]
+    best = min(row.figures["wrong_cast"] for row in comparison.rows)
+    assert any(figures["wrong_cast"] == best for figures in front)
+    sizes = {row.figures["settings"]["sun"]["relief"]["map_size"]: row for row in comparison.rows if row.figures["settings"]}
+    assert sizes[512].figures["wrong"] > sizes[4096].figures["wrong"]
+    assert sizes[512].figures["counters"]["map_texels"] < sizes[4096].figures["counters"]["map_texels"]
+    picture = false_colours(np.zeros((250, 250)), sizes[512])
+    assert (picture == (214, 30, 30)).all(axis=-1).sum() == sizes[512].false_shadow.sum()
+    assert (picture == (30, 70, 214)).all(axis=-1).sum() == sizes[512].missed_shadow.sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("place", "sun", "words"),
+    [
+        ((10.0, 50.0), (237, 10), "no surface"),
+        ((-84.25, 36.58), (237, -5), "sun is down"),
+    ],
+)
+def test_a_view_with_nothing_to_compare_says_so(gl, scene, place, sun, words):
+    elsewhere = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    block = block_at(*place, 12)
+    comparison = compare(elsewhere, block)
+    assert any(words in remark for remark in comparison.remarks)
+    for row in comparison.rows:
+        assert all(np.isfinite(value) for value in row.figures.values() if isinstance(value, float))
+
+
+def test_candidates_are_at_most_forty(scene, view):
+    assert 5 <= len(list(candidates(scene, view))) <= 40
