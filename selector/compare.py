@@ -19,6 +19,7 @@ from shadows.plan import Plan, ShadowMapSettings
 from shadows.registry import ALGORITHMS
 from shadows.render import FILLS
 from shadows.truth import Truth
+from shadows.truth_cache import cached_truth
 from terrain.descriptor import describe
 from terrain.geometry import GeometryBuffer, map_geometry
 from terrain.grid import MapView, blocks_of
@@ -123,7 +124,7 @@ def _ground(scene: Scene, block: MapView, row: int, col: int, fine: bool) -> Gro
     frame = scene.world.frame_near(block.grid.crs, *block.centre)
     buffer = map_geometry(scene.surface(block.grid), block, frame)
     casters = casters_of(scene, buffer)
-    real = truth_module.truth_of(buffer, scene, casters, FINE_SAMPLES if fine else SAMPLES)
+    real = cached_truth(buffer, scene, casters, FINE_SAMPLES if fine else SAMPLES)
     shares = truth_module.coverage_truth(buffer, scene, casters, COVERAGE_PX)
     return Ground(buffer, casters, real, shares, row, col)
 

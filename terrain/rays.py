@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from terrain.errors import RenderError
 from terrain.surface import known_triangles
 
 OFFSET_ULPS = 16.0
@@ -69,7 +70,10 @@ class RayScene:
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]):  # type: ignore[no-untyped-def]
-        from embreex import mesh_construction, rtcore_scene
+        try:
+            from embreex import mesh_construction, rtcore_scene
+        except ImportError:
+            raise RenderError("rays need the package embreex: pip install 'skugga[truth]'") from None
 
         scene = rtcore_scene.EmbreeScene(robust=True)
         for vertices, triangles in parts:

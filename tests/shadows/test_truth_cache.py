@@ -1,0 +1,43 @@
+"""Truth is made once for the same content, and anew for any other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.truth_cache import cached_truth, content_key
+from terrain.geometry import map_geometry
+from terrain.level import SunSpec, load_level
+from terrain.reach import Casters, casters_of
+from terrain.scene import build_scene
+
+
+def test_the_same_content_is_made_once(tmp_path):
+    scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=10))
+    view = scene.view(size=(60, 64))
+    frame = scene.world.frame_near(view.grid.crs, *view.centre)
+    buffer = map_geometry(scene.surface(view.grid), view, frame)
+    casters = casters_of(scene, buffer)
+    made = []
+
+    def make(*args):
+        from shadows.truth import truth_of
+
+        made.append(args)
+        return truth_of(*args)
+
+    one = cached_truth(buffer, scene, casters, 4, tmp_path, make)
+    again = cached_truth(buffer, scene, casters, 4, tmp_path, make)
+    assert len(made) == 1 and one.decidable.any()
+    for name in ("lit", "attached", "decidable", "there"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
+    (stored,) = tmp_path.glob("*.npz")
+    stored.write_bytes(b"damaged")
+    cached_truth(buffer, scene, casters, 4, tmp_path, make)
+    assert len(made) == 2
+    keys = {
+        content_key(buffer, scene, casters, 4),
+        content_key(buffer, scene, casters, 16),
+        content_key(buffer, scene.with_sun(SunSpec(azimuth=237, altitude=10.001)), casters, 4),
+        content_key(buffer, scene, Casters((), casters.reach), 4) if casters.patches else "no patches",
+    }
+    assert len(keys) == 4
