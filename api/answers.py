@@ -1,0 +1,72 @@
+"""Headers of answers: entity tags known before the work, cache rules, timings and caster reach."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from importlib.metadata import version
+
+from fastapi import Request, Response
+from fastapi.responses import JSONResponse
+
+from api.jobs import Block
+
+VERSION = version("skugga")
+
+OWN_SUN_S = 3600
+"""How long a picture under the level's own sun is fresh: the operator may give the level another one."""
+
+GIVEN_SUN_S = 86400
+"""How long a picture under a sun of the request's own is fresh. Not `immutable`: the level's data may still change, and
+asking again costs no rendering."""
+
+FACTS_S = 60
+"""How long what is said of levels is fresh."""
+
+EXPOSED_HEADERS = ("ETag", "Retry-After", "Server-Timing", "X-Skugga-Algorithm", "X-Skugga-Caster-Reach")
+"""What pages of other origins may read."""
+
+
+def tag_of(*parts: object) -> str:
+    """A strong entity tag of everything that an answer depends on; this package's version is one of the parts."""
+    return f'"{hashlib.sha256(repr((VERSION, *parts)).encode()).hexdigest()[:32]}"'
+
+
+def is_fresh(request: Request, tag: str) -> bool:
+    """Whether the client says that it has this very answer (RFC 9110, section 13.1.2: weak comparison)."""
+    given = request.headers.get("if-none-match", "")
+    return given.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in given.split(","))
+
+
+def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
+    """Headers of an answer that caches may keep."""
+    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}"}
+
+
+def json_answer(request: Request, value: object, fresh_s: int = FACTS_S) -> Response:
+    """A JSON answer, or 304 where the client has it."""
+    answer = JSONResponse(value)
+    headers = cache_headers(tag_of(bytes(answer.body)), fresh_s)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    answer.headers.update(headers)
+    return answer
+
+
+def block_headers(block: Block, kept: bool, encode_ms: float) -> dict[str, str]:
+    """What a tile says of its block: the passes that drew it, whether it was drawn for this answer, and caster reach.
+
+    The passes' names are made into tokens: runs of other characters become hyphens.
+    """
+    timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in block.passes]
+    timings += [f"encode;dur={encode_ms:.1f}", f"block;desc={'kept' if kept else 'drawn'}"]
+    return {
+        "Server-Timing": ", ".join(timings),
+        **reach_headers(block.headline, block.reach_used_m, block.reach_needed_m, block.reach_clipped),
+    }
+
+
+def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, clipped: bool = False) -> dict[str, str]:
+    """The algorithm, and how far towards the sun casters were looked for and would have had to be, in whole metres."""
+    reach = f"used={used_m:.0f}; needed={needed_m:.0f}; clipped={'yes' if clipped else 'no'}"
+    return {"X-Skugga-Algorithm": algorithm, "X-Skugga-Caster-Reach": reach}

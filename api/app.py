@@ -1,0 +1,131 @@
+"""The HTTP service: an application of its routes, and the server that runs it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, Request, Response
+from starlette.middleware.cors import CORSMiddleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api import problems, routes_health, routes_levels, routes_tiles, routes_viewer
+from api.answers import EXPOSED_HEADERS, VERSION
+from api.pool import Pool
+from api.render_worker import worker_main
+from api.served import ServedLevels
+from api.service import ClientGoneError, Service
+from api.settings import Settings
+from api.worker_process import WorkerTarget
+
+CLIENT_GONE = 499
+"""Status in the access log of a request whose client has gone, as nginx has it; nobody reads it."""
+
+LAST_ANSWERS_S = 3
+"""How long a stopping server waits for clients to read their answers."""
+
+LOG_CONFIG: dict[str, Any] = {
+    "version": 1,
+    "disable_existing_loggers": False,
+    "formatters": {"line": {"format": "%(asctime)s %(levelname)s %(message)s"}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
+    "loggers": {
+        "skugga": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
+        "uvicorn.error": {"handlers": ["stderr"], "level": "WARNING", "propagate": False},
+        "uvicorn.access": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
+    },
+}
+
+log = logging.getLogger("skugga")
+
+
+def create_app(settings: Settings, levels: Sequence[Path], worker_target: WorkerTarget = worker_main) -> FastAPI:
+    """The application over some level files; its render processes run from its start-up to its shutdown.
+
+    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
+    """
+    service = Service(settings, ServedLevels(levels, settings.remote_sources), Pool(settings, worker_target))
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        service.pool.open()
+        try:
+            yield
+        finally:
+            await service.pool.close()
+
+    app = FastAPI(
+        title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles.",
+        lifespan=lifespan, redoc_url=None,
+    )  # fmt: skip
+    app.state.service = service
+    app.add_middleware(
+        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD"],
+        expose_headers=list(EXPOSED_HEADERS),
+    )  # fmt: skip
+    app.add_middleware(HeadAsGet)
+    problems.install(app)
+    app.add_exception_handler(ClientGoneError, _nobody_reads)
+    for router in (routes_levels.router, routes_tiles.router, routes_health.router):
+        app.include_router(router)
+    routes_viewer.install(app, routes_viewer.STATIC_FOLDER)
+    return app
+
+
+class HeadAsGet:
+    """Answers HEAD as GET without the body."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self.app(scope, receive, send)
+            return
+
+        async def send_head(message: Message) -> None:
+            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+        await self.app({**scope, "method": "GET"}, receive, send_head)
+
+
+class Server(uvicorn.Server):
+    """Says where it listens, and stops without waiting for pictures that are still to be drawn."""
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    async def startup(self, sockets: Any = None) -> None:
+        """Listen."""
+        await super().startup(sockets)
+        if self.started:
+            names = ", ".join(level.name for level in self._service.levels.all())
+            host, port = self.servers[0].sockets[0].getsockname()[:2]
+            log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
+
+    async def shutdown(self, sockets: Any = None) -> None:
+        """End the render processes, answer what waits for them, and stop."""
+        await self._service.pool.close()
+        await super().shutdown(sockets)
+        log.info("Skugga has stopped")
+
+
+def serve(settings: Settings, levels: Sequence[Path]) -> None:
+    """Serve levels until SIGINT or SIGTERM. Raises as ``create_app`` does."""
+    app = create_app(settings, levels)
+    config = uvicorn.Config(
+        app, host=settings.host, port=settings.port, access_log=settings.access_log, log_config=LOG_CONFIG,
+        server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
+    )  # fmt: skip
+    with suppress(KeyboardInterrupt):
+        Server(config, app.state.service).run()
+
+
+async def _nobody_reads(request: Request, error: Exception) -> Response:
+    return Response(status_code=CLIENT_GONE)

@@ -1,0 +1,88 @@
+"""The one table from domain errors to HTTP statuses and exit statuses.
+
+Nothing below ``api`` knows a status, and nothing in ``api`` maps an error anywhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from terrain.errors import (
+    BusyError,
+    GraphicsError,
+    InputError,
+    LevelError,
+    NotFoundError,
+    RenderError,
+    RenderTimeoutError,
+    SkuggaError,
+    SourceError,
+    UnsupportedError,
+)
+
+DONE, FAILED, WRONG_INPUT = 0, 1, 2
+"""Exit statuses."""
+
+
+class NotServedError(NotFoundError):
+    """The service has no such thing; ``name`` is the parameter that names it."""
+
+    def __init__(self, name: str, message: str) -> None:
+        self.name = name
+        super().__init__(message)
+
+
+class WorkerCrashError(RenderError):
+    """A render process ended in the middle of its work."""
+
+
+class NotReadyError(BusyError):
+    """No render process has warmed up yet."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an error means outside: HTTP status, exit status and a stable code.
+
+    ``public`` is the sentence that HTTP clients read; ``None`` lets them read the error's own message. Errors of the
+    work and of the operator's files have messages with paths and drivers' words in them, which are for the log.
+    ``retry_after_s`` tells the client when to come back.
+    """
+
+    status: int
+    exit_status: int
+    code: str
+    public: str | None = None
+    retry_after_s: int | None = None
+
+
+OUTCOMES: dict[type[SkuggaError], Outcome] = {
+    SkuggaError: Outcome(500, FAILED, "error", "The work failed; the service's log says why."),
+    InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
+    LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
+    SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
+    UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
+    NotFoundError: Outcome(404, WRONG_INPUT, "not_found"),
+    NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
+    BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
+    NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
+    RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn; the service's log says why."),
+    WorkerCrashError: Outcome(
+        500, FAILED, "worker_crash", "The render process ended in the middle of this picture; another takes its place."
+    ),
+    GraphicsError: Outcome(
+        503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30
+    ),
+    RenderTimeoutError: Outcome(504, FAILED, "render_timeout"),
+}
+"""Every class of error, each by itself: a test holds the table complete."""
+
+
+def outcome_of(error: SkuggaError) -> Outcome:
+    """What an error means outside."""
+    return OUTCOMES[type(error)]
+
+
+def exit_status(error: SkuggaError) -> int:
+    """Exit status of the command line: 1 the work failed, 2 the input is wrong."""
+    return outcome_of(error).exit_status

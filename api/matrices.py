@@ -1,0 +1,141 @@
+"""Tile matrix sets: which are served, at which zooms a level is, and which tiles its data cannot reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from morecantile import Tile, TileMatrixSet
+from morecantile import tms as registered
+from pyproj import CRS
+
+from api.errors import NotServedError
+from terrain.grid import BLOCK_PX, tile_grid
+from terrain.surface import step_at_anchor_m
+from terrain.world import LONGITUDE_LATITUDE, WGS84, World, transformer
+
+TILE_PX = 256
+BLOCK_TILES = BLOCK_PX // TILE_PX
+
+LEVEL_TILES = 0.5
+"""A level's longest side at the first zoom, about, in tiles."""
+
+OVERZOOMS = 3
+"""Zooms past the one whose pixels are nearest in size to the source's cells."""
+
+LonLatBounds = tuple[float, float, float, float]
+"""West, south, east, north in degrees; east may pass 180."""
+
+
+@dataclass(frozen=True)
+class ZoomRange:
+    """First and last zoom, both inclusive."""
+
+    first: int
+    last: int
+
+
+@lru_cache(maxsize=1)
+def served_matrix_sets() -> dict[str, TileMatrixSet]:
+    """The tile matrix sets whose tiles are 256 x 256 square pixels, counted from the top left, of constant width."""
+    served = {}
+    for name in registered.list():
+        matrix_set = registered.get(name)
+        fits = all(
+            (matrix.tileWidth, matrix.tileHeight) == (TILE_PX, TILE_PX)
+            and not matrix.variableMatrixWidths
+            and matrix.cornerOfOrigin == "topLeft"
+            for matrix in matrix_set.tileMatrices
+        )
+        if fits:
+            served[name] = matrix_set
+    return served
+
+
+def matrix_set_of(name: str) -> TileMatrixSet:
+    """A tile matrix set by its name. Raises ``NotServedError`` that lists the ones served."""
+    served = served_matrix_sets()
+    if name not in served:
+        raise NotServedError("tms", f"There is no tile matrix set {name[:60]!r} here; there are {', '.join(served)}.")
+    return served[name]
+
+
+def zoom_range(
+    matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float
+) -> ZoomRange | None:
+    """The zooms at which a level is served; ``None`` where it lies outside of the tile matrix set's area.
+
+    The first is the one at which the level's longest side is nearest to ``LEVEL_TILES``, so that one or two tiles show
+    it; the last is ``OVERZOOMS`` past the one whose pixels on the ground at the anchor are nearest to its cells' size.
+    """
+    if not _within_area(matrix_set, bounds_lon_lat):
+        return None
+    zooms = np.arange(matrix_set.minzoom, matrix_set.maxzoom + 1)
+    pixel_m = np.array([step_at_anchor_m(world, tile_grid(matrix_set, int(zoom))) for zoom in zooms])
+    if not (np.isfinite(pixel_m) & (pixel_m > 0)).all():
+        return None
+    in_tiles = _longest_side_m(bounds_lon_lat) / (TILE_PX * pixel_m)
+    first = int(np.abs(np.log2(in_tiles / LEVEL_TILES)).argmin())
+    last = min(int(np.abs(np.log2(pixel_m / cell_m)).argmin()) + OVERZOOMS, len(zooms) - 1)
+    return ZoomRange(int(zooms[min(first, last)]), int(zooms[last]))
+
+
+def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y: int) -> None:
+    """Raise ``NotServedError`` for a tile outside of the zooms or of the tile matrix."""
+    if not zooms.first <= zoom <= zooms.last:
+        raise NotServedError("z", f"Zoom {zoom} is not served here; zooms {zooms.first} to {zooms.last} are.")
+    matrix = matrix_set.matrix(zoom)
+    for name, index, count in (("x", x, matrix.matrixWidth), ("y", y, matrix.matrixHeight)):
+        if not 0 <= index < count:
+            raise NotServedError(name, f"Tile {name} = {index} is outside of the matrix; {name} is 0 to {count - 1}.")
+
+
+def doubles(matrix_set: TileMatrixSet, zoom: int) -> bool:
+    """Whether a tile of a zoom is exactly four of the next one."""
+    if zoom >= matrix_set.maxzoom:
+        return False
+    here, next_ = matrix_set.matrix(zoom), matrix_set.matrix(zoom + 1)
+    return here.pointOfOrigin == next_.pointOfOrigin and abs(here.cellSize / next_.cellSize - 2.0) < 1e-9
+
+
+def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
+    """Whether a tile surely shows no data. Compared in longitude and latitude, with a margin for curved edges.
+
+    ``False`` where that cannot be told: the tile is drawn then, and is empty.
+    """
+    edges = matrix_set.xy_bounds(Tile(x, y, zoom))
+    to_lon_lat = transformer(CRS.from_user_input(matrix_set.rasterio_crs.to_wkt()), LONGITUDE_LATITUDE)
+    west, south, east, north = to_lon_lat.transform_bounds(*edges, densify_pts=21)
+    if not np.isfinite([west, south, east, north]).all():
+        return False
+    east += 360.0 if east < west else 0.0
+    data_west, data_south, data_east, data_north = data_lon_lat
+    margin = 0.01 * max(east - west, north - south, data_east - data_west, data_north - data_south)
+    if south > data_north + margin or north < data_south - margin:
+        return True
+    # The tile is turned round the earth to begin at or after the data's western edge.
+    gap = (west - (data_west - margin)) % 360.0
+    begins_inside = gap <= data_east - data_west + 2.0 * margin
+    reaches_round = gap + (east - west) >= 360.0
+    return not (begins_inside or reaches_round)
+
+
+def _within_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
+    code = matrix_set.rasterio_crs.to_epsg()
+    area = None if code is None else CRS.from_epsg(code).area_of_use
+    if area is None:
+        return True
+    west, south, east, north = bounds
+    width = (area.east - area.west) % 360.0 or 360.0
+    overlap_lon = (west - area.west) % 360.0 <= width or (area.west - west) % 360.0 <= east - west
+    return overlap_lon and south < area.north and north > area.south
+
+
+def _longest_side_m(bounds: LonLatBounds) -> float:
+    """The longer of the lengths along the middle parallel, in steps that no geodesic cuts short, and a meridian."""
+    west, south, east, north = bounds
+    lon, lat = np.linspace(west, east, 9), np.full(9, (south + north) / 2)
+    _, _, width = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])
+    _, _, height = WGS84.inv(west, south, west, north)
+    return max(float(np.sum(width)), float(height), 1e-3)

@@ -1,0 +1,208 @@
+"""The render processes of a service: a bounded queue before them, one render for all who want the same, finished blocks
+kept, and a service that goes on when a process hangs or dies."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from api.errors import WorkerCrashError
+from api.jobs import Answer, Block, Failure, Job, PlanAnswer
+from api.render_worker import WorkerConfig, worker_main
+from api.settings import Settings, cores
+from api.worker_process import WorkerProcess, WorkerTarget
+from terrain.cache import ByteCache
+from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+"""Pause before a second start in a row that follows a failure; it doubles from there."""
+
+log = logging.getLogger("skugga")
+
+
+@dataclass(eq=False)
+class _Flight:
+    """A job on its way, and how many wait for it."""
+
+    job: Job
+    answer: asyncio.Future[Answer]
+    waiting: int = 0
+
+
+@dataclass
+class Tally:
+    """What the pool has done since it was started."""
+
+    answered: int = 0
+    failed: int = 0
+    abandoned: int = 0
+    started: int = 0
+
+
+class Pool:
+    """Runs jobs in render processes. To be used from one event loop.
+
+    Equal jobs at the same time are one job. Finished blocks are kept within ``block_cache_bytes``.
+    """
+
+    def __init__(self, settings: Settings, target: WorkerTarget = worker_main) -> None:
+        self._settings = settings
+        self._target = target
+        self._config = WorkerConfig(
+            gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer
+        )
+        self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
+        self._finished: ByteCache[Block] = ByteCache(settings.block_cache_bytes, lambda block: block.nbytes)
+        self._flights: dict[Job, _Flight] = {}
+        self._queue: OrderedDict[Job, _Flight] = OrderedDict()
+        self._news = asyncio.Event()
+        self._slots: list[asyncio.Task[None]] = []
+        self._start_error: SkuggaError | None = None
+        self._closed = False
+        self.renderer: str | None = None
+        self.pids: set[int] = set()
+        self.tally = Tally()
+
+    @property
+    def ready(self) -> bool:
+        """Whether a render process has warmed up."""
+        return bool(self.pids)
+
+    @property
+    def queued(self) -> int:
+        """Jobs that wait for a process."""
+        return len(self._queue)
+
+    def finished(self, job: Job) -> Block | None:
+        """A block that is kept."""
+        return self._finished.get(job)
+
+    def open(self) -> None:
+        """Start the processes; returns at once."""
+        self._slots = [asyncio.create_task(self._slot()) for _ in range(self._settings.workers)]
+
+    async def close(self) -> None:
+        """End the processes and fail what is on its way."""
+        self._closed = True
+        for slot in self._slots:
+            slot.cancel()
+        await asyncio.gather(*self._slots, return_exceptions=True)
+        self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
+        self._threads.shutdown(wait=True)
+
+    async def run(self, job: Job) -> Block | PlanAnswer:
+        """The answer to a job, from memory where it is kept.
+
+        Raises ``BusyError`` where the queue is full, ``GraphicsError`` where no process can be started,
+        ``RenderTimeoutError``, ``WorkerCrashError``, and what the work itself raises. A job that nobody waits for any
+        more is dropped unless it has begun.
+        """
+        kept = self._finished.get(job)
+        if kept is not None:
+            return kept
+        flight = self._flights.get(job) or self._enqueue(job)
+        flight.waiting += 1
+        try:
+            answer = await asyncio.shield(flight.answer)
+        finally:
+            flight.waiting -= 1
+            if not flight.waiting and self._queue.get(job) is flight:
+                del self._queue[job], self._flights[job]
+                flight.answer.cancel()
+                self.tally.abandoned += 1
+        if isinstance(answer, Failure):
+            raise answer.error()
+        return answer
+
+    def _enqueue(self, job: Job) -> _Flight:
+        if self._closed:
+            raise BusyError("The service is shutting down.")
+        if self._start_error is not None and not self.ready:
+            raise GraphicsError(str(self._start_error))
+        if len(self._queue) >= self._settings.queue_length:
+            raise BusyError(f"The service is busy: {len(self._queue)} blocks are waiting to be drawn.")
+        flight = _Flight(job, asyncio.get_running_loop().create_future())
+        # An error that nobody waits for any more is no news.
+        flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
+        self._flights[job] = self._queue[job] = flight
+        self._news.set()
+        return flight
+
+    async def _slot(self) -> None:
+        """Keep one process running, whatever happens to it."""
+        failures = 0
+        while True:
+            if failures > 1:
+                await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
+            worker = WorkerProcess(self._target, self._config, self._threads, self._news.set)
+            try:
+                healthy = await self._start_and_serve(worker)
+            finally:
+                self.pids.discard(worker.pid or 0)
+                await worker.end()
+            failures = 0 if healthy else failures + 1
+
+    async def _start_and_serve(self, worker: WorkerProcess) -> bool:
+        """Whether the process ended in good order or at least after good work."""
+        try:
+            began = asyncio.get_running_loop().time()
+            self.renderer = (await worker.start(self._settings.start_timeout_s)).renderer
+        except SkuggaError as error:
+            log.error("a render process could not be started: %s", error)
+            self._start_error = error
+            if not self.ready:
+                self._fail_all(GraphicsError(str(error)), list(self._queue.values()))
+            return False
+        took = asyncio.get_running_loop().time() - began
+        self._start_error = None
+        self.tally.started += 1
+        self.pids.add(worker.pid or 0)
+        log.info("render process %s ready after %.1f s: %s", worker.pid, took, self.renderer)
+        return await self._serve(worker)
+
+    async def _serve(self, worker: WorkerProcess) -> bool:
+        for count in range(self._settings.recycle_blocks):
+            flight = await self._next(worker)
+            if flight is None:
+                log.error("render process %s died while it was idle", worker.pid)
+                return count > 0
+            try:
+                answer = await worker.ask(flight.job, self._settings.render_timeout_s)
+            except (RenderTimeoutError, WorkerCrashError) as error:
+                log.error("render process %s is replaced: %s", worker.pid, error)
+                self._land(flight, error)
+                return count > 0
+            self._land(flight, answer)
+            if isinstance(answer, Failure) and answer.fatal:
+                log.error("render process %s is replaced: %s", worker.pid, answer.message)
+                return count > 0
+        log.info("render process %s is replaced after %d blocks", worker.pid, self._settings.recycle_blocks)
+        return True
+
+    async def _next(self, worker: WorkerProcess) -> _Flight | None:
+        """The next job of the queue; ``None`` where the process dies while it waits for one."""
+        while not worker.dead:
+            if self._queue:
+                return self._queue.popitem(last=False)[1]
+            self._news.clear()
+            await self._news.wait()
+        return None
+
+    def _land(self, flight: _Flight, answer: Answer | SkuggaError) -> None:
+        self._flights.pop(flight.job, None)
+        if isinstance(answer, SkuggaError):
+            self.tally.failed += 1
+            flight.answer.set_exception(answer)
+        else:
+            self.tally.answered += 1
+            if isinstance(answer, Block):
+                self._finished.put(flight.job, answer)
+            flight.answer.set_result(answer)
+
+    def _fail_all(self, error: SkuggaError, flights: list[_Flight]) -> None:
+        for flight in flights:
+            self._queue.pop(flight.job, None)
+            self._land(flight, error)

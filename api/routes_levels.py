@@ -1,0 +1,106 @@
+"""What is served: levels, TileJSON and plans."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Depends, Query, Request
+from starlette.concurrency import run_in_threadpool
+
+from api.answers import json_answer
+from api.jobs import PlanAnswer, PlanJob
+from api.parameters import PICTURE_PARAMETERS, Layer, TileFormat, Wishes, only, wishes
+from api.problems import problem_docs
+from api.service import TheService, unless_gone
+
+router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
+
+
+@router.get("/levels", summary="The levels", dependencies=[Depends(only())])
+async def levels(request: Request, service: TheService) -> list[dict[str, Any]]:
+    """Every level: its name, title, attribution, bounds in degrees, zooms, views, layers, algorithms and sun.
+
+    `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.
+    """
+    served = await run_in_threadpool(service.levels.all)
+    return json_answer(request, [level.summary() for level in served])  # type: ignore[return-value]
+
+
+@router.get("/levels/{level}", summary="A level", dependencies=[Depends(only())])
+async def level(request: Request, service: TheService, level: str) -> dict[str, Any]:
+    """One level, as in the list."""
+    return json_answer(request, (await service.level(level)).summary())  # type: ignore[return-value]
+
+
+@router.get(
+    "/levels/{level}/{tms}/tilejson.json",
+    summary="TileJSON",
+    dependencies=[Depends(only("layer", "format", *PICTURE_PARAMETERS))],
+)
+async def tilejson(
+    request: Request,
+    service: TheService,
+    level: str,
+    tms: str,
+    wanted: Annotated[Wishes, Depends(wishes)],
+    layer: Layer = "color",
+    format: Annotated[TileFormat, Query(description="Of the tiles.")] = "png",
+) -> dict[str, Any]:
+    """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
+
+    Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
+    `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun).
+    """
+    served = await service.level(level)
+    zooms = served.zooms_in(tms)
+    sun = await run_in_threadpool(served.sun, wanted.sun)
+    where = None if sun is None else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
+    if sun is not None and sun.time is not None:
+        where = {"time": sun.time.isoformat(), **where}
+    assert served.bounds is not None  # it has zooms, so it has a place on earth
+    west, south, east, north = served.bounds
+    query = wanted.query(**({} if layer == "color" else {"layer": layer}))
+    address = f"{_base_url(request, service.settings.public_url)}/levels/{quote(served.name)}/tiles/{tms}"
+    tiles = f"{address}/{{z}}/{{x}}/{{y}}.{format}"
+    return json_answer(  # type: ignore[return-value]
+        request,
+        {
+            "tilejson": "3.0.0",
+            "name": served.loaded.level.title or served.name,
+            "attribution": served.loaded.level.attribution,
+            "scheme": "xyz",
+            "tiles": [f"{tiles}?{query}" if query else tiles],
+            "minzoom": zooms.first,
+            "maxzoom": zooms.last,
+            "bounds": [west, south, east, north],
+            "center": [(west + east) / 2, (south + north) / 2, zooms.first],
+            "skugga": {"layer": layer, "tile_matrix_set": tms, "sun": where},
+        },
+    )
+
+
+@router.get(
+    "/levels/{level}/plan",
+    summary="The plan of a view",
+    dependencies=[Depends(only("view", *PICTURE_PARAMETERS))],
+    responses=problem_docs(500, 503, 504),
+)
+async def plan(
+    request: Request,
+    service: TheService,
+    level: str,
+    wanted: Annotated[Wishes, Depends(wishes)],
+    view: Annotated[str, Query(max_length=100, description="A view of the level.")] = "map",
+) -> dict[str, Any]:
+    """What the selector chooses for a view, and why."""
+    served = await service.level(level)
+    job = PlanJob(level=served.key, view=view, sun=wanted.sun, overrides=wanted.overrides)
+    answer = await unless_gone(request, service.pool.run(job))
+    assert isinstance(answer, PlanAnswer)
+    return json_answer(request, json.loads(answer.plan_json))  # type: ignore[return-value]
+
+
+def _base_url(request: Request, public_url: str | None) -> str:
+    return (public_url or str(request.base_url)).rstrip("/")

@@ -1,0 +1,124 @@
+"""Tiles."""
+
+from __future__ import annotations
+
+import time as clock
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from api.answers import GIVEN_SUN_S, OWN_SUN_S, block_headers, cache_headers, is_fresh, reach_headers, tag_of
+from api.errors import NotServedError
+from api.jobs import Block, BlockJob
+from api.matrices import check_tile, doubles, matrix_set_of, off_data
+from api.parameters import PICTURE_PARAMETERS, Layer, TileFormat, Wishes, only, wishes
+from api.problems import problem_docs
+from api.service import Service, TheService, unless_gone
+from api.tiles import MEDIA_TYPES, block_of_tile, check_format, cut, empty_tile, encode
+
+PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.",
+        "content": {media_type: {} for media_type in MEDIA_TYPES.values()},
+    },
+    304: {"description": "The client has it."},
+    **problem_docs(404, 422, 500, 503, 504),
+}
+
+router = APIRouter(
+    tags=["tiles"],
+    dependencies=[Depends(only("layer", *PICTURE_PARAMETERS))],
+    responses=PICTURE_DOCS,
+    default_response_class=Response,
+)
+
+Format = Annotated[TileFormat, Path(description="WebP is lossless for `shadow` and `mask`; JPEG is for `color` alone.")]
+
+
+@router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
+async def double_tile(
+    request: Request,
+    service: TheService,
+    level: str,
+    tms: str,
+    z: int,
+    x: int,
+    y: int,
+    format: Format,
+    wanted: Annotated[Wishes, Depends(wishes)],
+    layer: Layer = "color",
+) -> Response:
+    """The four tiles of the next zoom that cover the tile, for dense screens."""
+    return await _answer(request, service, level, tms, (z, x, y), 2, format, wanted, layer)
+
+
+@router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}", summary="A tile of 256 x 256 pixels")
+async def tile(
+    request: Request,
+    service: TheService,
+    level: str,
+    tms: str,
+    z: int,
+    x: int,
+    y: int,
+    format: Format,
+    wanted: Annotated[Wishes, Depends(wishes)],
+    layer: Layer = "color",
+) -> Response:
+    """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
+    return await _answer(request, service, level, tms, (z, x, y), 1, format, wanted, layer)
+
+
+async def _answer(
+    request: Request,
+    service: Service,
+    name: str,
+    tms: str,
+    zxy: tuple[int, int, int],
+    scale: int,
+    format: str,
+    wanted: Wishes,
+    layer: str,
+) -> Response:
+    level, matrix_set = await service.level(name), matrix_set_of(tms)
+    check_tile(matrix_set, level.zooms_in(tms), *zxy)
+    if scale == 2 and not doubles(matrix_set, zxy[0]):
+        raise NotServedError("z", f"{tms} has no tiles of twice the pixels at zoom {zxy[0]}.")
+    check_format(layer, format)
+    assert level.data_bounds is not None  # it has zooms, so it has a place on earth
+    empty = off_data(matrix_set, *zxy, level.data_bounds)
+    if empty and service.settings.empty_tile == "404":
+        raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
+
+    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
+    asked = (level.version, name, tms, zxy, scale, format, layer, wanted.query())
+    headers = cache_headers(tag_of(service.pool.renderer, *asked), fresh_s)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    if empty:
+        if service.settings.empty_tile == "204":
+            return Response(status_code=204, headers=headers)
+        body = await run_in_threadpool(empty_tile, layer, format, scale)
+        return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
+
+    zoom, x, y = zxy[0] + scale - 1, zxy[1] * scale, zxy[2] * scale
+    block_x, block_y = block_of_tile(x, y)
+    job = BlockJob(
+        level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y,
+        sun=wanted.sun, overrides=wanted.overrides,
+    )  # fmt: skip
+    kept = service.pool.finished(job) is not None
+    block = await unless_gone(request, service.pool.run(job))
+    assert isinstance(block, Block)
+    body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
+    headers = cache_headers(tag_of(block.renderer, *asked), fresh_s)
+    headers |= block_headers(block, kept, encode_ms)
+    return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
+
+
+def _encoded(block: Block, x: int, y: int, layer: str, tiles: int, format: str) -> tuple[bytes, float]:
+    """The bytes of a picture and the milliseconds that they took."""
+    start = clock.perf_counter()
+    body = encode(cut(block, x, y, layer, tiles), layer, format)
+    return body, (clock.perf_counter() - start) * 1000.0

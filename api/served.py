@@ -1,0 +1,193 @@
+"""The levels of a service: what is known of each without drawing it, and whether its files have changed."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from api.errors import NotServedError
+from api.jobs import LevelKey
+from api.layers import PictureLayer
+from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
+from shadows.registry import ALGORITHMS
+from terrain.bundled import BUNDLED
+from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
+from terrain.level import LoadedLevel, SunSpec, algorithm_choice, load_level
+from terrain.scene import Scene, build_scene
+from terrain.sun import Sun, sun_of
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+DEFAULT_MATRIX_SET = "WebMercatorQuad"
+
+SERVED_ALGORITHMS = tuple(name for name, algorithm in ALGORITHMS.items() if algorithm.served)
+"""Algorithms that may be drawn with over HTTP."""
+
+log = logging.getLogger("skugga")
+
+
+@dataclass(frozen=True)
+class ServedLevel:
+    """A level as the service knows it. ``version`` changes with the level's text and its raster.
+
+    ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
+    a flat world. ``zooms`` are by tile matrix set.
+    """
+
+    loaded: LoadedLevel
+    version: str
+    world: World
+    bounds: LonLatBounds | None
+    data_bounds: LonLatBounds | None
+    zooms: dict[str, ZoomRange]
+
+    @property
+    def name(self) -> str:
+        """The level's name in addresses."""
+        return self.loaded.name
+
+    @property
+    def key(self) -> LevelKey:
+        """What render processes are told."""
+        return LevelKey(path=self.loaded.path, version=self.version)
+
+    def zooms_in(self, matrix_set: str) -> ZoomRange:
+        """The zooms of a tile matrix set.
+
+        Raises ``NotServedError`` for an unknown one or one elsewhere on earth, ``UnsupportedError`` in a flat world.
+        """
+        matrix_set_of(matrix_set)
+        if self.world.flat:
+            raise UnsupportedError("level", self.name, "its engineering CRS has no place on earth, so it has no tiles")
+        if matrix_set not in self.zooms:
+            raise NotServedError("tms", f"{self.name} lies outside of {matrix_set}; it has {', '.join(self.zooms)}.")
+        return self.zooms[matrix_set]
+
+    def sun(self, spec: SunSpec | None) -> Sun | None:
+        """The sun of a request, or the level's own; ``None`` where it has none. Raises ``InputError``."""
+        own = self.loaded.level.sun
+        chosen = spec if spec is not None else None if own == "none" else own
+        return None if chosen is None else sun_of(chosen, self.world)
+
+    def summary(self) -> dict[str, Any]:
+        """What ``/levels`` says of it; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
+        level, zooms = self.loaded.level, self.zooms.get(DEFAULT_MATRIX_SET)
+        sun = None if level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
+        return {
+            "name": self.name,
+            "title": level.title or self.name,
+            "attribution": level.attribution,
+            "bounds": self.bounds,
+            "minzoom": zooms and zooms.first,
+            "maxzoom": zooms and zooms.last,
+            "views": list(level.views),
+            "layers": list(get_args(PictureLayer)),
+            "algorithms": list(SERVED_ALGORITHMS),
+            "sun": sun,
+            "tile_matrix_sets": {
+                name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()
+            },
+        }
+
+
+class ServedLevels:
+    """The levels by name. A level whose file or raster changes on disk is read anew when it is next asked for.
+
+    Reads files: to be used from threads other than the event loop's. Raises ``LevelError``, ``SourceError`` or
+    ``InputError`` for a level that cannot be served, naming it.
+    """
+
+    def __init__(self, paths: Sequence[Path], remote_sources: bool = False) -> None:
+        self._remote_sources = remote_sources
+        self._lock = threading.Lock()
+        self._levels: dict[str, tuple[tuple[Any, ...], ServedLevel]] = {}
+        for path in paths:
+            level = self._read(Path(path))
+            if level.name in self._levels:
+                raise InputError("LEVEL", str(path), f"files of different names: there is a '{level.name}' already")
+            self._levels[level.name] = _stamps(level.loaded), level
+
+    def get(self, name: str) -> ServedLevel:
+        """A level as it is now. Raises ``NotServedError``, or what reading raises if it was broken since."""
+        if name not in self._levels:
+            raise NotServedError("level", f"There is no level {name[:60]!r} here; there are {', '.join(self._levels)}.")
+        with self._lock:
+            stamps, level = self._levels[name]
+            now = _stamps(level.loaded)
+            if now != stamps:
+                level = self._read(level.loaded.path)
+                self._levels[name] = _stamps(level.loaded), level
+                log.info("level %s has changed and was read anew", name)
+            return level
+
+    def all(self) -> list[ServedLevel]:
+        """All levels as they are now; one that was broken since is left out."""
+        levels = []
+        for name in self._levels:
+            try:
+                levels.append(self.get(name))
+            except SkuggaError as error:
+                log.error("level %s: %s", name, error)
+        return levels
+
+    def _read(self, path: Path) -> ServedLevel:
+        loaded = load_level(path)
+        if not self._remote_sources and not _is_local(loaded.source):
+            raise LevelError(
+                f"{path}: terrain.source", loaded.level.terrain.source,
+                "a local file; SKUGGA_REMOTE_SOURCES=true allows what is not",
+            )  # fmt: skip
+        if not names_in(loaded.level.shadows.algorithm) <= set(SERVED_ALGORITHMS):
+            raise LevelError(
+                f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
+                f"in a level that is served: {', '.join(['auto', *SERVED_ALGORITHMS])}",
+            )  # fmt: skip
+        # Without its sun: a time needs the sun's library, which the service may never need.
+        scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
+        try:
+            return _served(loaded, scene)
+        finally:
+            scene.elevation.close()
+
+
+def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
+    """The algorithms that an override names, whichever way it is spelt."""
+    if algorithm is None:
+        return set()
+    return {name for kinds in algorithm_choice(algorithm).values() for name in kinds.values()}
+
+
+def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
+    world, bounds, data_bounds, zooms = scene.world, scene.bounds_lon_lat, None, {}
+    if bounds is not None:
+        west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
+            *scene.elevation_bounds, densify_pts=21
+        )
+        data_bounds = (west, south, east + 360.0 if east < west else east, north)
+        cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
+        found = {name: zoom_range(each, world, bounds, cell_m) for name, each in served_matrix_sets().items()}
+        zooms = {name: range_ for name, range_ in found.items() if range_ is not None}
+    text = repr((loaded.digest, _stamp(Path(loaded.source))))
+    version = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return ServedLevel(loaded, version, world, bounds, data_bounds, zooms)
+
+
+def _stamps(loaded: LoadedLevel) -> tuple[Any, ...]:
+    return _stamp(loaded.path), _stamp(Path(loaded.source))
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Time of the last change and size of a file; ``None`` where there is no such file, as for bundled data."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+def _is_local(source: str) -> bool:
+    return source in BUNDLED or not ("://" in source or source.startswith("/vsi"))

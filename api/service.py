@@ -1,0 +1,61 @@
+"""What the routes share, and how they wait for work."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Depends, Request
+from starlette.concurrency import run_in_threadpool
+
+from api.pool import Pool
+from api.served import ServedLevel, ServedLevels
+from api.settings import Settings
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Service:
+    """Settings, levels and render processes of an application."""
+
+    settings: Settings
+    levels: ServedLevels
+    pool: Pool
+
+    async def level(self, name: str) -> ServedLevel:
+        """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
+        return await run_in_threadpool(self.levels.get, name)
+
+
+class ClientGoneError(Exception):
+    """The client has closed the connection: nobody reads the answer."""
+
+
+def service_of(request: Request) -> Service:
+    """The dependency."""
+    return request.app.state.service
+
+
+TheService = Annotated[Service, Depends(service_of)]
+
+
+async def unless_gone(request: Request, work: Coroutine[Any, Any, T]) -> T:
+    """The result of work, which is cancelled when the client goes away. Raises ``ClientGoneError``."""
+    working = asyncio.ensure_future(work)
+    gone = asyncio.ensure_future(_gone(request))
+    try:
+        await asyncio.wait({working, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise ClientGoneError
+        return working.result()
+    finally:
+        working.cancel()
+        gone.cancel()
+
+
+async def _gone(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass

@@ -1,0 +1,78 @@
+"""Settings of the service, from environment variables ``SKUGGA_*``."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, field_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from terrain.errors import InputError
+
+MAX_DEFAULT_WORKERS = 4
+"""Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
+
+
+def cores() -> int:
+    """CPU cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def default_workers() -> int:
+    """One render process per core: answering takes little, and processes draw more blocks than a rasteriser's threads."""
+    return min(cores(), MAX_DEFAULT_WORKERS)
+
+
+class Settings(BaseSettings):
+    """How the service runs. Every field is an environment variable: ``workers`` is ``SKUGGA_WORKERS``.
+
+    Times are in seconds, sizes in bytes.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="SKUGGA_", frozen=True, env_ignore_empty=True)
+
+    host: str = Field(default="127.0.0.1", description="Address to listen on.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
+    public_url: str | None = Field(
+        default=None,
+        pattern=r"^https?://[^/?#]+[^?#]*$",
+        description="Where clients reach the service, for the addresses in TileJSON; default: as the request has it.",
+    )
+    access_log: bool = Field(default=False, description="Log every request.")
+    cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
+        default=("*",), description="Origins whose pages may read the answers, separated by commas."
+    )
+    workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
+    queue_length: int = Field(default=32, ge=1, description="Blocks that may wait to be drawn; more are refused.")
+    render_timeout_s: float = Field(default=60.0, gt=0, description="A block that takes longer is given up.")
+    start_timeout_s: float = Field(default=300.0, gt=0, description="A render process that starts longer is given up.")
+    recycle_blocks: int = Field(default=1000, ge=1, description="Blocks after which a render process is replaced.")
+    block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each).")
+    empty_tile: Literal["transparent", "204", "404"] = Field(
+        default="transparent", description="Answer for a tile inside the zooms but off the data."
+    )
+    remote_sources: bool = Field(default=False, description="Whether levels may name rasters that are not local files.")
+    expect_renderer: str | None = Field(
+        default=None, description="Part of the OpenGL renderer's name without which no render process starts."
+    )
+
+    @field_validator("cors_origins", mode="before")
+    @classmethod
+    def _split(cls, value: Any) -> Any:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+
+def load_settings(**given: Any) -> Settings:
+    """Settings of the environment, with the ones given (as from a command line) going before them.
+
+    Raises ``InputError`` that names the environment variable or the argument.
+    """
+    try:
+        return Settings(**given)
+    except ValidationError as error:
+        detail = error.errors()[0]
+        field = str(detail["loc"][0])
+        name = field if field in given else f"SKUGGA_{field.upper()}"
+        allowed = detail["msg"].removeprefix("Input should be ")
+        raise InputError(name, detail["input"], allowed[:1].lower() + allowed[1:]) from None

@@ -1,0 +1,66 @@
+"""Tiles: which block holds one, how it is cut from it, and its bytes."""
+
+from __future__ import annotations
+
+import io
+from functools import lru_cache
+
+import numpy as np
+from PIL import Image
+
+from api.jobs import Block
+from api.layers import MASK_NO_SURFACE, encode_picture, layer_of
+from api.matrices import BLOCK_TILES, TILE_PX
+from terrain.errors import InputError
+
+MEDIA_TYPES = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
+
+LOSSY_QUALITY = 90
+"""Of JPEG, and of WebP where a picture is to be looked at and not to be computed with."""
+
+
+def block_of_tile(x: int, y: int) -> tuple[int, int]:
+    """Block (x, y) of a zoom that holds a tile of it."""
+    return x // BLOCK_TILES, y // BLOCK_TILES
+
+
+def cut(block: Block, x: int, y: int, layer: str, tiles: int = 1) -> np.ndarray:
+    """A picture layer of ``tiles`` x ``tiles`` tiles of a block, (x, y) being the north-western one in its matrix.
+
+    The tiles must lie in one block.
+    """
+    row, col = (index % BLOCK_TILES * TILE_PX for index in (y, x))
+    # Picture layers are made of what blocks and frames have in common.
+    return layer_of(block.part(row, col, tiles * TILE_PX), layer)  # type: ignore[arg-type]
+
+
+def check_format(layer: str, format: str) -> None:
+    """Raise ``InputError`` where a format cannot hold a layer."""
+    if format == "jpg" and layer != "color":
+        raise InputError("format", format, f"png, webp for layer {layer}")
+
+
+def encode(array: np.ndarray, layer: str, format: str) -> bytes:
+    """The bytes of a picture. Data layers are without loss; JPEG has white where there is no surface."""
+    if layer == "color" and format == "webp":
+        return _save(Image.fromarray(array), "WEBP", quality=LOSSY_QUALITY, method=2)
+    if format == "jpg":
+        ground = Image.new("RGB", array.shape[1::-1], "white")
+        image = Image.fromarray(array)
+        ground.paste(image, mask=image.getchannel("A"))
+        return _save(ground, "JPEG", quality=LOSSY_QUALITY)
+    return encode_picture(array, f".{format}")
+
+
+@lru_cache(maxsize=32)
+def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
+    """A tile without a surface."""
+    side = tiles * TILE_PX
+    array = np.full((side, side), MASK_NO_SURFACE, np.uint8) if layer == "mask" else np.zeros((side, side, 4), np.uint8)
+    return encode(array, layer, format)
+
+
+def _save(image: Image.Image, kind: str, **options: int) -> bytes:
+    out = io.BytesIO()
+    image.save(out, kind, **options)
+    return out.getvalue()

@@ -1,0 +1,86 @@
+"""What a render process does before it says that it is ready: import, compile, draw a block whose answer is known."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from morecantile import tms as matrix_sets
+from rasterio.crs import CRS
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain import gl
+from terrain.descriptor import describe
+from terrain.errors import GraphicsError
+from terrain.grid import BLOCK_PX, MapView, tile_grid
+from terrain.level import Level, LoadedLevel
+from terrain.scene import build_scene
+from terrain.sun import apparent_position
+
+CELL_M, CELLS, WALL_M = 30.0, 64, 300.0
+"""A plain of 64 x 64 cells with a wall from north to south in its middle."""
+
+ZOOM = 12
+"""At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
+
+BESIDE_M = 240.0
+"""Where the plain is looked at, on both sides of the wall: inside the shadow and on the sunny side."""
+
+
+def warm_up(expect_renderer: str | None = None) -> str:
+    """Pay every first cost and prove that shadows are drawn where they belong; returns the renderer's name.
+
+    Raises ``GraphicsError`` if OpenGL is missing, is another renderer than expected, or draws wrongly.
+    """
+    device = gl.device()
+    if expect_renderer is not None and expect_renderer not in device.renderer:
+        raise GraphicsError(f"the OpenGL renderer is '{device.renderer}', not '{expect_renderer}' as expected")
+    apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
+    west, east = _visibility_beside_wall()
+    if not (west > 0.99 and east < 0.01):
+        raise GraphicsError(
+            f"'{device.renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it"
+        )
+    return device.renderer
+
+
+def _visibility_beside_wall() -> tuple[float, float]:
+    """Visibility of the plain west (towards the sun) and east of the wall."""
+    heights = np.zeros((CELLS, CELLS), np.float32)
+    heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_M
+    left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
+    with MemoryFile(ext=".tif") as memory:
+        with memory.open(
+            driver="GTiff", width=CELLS, height=CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
+            transform=from_origin(left, top, CELL_M, CELL_M),
+        ) as dataset:  # fmt: skip
+            dataset.write(heights, 1)
+        level = Level.model_validate(
+            {
+                "version": 1,
+                "terrain": {"source": memory.name, "units": "m"},
+                "sun": {"azimuth": 270, "altitude": 30},
+                "shadows": {"algorithm": "shadow_map"},
+            }
+        )
+        scene = build_scene(LoadedLevel(name="warm-up", path=Path("warm-up"), level=level, digest=""))
+        grid = tile_grid(matrix_sets.get("WebMercatorQuad"), ZOOM)
+        wall_x, wall_y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+        row, col = (grid.y0 - wall_y) / grid.step, (wall_x - grid.x0) / grid.step
+        view = MapView(
+            grid, row // BLOCK_PX * BLOCK_PX, col // BLOCK_PX * BLOCK_PX, 1.0, 1.0, BLOCK_PX, BLOCK_PX
+        )  # fmt: skip
+        frame = render_frame(scene, view, choose(describe(scene, view), level))
+        scene.elevation.close()
+    away = BESIDE_M / grid.step
+    row, cols = int(row % BLOCK_PX), (int(np.rint(col % BLOCK_PX - away)), int(np.rint(col % BLOCK_PX + away)))
+    return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
+
+
+def _mercator_m(lon_deg: float, lat_deg: float) -> tuple[float, float]:
+    point = matrix_sets.get("WebMercatorQuad").xy(lon_deg, lat_deg)
+    return point.x, point.y

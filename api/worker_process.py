@@ -1,0 +1,106 @@
+"""One render process as the service sees it: started, asked, watched and ended. All waiting is done in threads."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import Executor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+from api.errors import WorkerCrashError
+from api.jobs import Answer, Failure, Job, Ready
+from api.render_worker import WorkerConfig
+from terrain.errors import GraphicsError, RenderTimeoutError
+
+JOIN_S = 5.0
+"""How long a killed process may take to be gone."""
+
+T = TypeVar("T")
+
+WorkerTarget = Callable[[Connection, WorkerConfig], None]
+
+
+class WorkerProcess:
+    """A process that runs ``target(pipe, config)``. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
+
+    ``on_death`` is called in the event loop when it ends by itself.
+    """
+
+    def __init__(
+        self, target: WorkerTarget, config: WorkerConfig, threads: Executor, on_death: Callable[[], None]
+    ) -> None:
+        spawn = get_context("spawn")
+        self._pipe, self._theirs = spawn.Pipe()
+        self._process = spawn.Process(target=target, args=(self._theirs, config), name="skugga-render", daemon=True)
+        self._threads, self._on_death = threads, on_death
+        self._in_thread: asyncio.Future[Any] | None = None
+        self._watched: int | None = None
+        self.dead = False
+
+    @property
+    def pid(self) -> int | None:
+        """Process id, once started."""
+        return self._process.pid
+
+    async def start(self, timeout_s: float) -> Ready:
+        """Start the process and wait until it has warmed up.
+
+        Raises ``GraphicsError`` or the process's own error where it does not.
+        """
+        try:
+            await self._thread(self._process.start)
+        except OSError as error:
+            raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
+        self._theirs.close()  # else its end would not be noticed
+        self._watched = self._process.sentinel
+        asyncio.get_running_loop().add_reader(self._watched, self._note_death)
+        try:
+            answer = await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s)
+        except TimeoutError:
+            raise GraphicsError(f"a render process did not warm up within {timeout_s:g} s") from None
+        except (EOFError, OSError):
+            raise GraphicsError("a render process ended while it warmed up") from None
+        if isinstance(answer, Failure):
+            raise answer.error()
+        return answer
+
+    async def ask(self, job: Job, timeout_s: float) -> Answer:
+        """The answer to a job. After a ``WorkerCrashError`` or ``RenderTimeoutError`` the process is of no more use."""
+        try:
+            self._pipe.send(job)
+            return await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s)
+        except TimeoutError:
+            raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
+        except Exception as error:  # the pipe broke, or brought what cannot be read
+            raise WorkerCrashError(f"render process {self.pid} ended in the middle of {job!r}: {error!r}") from None
+
+    async def end(self) -> None:
+        """End the process at once. It holds nothing that would be lost."""
+        if self._in_thread is not None and self.pid is None:
+            await asyncio.wait({self._in_thread})  # it is just being started
+        self._unwatch()
+        if self.pid is not None:
+            self._process.kill()
+            await asyncio.get_running_loop().run_in_executor(None, self._process.join, JOIN_S)
+        if self._in_thread is not None:
+            await asyncio.wait({self._in_thread})  # a closed pipe's number could be another file's before it is read
+        self._pipe.close()
+        self._theirs.close()
+
+    async def _thread(self, function: Callable[[], T]) -> T:
+        """Run in a thread, which goes on where the waiting is given up: it ends with the process."""
+        self._in_thread = asyncio.get_running_loop().run_in_executor(self._threads, function)
+        self._in_thread.add_done_callback(lambda done: done.cancelled() or done.exception())
+        return await asyncio.shield(self._in_thread)
+
+    def _note_death(self) -> None:
+        self._unwatch()
+        self.dead = True
+        self._on_death()
+
+    def _unwatch(self) -> None:
+        if self._watched is not None:
+            asyncio.get_running_loop().remove_reader(self._watched)
+            self._watched = None

@@ -1,0 +1,112 @@
+"""A service over small levels, with one real render process for all tests of a run, and services with fake ones."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import rasterio
+import uvicorn
+from affine import Affine
+from fastapi import FastAPI
+from morecantile import tms as matrix_sets
+
+from api.app import LOG_CONFIG, Server, create_app
+from api.service import Service
+from api.settings import Settings
+from api.worker_process import WorkerTarget
+from tests.conftest import ENGINEERING
+
+ZOOM = 12
+CORNER = 2144, 1432
+"""A tile at ``ZOOM``, near 8.4 degrees east and 47.5 north, whose north-western corner is one of four blocks."""
+
+CELL_M, CELLS = 30.0, 400
+SUN = {"azimuth": 250, "altitude": 18}
+
+
+def hills() -> np.ndarray:
+    """Ridges of some 700 m, (400, 400) float32."""
+    row, col = np.mgrid[:CELLS, :CELLS].astype(np.float32)
+    return 900 + 350 * np.sin(col / 14) * np.cos(row / 23) + 4 * np.sin(col * row / 97)
+
+
+def write_level(folder: Path, name: str, crs: str = "EPSG:3857", **keys) -> Path:
+    """A level file over hills whose middle is the corner of four blocks (in an engineering CRS: somewhere)."""
+    corner = matrix_sets.get("WebMercatorQuad").xy_bounds(*CORNER, ZOOM)
+    half = CELLS * CELL_M / 2
+    raster = folder / f"{name}.tif"
+    with rasterio.open(
+        raster, "w", driver="GTiff", width=CELLS, height=CELLS, count=1, dtype="float32", crs=crs,
+        transform=Affine(CELL_M, 0, corner.left - half, 0, -CELL_M, corner.top + half),
+    ) as dataset:  # fmt: skip
+        dataset.write(hills(), 1)
+    path = folder / f"{name}.yaml"
+    level = {"version": 1, "title": f"The {name}", "attribution": "nobody", "sun": SUN}
+    level["terrain"] = {"source": raster.name}
+    path.write_text(json.dumps({**level, **keys}), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the levels are."""
+    return tmp_path_factory.mktemp("levels")
+
+
+@pytest.fixture(scope="session")
+def hills_level(folder: Path) -> Path:
+    """The level most tests look at."""
+    return write_level(folder, "hills")
+
+
+class Client(httpx.Client):
+    """An HTTP client of a service, which is at hand too."""
+
+    service: Service
+
+
+@contextmanager
+def running(app: FastAPI) -> Iterator[Client]:
+    """A real server of an application on a free port, and a client of it."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        server = Server(uvicorn.Config(app, log_config=LOG_CONFIG, timeout_graceful_shutdown=3), app.state.service)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+        thread.start()
+        try:
+            # The socket listens already, so that a request waits until the server takes it.
+            with Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
+                client.service = app.state.service
+                yield client
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+@pytest.fixture(scope="session")
+def client(folder: Path, hills_level: Path) -> Iterator[Client]:
+    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world)."""
+    timed = write_level(folder, "timed", sun={"time": "2024-06-21T18:00:00+02:00"})
+    site = write_level(folder, "site", ENGINEERING)
+    with running(create_app(Settings(workers=1), [hills_level, timed, site])) as client:
+        yield client
+
+
+@pytest.fixture
+def serve_with(hills_level: Path) -> Iterator[Callable[..., Client]]:
+    """``serve_with(target, **settings)`` is a client of a service whose one render process runs ``target``."""
+    with ExitStack() as stack:
+
+        def make(target: WorkerTarget, **settings) -> Client:
+            app = create_app(Settings(workers=1, **settings), [hills_level], target)
+            return stack.enter_context(running(app))
+
+        yield make

@@ -1,0 +1,82 @@
+import importlib
+import pickle
+import pkgutil
+
+import pytest
+
+import api
+import selector
+import shadows
+import terrain
+from api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, NotServedError, exit_status, outcome_of
+from api.jobs import Failure
+from terrain import errors
+from terrain.errors import SkuggaError
+
+
+def every_error() -> list[type[SkuggaError]]:
+    """Every class of error that any module defines."""
+    for package in (terrain, shadows, selector, api):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    found, left = set(), [SkuggaError]
+    while left:
+        kind = left.pop()
+        found.add(kind)
+        left += kind.__subclasses__()
+    return sorted(found, key=lambda kind: kind.__name__)
+
+
+def make(kind: type[SkuggaError]) -> SkuggaError:
+    if issubclass(kind, errors.InputError):
+        return kind("azimuth", 7, "something else")
+    return kind("x", "a message") if kind is NotServedError else kind("a message")
+
+
+def test_the_table_has_every_error_and_no_other():
+    kinds = every_error()
+    assert len(kinds) > 10
+    assert set(OUTCOMES) == set(kinds)
+
+
+def test_statuses_agree_with_who_is_to_blame():
+    for kind, outcome in OUTCOMES.items():
+        assert 400 <= outcome.status < 600
+        assert outcome.exit_status in (FAILED, WRONG_INPUT)
+        if outcome.status < 500:
+            assert outcome.exit_status == WRONG_INPUT, kind
+    assert DONE == 0
+
+
+def test_codes_tell_errors_apart():
+    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind is not NotServedError]
+    assert len(set(codes)) == len(codes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "leaves"),
+    [
+        (errors.InputError, 422, 2),
+        (errors.UnsupportedError, 422, 2),
+        (errors.NotFoundError, 404, 2),
+        (errors.LevelError, 500, 2),
+        (errors.SourceError, 500, 2),
+        (errors.BusyError, 503, 1),
+        (errors.RenderError, 500, 1),
+        (errors.RenderTimeoutError, 504, 1),
+        (errors.GraphicsError, 503, 1),
+    ],
+)
+def test_contract(kind: type[SkuggaError], status: int, leaves: int):
+    error = make(kind)
+    assert outcome_of(error).status == status
+    assert exit_status(error) == leaves
+
+
+@pytest.mark.parametrize("kind", [kind for kind in every_error() if kind is not NotServedError])
+def test_errors_cross_the_pipe(kind: type[SkuggaError]):
+    error = make(kind)
+    back = pickle.loads(pickle.dumps(Failure.of(error))).error()
+    assert type(back) is kind
+    assert str(back) == str(error)
+    assert getattr(back, "name", None) == getattr(error, "name", None)

@@ -1,0 +1,176 @@
+"""What clients see when render processes fail, hang or are too few."""
+
+import functools
+import os
+import signal
+import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+
+import pytest
+
+from api.render_worker import worker_main
+from tests.api import fake_workers
+from tests.api.conftest import CORNER, ZOOM, Client
+from tests.api.test_problems import check_problem
+
+X, Y = CORNER
+SOON_S = 30.0
+
+
+def tile(x: int = X, y: int = Y) -> str:
+    return f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png"
+
+
+@pytest.fixture
+def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
+    """A client whose service may wait for one more block; to wait until a block has begun; to let one go on."""
+    spawn = get_context("spawn")
+    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.obedient, begun=begun, go=go), queue_length=1)
+
+    def wait() -> None:
+        assert begun.acquire(timeout=SOON_S)
+
+    return client, wait, go.release
+
+
+def test_a_full_queue_is_503_and_says_when_to_come_back(gated):
+    client, wait_begun, let_go = gated
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(client.get, tile())
+        wait_begun()
+        second = threads.submit(client.get, tile(X - 1))
+        while client.service.pool.queued < 1:
+            client.get("/healthz")
+        refused = client.get(tile(X, Y - 1))
+        check_problem(refused, 503, "busy", None)
+        assert int(refused.headers["retry-after"]) >= 1
+        let_go()
+        let_go()
+        assert [first.result().status_code, second.result().status_code] == [200, 200]
+
+
+def test_the_service_answers_while_a_block_waits(gated):
+    client, wait_begun, let_go = gated
+    with ThreadPoolExecutor(1) as thread:
+        drawing = thread.submit(client.get, tile())
+        wait_begun()
+        assert client.get("/healthz").status_code == 200
+        assert client.get("/levels").status_code == 200
+        assert not drawing.done()
+        let_go()
+        assert drawing.result().status_code == 200
+
+
+def test_a_client_that_goes_away_leaves_no_work_behind(gated):
+    client, wait_begun, let_go = gated
+    with ThreadPoolExecutor(1) as thread:
+        first = thread.submit(client.get, tile())
+        wait_begun()
+        with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
+            gone.sendall(f"GET {tile(X - 1)} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            while client.service.pool.queued < 1:
+                client.get("/healthz")
+        while client.service.pool.queued:
+            client.get("/healthz")
+        let_go()
+        assert first.result().status_code == 200
+    assert client.service.pool.tally.abandoned == 1
+
+
+def test_a_process_killed_in_the_middle_of_a_block(gated):
+    client, wait_begun, let_go = gated
+    with ThreadPoolExecutor(1) as thread:
+        drawing = thread.submit(client.get, tile())
+        wait_begun()
+        os.kill(*client.service.pool.pids, signal.SIGKILL)
+        check_problem(drawing.result(), 500, "worker_crash", None)
+        again = thread.submit(client.get, tile())
+        wait_begun()
+        let_go()
+        assert again.result().status_code == 200
+
+
+def test_a_block_that_takes_too_long(serve_with):
+    client = serve_with(fake_workers.hanging, render_timeout_s=0.5)
+    check_problem(client.get(tile()), 504, "render_timeout", None)
+    assert client.get("/healthz").status_code == 200
+
+
+def test_a_service_that_cannot_draw(serve_with):
+    client = serve_with(fake_workers.unable)
+    problem = check_problem(client.get(tile()), 503, "graphics", None)
+    assert "secret" not in problem["detail"] and "libEGL" not in problem["detail"]
+    check_problem(client.get("/readyz"), 503, "not_ready", None)
+    assert client.get("/healthz").status_code == 200
+
+
+def test_a_service_with_another_renderer_than_expected_does_not_draw(serve_with):
+    client = serve_with(worker_main, expect_renderer="no such renderer")
+    check_problem(client.get(tile()), 503, "graphics", None)
+    check_problem(client.get("/readyz"), 503, "not_ready", None)
+
+
+def test_what_the_work_says_is_for_the_log(serve_with, caplog: pytest.LogCaptureFixture):
+    problem = check_problem(serve_with(fake_workers.leaky).get(tile()), 500, "render", None)
+    assert "secret" not in problem["detail"]
+
+
+def test_not_ready_before_the_first_process_is(serve_with):
+    client = serve_with(fake_workers.never_ready)
+    answer = client.get("/readyz")
+    check_problem(answer, 503, "not_ready", None)
+    assert int(answer.headers["retry-after"]) >= 1
+
+
+def test_not_modified_is_known_before_rendering(serve_with):
+    client = serve_with(fake_workers.obedient, block_cache_bytes=0)
+    tag = client.get(tile()).headers["etag"]
+    for given in (tag, f'"other", {tag}', f"W/{tag}", "*"):
+        answer = client.get(tile(), headers={"If-None-Match": given})
+        assert (answer.status_code, answer.content) == (304, b"")
+        assert answer.headers["etag"] == tag
+        assert "max-age" in answer.headers["cache-control"]
+    assert client.service.pool.tally.answered == 1
+    assert client.get(tile(), headers={"If-None-Match": '"other"'}).status_code == 200
+    assert client.service.pool.tally.answered == 2
+
+
+@pytest.mark.parametrize("policy", ["204", "404"])
+def test_policies_for_empty_tiles(serve_with, policy: str):
+    client = serve_with(fake_workers.obedient, empty_tile=policy)
+    answer = client.get(tile(X + 50))
+    if policy == "404":
+        check_problem(answer, 404, "not_found", "x")
+    else:
+        assert (answer.status_code, answer.content) == (204, b"")
+        assert answer.headers["etag"]
+    assert client.get(tile()).status_code == 200
+
+
+def test_the_tag_knows_the_renderer(serve_with, client: Client):
+    fake, real = serve_with(fake_workers.obedient).get(tile()), client.get(tile())
+    assert fake.headers["etag"] != real.headers["etag"]
+
+
+def test_an_unforeseen_error_is_a_problem_too(serve_with, monkeypatch: pytest.MonkeyPatch):
+    client = serve_with(fake_workers.obedient)
+    monkeypatch.setattr(client.service.levels, "all", lambda: 1 / 0)
+    problem = check_problem(client.get("/levels"), 500, "internal", None)
+    assert "division" not in problem["detail"]
+
+
+def test_public_url(serve_with):
+    client = serve_with(fake_workers.obedient, public_url="https://maps.example/shade/")
+    (template,) = client.get("/levels/hills/WebMercatorQuad/tilejson.json").json()["tiles"]
+    assert template == "https://maps.example/shade/levels/hills/tiles/WebMercatorQuad/{z}/{x}/{y}.png"
+
+
+def test_named_origins_alone(serve_with):
+    client = serve_with(fake_workers.obedient, cors_origins=("https://a.example",))
+    theirs, others = (client.get("/levels", headers={"Origin": f"https://{name}.example"}) for name in "ab")
+    assert theirs.headers["access-control-allow-origin"] == "https://a.example"
+    assert "origin" in theirs.headers["vary"].lower()
+    assert "access-control-allow-origin" not in others.headers

@@ -1,0 +1,303 @@
+import asyncio
+import functools
+import os
+import signal
+from collections.abc import Awaitable, Callable
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from api.errors import WorkerCrashError
+from api.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob
+from api.pool import Pool
+from api.settings import Settings
+from terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
+from tests.api import fake_workers
+
+LEVEL = LevelKey(path=Path("level.yaml"), version="1")
+SOON_S = 30.0
+"""Much longer than anything here takes."""
+
+
+def order(view: str) -> PlanJob:
+    return PlanJob(level=LEVEL, view=view)
+
+
+def block(x: int) -> BlockJob:
+    return BlockJob(level=LEVEL, matrix_set="WebMercatorQuad", zoom=12, block_x=x, block_y=0)
+
+
+def with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
+    """Run a scenario with a pool of one process, and make sure that it leaves no process behind."""
+
+    async def run() -> set[int]:
+        pool = Pool(Settings(**{"workers": 1, **settings}), target)
+        pool.open()
+        try:
+            await asyncio.wait_for(scenario(pool), SOON_S)
+            return set(pool.pids)
+        finally:
+            await pool.close()
+            assert not pool.pids
+
+    for pid in asyncio.run(run()):
+        assert not alive(pid)
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+async def until(true: Callable[[], bool]) -> None:
+    """Let the event loop run until something is so; the scenario's time limit ends it else."""
+    while not true():
+        await asyncio.sleep(0.005)
+
+
+class Gate:
+    """Holds a process's jobs: ``begun`` tells that one has begun, ``open`` lets it go on."""
+
+    def __init__(self) -> None:
+        spawn = get_context("spawn")
+        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
+        self.target = functools.partial(fake_workers.obedient, begun=self._begun, go=self._go)
+
+    async def begun(self) -> None:
+        assert await asyncio.to_thread(self._begun.acquire, True, SOON_S)
+
+    def open(self, times: int = 1) -> None:
+        for _ in range(times):
+            self._go.release()
+
+
+def test_answers():
+    async def scenario(pool: Pool) -> None:
+        answer = await pool.run(order("map"))
+        assert isinstance(answer, PlanAnswer)
+        assert answer.plan_json == '{"view": "map"}'
+        assert pool.ready
+        assert pool.renderer == fake_workers.RENDERER
+
+    with_pool(scenario)
+
+
+def test_equal_jobs_are_one_job():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        waiting = [asyncio.create_task(pool.run(block(1))) for _ in range(5)]
+        await gate.begun()
+        gate.open()
+        answers = await asyncio.gather(*waiting)
+        assert all(answer is answers[0] for answer in answers)
+        assert pool.tally.answered == 1
+
+    with_pool(scenario, gate.target)
+
+
+def test_finished_blocks_are_kept_within_their_bytes():
+    async def scenario(pool: Pool) -> None:
+        first = await pool.run(block(1))
+        assert pool.finished(block(1)) is first
+        assert await pool.run(block(1)) is first
+        await pool.run(block(2))
+        assert pool.finished(block(1)) is None
+        assert pool.finished(block(2)) is not None
+        assert pool.tally.answered == 2
+
+    with_pool(scenario, block_cache_bytes=10 * 2**20)
+
+
+def test_a_full_queue_refuses():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        begun = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        queued = [asyncio.create_task(pool.run(order(f"queued {n}"))) for n in range(2)]
+        await until(lambda: pool.queued == 2)
+        with pytest.raises(BusyError):
+            await pool.run(order("too many"))
+        again = asyncio.create_task(pool.run(order("queued 1")))  # no new job, so there is room
+        gate.open(3)
+        await asyncio.gather(begun, again, *queued)
+
+    with_pool(scenario, gate.target, queue_length=2)
+
+
+def test_one_who_goes_does_not_take_the_answer_from_others():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        leaves, stays = (asyncio.create_task(pool.run(block(1))) for _ in range(2))
+        await gate.begun()
+        leaves.cancel()
+        gate.open()
+        assert (await stays).visibility.all()
+        with pytest.raises(asyncio.CancelledError):
+            await leaves
+
+    with_pool(scenario, gate.target)
+
+
+def test_what_nobody_waits_for_is_dropped_from_the_queue():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        first = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        dropped = asyncio.create_task(pool.run(order("dropped")))
+        await until(lambda: pool.queued == 1)
+        dropped.cancel()
+        await until(lambda: pool.queued == 0)
+        last = asyncio.create_task(pool.run(order("last")))
+        gate.open(2)
+        await asyncio.gather(first, last)
+        assert (pool.tally.answered, pool.tally.abandoned) == (2, 1)
+
+    with_pool(scenario, gate.target)
+
+
+def test_what_has_begun_is_finished_and_kept_though_nobody_waits():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        gone = asyncio.create_task(pool.run(block(1)))
+        await gate.begun()
+        gone.cancel()
+        gate.open()
+        await until(lambda: pool.finished(block(1)) is not None)
+
+    with_pool(scenario, gate.target)
+
+
+@pytest.mark.parametrize(
+    ("view", "error"),
+    [("refuse", InputError), ("fail", RenderError), ("doubt", GraphicsError), ("crash", WorkerCrashError)],
+)
+def test_an_error_is_its_own_jobs_alone(view: str, error: type[Exception]):
+    async def scenario(pool: Pool) -> None:
+        for _ in range(2):
+            with pytest.raises(error):
+                await pool.run(order(view))
+            assert isinstance(await pool.run(order("map")), PlanAnswer)
+        replaced = 2 if view in ("doubt", "crash") else 0
+        assert pool.tally.started == 1 + replaced
+
+    with_pool(scenario)
+
+
+def test_a_job_that_takes_too_long_is_given_up_and_its_process_ended():
+    async def scenario(pool: Pool) -> None:
+        await pool.run(order("map"))
+        (pid,) = pool.pids
+        with pytest.raises(RenderTimeoutError):
+            await pool.run(order("hang"))
+        assert isinstance(await pool.run(order("map")), PlanAnswer)
+        assert pid not in pool.pids
+        assert not alive(pid)
+
+    with_pool(scenario, render_timeout_s=0.5)
+
+
+def test_a_process_killed_in_the_middle_of_a_job():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        begun = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        queued = asyncio.create_task(pool.run(order("second")))
+        os.kill(*pool.pids, signal.SIGKILL)
+        with pytest.raises(WorkerCrashError):
+            await begun
+        gate.open()
+        assert isinstance(await queued, PlanAnswer)
+
+    with_pool(scenario, gate.target)
+
+
+def test_a_process_killed_while_it_is_idle_is_replaced_unasked():
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        (pid,) = pool.pids
+        os.kill(pid, signal.SIGKILL)
+        await until(lambda: pool.ready and pid not in pool.pids)
+        assert isinstance(await pool.run(order("map")), PlanAnswer)
+
+    with_pool(scenario)
+
+
+def test_processes_are_recycled():
+    async def scenario(pool: Pool) -> None:
+        for number in range(5):
+            await pool.run(order(f"map {number}"))
+        assert pool.tally.started == 3
+
+    with_pool(scenario, recycle_blocks=2)
+
+
+@pytest.mark.parametrize("target", [fake_workers.unable, fake_workers.stillborn])
+def test_a_pool_that_cannot_start_says_so(target):
+    async def scenario(pool: Pool) -> None:
+        with pytest.raises(GraphicsError):
+            await pool.run(order("waits for the first start"))
+        with pytest.raises(GraphicsError):
+            await pool.run(order("comes later"))
+        assert not pool.ready
+
+    with_pool(scenario, target)
+
+
+def test_a_start_that_never_ends_is_given_up():
+    async def scenario(pool: Pool) -> None:
+        with pytest.raises(GraphicsError, match="warm up"):
+            await pool.run(order("map"))
+
+    with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)
+
+
+def test_closing_fails_what_is_on_its_way():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        begun = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        queued = asyncio.create_task(pool.run(order("second")))
+        await until(lambda: pool.queued == 1)
+        (pid,) = pool.pids
+        await pool.close()
+        for task in (begun, queued):
+            with pytest.raises(BusyError):
+                await task
+        with pytest.raises(BusyError):
+            await pool.run(order("third"))
+        assert not alive(pid)
+
+    with_pool(scenario, gate.target)
+
+
+def test_closing_at_once_leaves_nothing():
+    async def scenario(pool: Pool) -> None:
+        await asyncio.sleep(0)  # the processes are just being started
+
+    before = set(get_context("spawn").active_children())
+    with_pool(scenario, workers=2)
+    assert set(get_context("spawn").active_children()) <= before
+
+
+def test_several_processes_work_at_once():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        both = [asyncio.create_task(pool.run(order(f"map {n}"))) for n in range(2)]
+        await gate.begun()
+        await gate.begun()
+        gate.open(2)
+        await asyncio.gather(*both)
+
+    with_pool(scenario, gate.target, workers=2)

@@ -1,0 +1,115 @@
+"""Every error over HTTP is a problem document that names the parameter to blame."""
+
+from pathlib import Path
+
+import httpx
+import pytest
+
+from api.app import create_app
+from api.settings import Settings
+from tests.api import fake_workers
+from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
+
+X, Y = CORNER
+TILE = f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"
+TILEJSON = "levels/hills/WebMercatorQuad/tilejson.json"
+
+
+def check_problem(answer: httpx.Response, status: int, code: str, parameter: str | None) -> dict:
+    assert answer.status_code == status, answer.content[:300]
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["cache-control"] == "no-store"
+    problem = answer.json()
+    assert set(problem) == {"type", "title", "status", "detail", "code"} | ({"parameter"} if parameter else set())
+    assert (problem["status"], problem["code"], problem.get("parameter")) == (status, code, parameter)
+    assert "Traceback" not in problem["detail"] and "/" not in problem["detail"].replace(str(answer.url.path), "")
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("address", "parameter", "said"),
+    [
+        ("levels/nowhere", "level", "hills"),
+        (TILE.replace("hills", "nowhere"), "level", "hills"),
+        (TILE.replace("hills", "..%2F..%2Fetc%2Fpasswd"), None, ""),
+        (TILEJSON.replace("hills", "nowhere"), "level", "hills"),
+        ("levels/nowhere/plan", "level", "hills"),
+        (TILE.replace("WebMercatorQuad", "Nowhere"), "tms", "WebMercatorQuad"),
+        (TILE.replace("WebMercatorQuad", "NZTM2000Quad"), "tms", "WebMercatorQuad"),
+        (TILEJSON.replace("WebMercatorQuad", "Nowhere"), "tms", "WebMercatorQuad"),
+        (f"levels/hills/tiles/WebMercatorQuad/3/{X}/{Y}.png", "z", "zooms"),
+        (f"levels/hills/tiles/WebMercatorQuad/25/{X}/{Y}.png", "z", "zooms"),
+        (f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/999999/{Y}.png", "x", "4095"),
+        (f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/-1.png", "y", "4095"),
+        ("nothing", None, ""),
+    ],
+)
+def test_not_found(client: Client, address: str, parameter: str | None, said: str):
+    problem = check_problem(client.get(address), 404, "not_found", parameter)
+    assert said in problem["detail"]
+
+
+@pytest.mark.parametrize(
+    ("address", "parameter", "said"),
+    [
+        (f"{TILE}?time=yesterday", "time", "yesterday"),
+        (f"{TILE}?time=2024-06-21T12:00:00", "time", "offset"),
+        (f"{TILE}?time=1500-01-01T00:00:00Z", "time", "1678"),
+        (f"{TILE}?time=2024-06-21T12:00:00Z&altitude=3", "time", "azimuth and altitude"),
+        (f"{TILE}?azimuth=10&altitude=91", "altitude", "91"),
+        (f"{TILE}?azimuth=north&altitude=9", "azimuth", "north"),
+        (f"{TILE}?azimuth=nan&altitude=9", "azimuth", "finite"),
+        (f"{TILE}?azimuth=10", "azimuth, altitude", "altitude"),
+        (f"{TILE}?colour=red", "colour", "layer"),
+        (f"{TILE}?layer=color&layer=mask", "layer", "more than once"),
+        (f"{TILE}?layer=height", "layer", "mask"),
+        (f"{TILE}?algorithm=truth", "algorithm", "shadow_map"),
+        (f"{TILE}?algorithm=forest%3Dsweep", "algorithm", "relief"),
+        (f"{TILE}?map_size=63", "map_size", "64"),
+        (f"{TILE}?map_size=100000", "map_size", "8192"),
+        (f"{TILE}?depth_bits=17", "depth_bits", "24"),
+        (f"{TILE}?filter=4", "filter", "5"),
+        (TILE.replace(".png", ".tif"), "format", "webp"),
+        (TILE.replace(".png", ".jpg?layer=mask"), "format", "webp"),
+        (f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/x/{Y}.png", "x", "integer"),
+        ("levels?page=2", "page", "2"),
+        ("levels/hills?page=2", "page", "2"),
+        ("healthz?deep=1", "deep", "1"),
+        (f"{TILEJSON}?page=2", "page", "2"),
+        (f"{TILEJSON}?azimuth=1&altitude=91", "altitude", "91"),
+        ("levels/hills/plan?view=ridge", "view", "map"),
+        ("levels/hills/plan?zoom=2", "zoom", "2"),
+    ],
+)
+def test_wrong_parameters(client: Client, address: str, parameter: str, said: str):
+    problem = check_problem(client.get(address), 422, "invalid_parameter", parameter)
+    assert parameter in problem["detail"]
+    assert said in problem["detail"]
+
+
+@pytest.mark.parametrize("address", [TILE.replace("hills", "site"), TILEJSON.replace("hills", "site")])
+def test_a_flat_world_has_no_tiles(client: Client, address: str):
+    problem = check_problem(client.get(address), 422, "unsupported", "level")
+    assert "engineering CRS" in problem["detail"]
+
+
+def test_a_time_means_nothing_in_a_flat_world(client: Client):
+    answer = client.get("levels/site/plan?time=2024-06-21T12:00:00Z")
+    assert answer.status_code == 422
+    assert "engineering" in answer.json()["detail"]
+
+
+def test_other_methods(client: Client):
+    for method in ("POST", "PUT", "DELETE"):
+        answer = client.request(method, "levels")
+        check_problem(answer, 405, "method_not_allowed", None)
+        assert "GET" in answer.headers["allow"]
+
+
+def test_a_level_that_breaks_while_it_is_served_is_not_the_clients_fault(hills_level: Path, tmp_path: Path):
+    path = write_level(tmp_path, "soon_broken")
+    with running(create_app(Settings(workers=1), [hills_level, path], fake_workers.obedient)) as client:
+        path.write_text("version: 7", encoding="utf-8")
+        problem = check_problem(client.get("levels/soon_broken"), 500, "level", None)
+        assert str(tmp_path) not in problem["detail"]
+        assert [level["name"] for level in client.get("levels").json()] == ["hills"]

@@ -1,0 +1,116 @@
+"""The service as a process of its own: what it loads, how it starts and how it stops."""
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.api.conftest import CORNER, ZOOM
+
+ROOT = Path(__file__).resolve().parents[2]
+SOON_S = 60
+
+SERVE = """
+import sys
+from pathlib import Path
+from api.app import serve
+from api.settings import Settings
+
+if __name__ == "__main__":
+    serve(Settings(port=0, workers=1), [Path(path) for path in sys.argv[1:]])
+"""
+
+LOOK_INSIDE = f"""
+import sys
+from pathlib import Path
+from api.app import create_app
+from api.settings import Settings
+from terrain import gl
+from tests.api.conftest import running
+
+if __name__ == "__main__":
+    app = create_app(Settings(workers=1), [Path(sys.argv[1])])
+    assert "pvlib" not in sys.modules, "a service that nobody has asked anything needs no sun's library"
+    with running(app) as client:
+        tile = client.get("/levels/timed/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png")
+        assert tile.status_code == 200, tile.content
+        assert "server-timing" in tile.headers
+    assert not gl.is_open(), "the service's process has made an OpenGL context"
+    assert "pvlib" not in sys.modules
+"""
+
+
+@contextmanager
+def serving(level: Path, until: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A serving process that has logged what matches ``until``, and the match's group; killed at the end."""
+    command = [sys.executable, "-c", SERVE, str(level)]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            for line in process.stderr:
+                found = re.search(until, line)
+                if found:
+                    yield process, found.group(1)
+                    return
+            raise AssertionError(f"it did not say '{until}'")
+        finally:
+            process.kill()
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number: signal.Signals):
+    with serving(hills_level, r"render process (\d+) ready") as (process, worker):
+        process.send_signal(number)
+        _, said = process.communicate(timeout=SOON_S)
+        assert process.returncode in (0, -number)
+        assert "Traceback" not in said
+        assert not alive(int(worker))
+
+
+def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
+    with serving(hills_level, r"on (http://\S+)") as (process, address):
+        assert httpx.get(f"{address}/healthz").status_code == 200
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=SOON_S)
+        assert process.returncode == 0
+        assert "Traceback" not in said
+
+
+def test_render_processes_end_with_a_service_that_is_killed(hills_level: Path):
+    with serving(hills_level, r"render process (\d+) ready") as (process, worker):
+        process.kill()
+        # It has its end of the error pipe open until it is gone itself, which it is soon as its own pipe is closed.
+        process.communicate(timeout=SOON_S)
+        assert not alive(int(worker))
+
+
+def test_the_services_process_has_no_opengl(hills_level: Path, client):
+    timed = hills_level.with_name("timed.yaml")
+    done = subprocess.run(
+        [sys.executable, "-c", LOOK_INSIDE, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=SOON_S
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_wrong_level_ends_it_at_once(tmp_path: Path):
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("version: 7", encoding="utf-8")
+    script = "import sys; from api.cli import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
+    command = [sys.executable, "-c", script, str(wrong)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "wrong.yaml" in done.stderr and "version" in done.stderr

@@ -1,0 +1,147 @@
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from api.catalogue import bundled_levels
+from api.errors import exit_status
+from api.jobs import LevelKey
+from api.render_worker import Scenes
+from api.served import ServedLevels
+from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError
+from tests.api.conftest import write_level
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write_level(tmp_path, "hills")
+
+
+def raise_ground(level: Path, metres: float) -> None:
+    raster = level.with_suffix(".tif")
+    with rasterio.open(raster, "r+") as dataset:
+        dataset.write(dataset.read(1) + np.float32(metres), 1)
+    later = raster.stat().st_mtime_ns + 10**9
+    os.utime(raster, ns=(later, later))
+
+
+def test_bundled_levels_can_be_served():
+    levels = ServedLevels(bundled_levels())
+    assert [level.name for level in levels.all()] == [path.stem for path in bundled_levels()]
+    assert all(level.zooms for level in levels.all())
+
+
+def test_the_same_files_are_the_same_version(path: Path):
+    assert ServedLevels([path]).get("hills").version == ServedLevels([path]).get("hills").version
+
+
+def test_a_changed_raster_is_another_version(path: Path):
+    levels = ServedLevels([path])
+    before = levels.get("hills")
+    assert levels.get("hills") is before
+    raise_ground(path, 100)
+    assert levels.get("hills").version != before.version
+
+
+def test_a_changed_level_is_another_version_and_read_anew(path: Path):
+    levels = ServedLevels([path])
+    before = levels.get("hills").version
+    path.write_text(json.dumps({**json.loads(path.read_text()), "title": "Other hills"}), encoding="utf-8")
+    assert levels.get("hills").version != before
+    assert levels.get("hills").summary()["title"] == "Other hills"
+
+
+def test_a_broken_level_says_so_until_it_is_mended(path: Path):
+    levels = ServedLevels([path])
+    text = path.read_text()
+    path.write_text("version: 7", encoding="utf-8")
+    for _ in range(2):
+        with pytest.raises(LevelError):
+            levels.get("hills")
+    assert levels.all() == []
+    path.write_text(text, encoding="utf-8")
+    assert levels.get("hills").name == "hills"
+
+
+def test_an_unknown_level_is_answered_with_the_known_ones(path: Path):
+    with pytest.raises(NotFoundError, match="hills"):
+        ServedLevels([path]).get("mountains")
+
+
+def wrong_text(folder: Path) -> Path:
+    path = folder / "wrong.yaml"
+    path.write_text("version: 7", encoding="utf-8")
+    return path
+
+
+def no_raster(folder: Path) -> Path:
+    path = write_level(folder, "wrong")
+    path.with_suffix(".tif").unlink()
+    return path
+
+
+def remote(folder: Path) -> Path:
+    return write_level(folder, "wrong", terrain={"source": "/vsicurl/https://example.org/wrong.tif"})
+
+
+def never_served(folder: Path) -> Path:
+    return write_level(folder, "wrong", shadows={"algorithm": {"relief": "truth"}})
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "said"),
+    [
+        (wrong_text, LevelError, "version"),
+        (no_raster, SourceError, "wrong.tif"),
+        (remote, LevelError, "SKUGGA_REMOTE_SOURCES"),
+        (never_served, LevelError, "shadow_map"),
+    ],
+)
+def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Path, make, error, said: str):
+    with pytest.raises(error) as caught:
+        ServedLevels([make(tmp_path)])
+    assert "wrong" in str(caught.value) and said in str(caught.value)
+    assert exit_status(caught.value) == 2
+
+
+def test_remote_sources_may_be_allowed(tmp_path: Path):
+    with pytest.raises(SkuggaError) as caught:
+        ServedLevels([write_level(tmp_path, "far", terrain={"source": "/vsimem/nothing/far.tif"})], remote_sources=True)
+    assert isinstance(caught.value, SourceError)  # it was looked for
+
+
+def test_two_levels_of_one_name(path: Path, tmp_path: Path):
+    (tmp_path / "other").mkdir()
+    with pytest.raises(InputError, match="hills"):
+        ServedLevels([path, write_level(tmp_path / "other", "hills")])
+
+
+def test_scenes_are_kept_until_their_version_changes(path: Path):
+    scenes = Scenes()
+    first = scenes.get(LevelKey(path=path, version="1"))
+    assert scenes.get(LevelKey(path=path, version="1")) is first
+    raise_ground(path, 100)
+    second = scenes.get(LevelKey(path=path, version="2"))
+    assert second.height_range_m[1] == pytest.approx(first.height_range_m[1] + 100, abs=0.1)
+
+
+def test_scenes_are_bounded(tmp_path: Path):
+    scenes = Scenes(limit=2)
+    keys = [LevelKey(path=write_level(tmp_path, name), version="1") for name in ("a", "b", "c")]
+    first, second, _ = (scenes.get(key) for key in keys)
+    assert len(scenes) == 2
+    assert scenes.get(keys[1]) is second
+    assert scenes.get(keys[0]) is not first
+    assert len(scenes) == 2
+
+
+def test_a_scene_that_cannot_be_opened_is_asked_for_again(path: Path):
+    scenes, text = Scenes(), path.read_text()
+    path.write_text("version: 7", encoding="utf-8")
+    with pytest.raises(LevelError):
+        scenes.get(LevelKey(path=path, version="1"))
+    path.write_text(text, encoding="utf-8")
+    assert scenes.get(LevelKey(path=path, version="1")).loaded.name == "hills"

@@ -1,0 +1,57 @@
+import pytest
+from pydantic import ValidationError
+
+from api import settings as module
+from api.settings import Settings, load_settings
+from terrain.errors import InputError
+
+
+def test_defaults_are_safe():
+    settings = load_settings()
+    assert settings.host == "127.0.0.1"
+    assert not settings.remote_sources
+    assert settings.empty_tile == "transparent"
+    assert settings.block_cache_bytes == 256 * 2**20
+
+
+@pytest.mark.parametrize(("cores", "workers"), [(1, 1), (2, 2), (64, 4)])
+def test_a_render_process_per_core_within_reason(monkeypatch: pytest.MonkeyPatch, cores: int, workers: int):
+    monkeypatch.setattr(module, "cores", lambda: cores)
+    assert load_settings().workers == workers
+
+
+def test_environment_and_arguments(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SKUGGA_WORKERS", "3")
+    monkeypatch.setenv("SKUGGA_PORT", "9000")
+    monkeypatch.setenv("SKUGGA_CORS_ORIGINS", "https://a.example, https://b.example")
+    settings = load_settings(port=9001)
+    assert (settings.workers, settings.port) == (3, 9001)
+    assert settings.cors_origins == ("https://a.example", "https://b.example")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("SKUGGA_WORKERS", "none"),
+        ("SKUGGA_EMPTY_TILE", "grey"),
+        ("SKUGGA_PUBLIC_URL", "a.example"),
+        ("SKUGGA_PORT", "-1"),
+    ],
+)
+def test_wrong_environment_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(InputError) as caught:
+        load_settings()
+    assert caught.value.name == name
+    assert value in str(caught.value)
+
+
+def test_wrong_argument_is_named():
+    with pytest.raises(InputError) as caught:
+        load_settings(workers=0)
+    assert caught.value.name == "workers"
+
+
+def test_settings_do_not_change():
+    with pytest.raises(ValidationError):
+        Settings().workers = 2

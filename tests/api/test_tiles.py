@@ -1,0 +1,231 @@
+"""Tiles over HTTP, drawn by a real render process."""
+
+import io
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import numpy as np
+import pytest
+from morecantile import tms as matrix_sets
+from PIL import Image
+
+from api.layers import layer_of
+from api.tiles import encode
+from terrain.level import load_level
+from terrain.scene import build_scene
+from tests.api.conftest import CORNER, ZOOM, Client
+from tests.render import render
+
+X, Y = CORNER
+TILES = "/levels/hills/tiles/WebMercatorQuad"
+TILE = f"{TILES}/{ZOOM}/{X}/{Y}.png"
+NIGHT = {"azimuth": 10, "altitude": -5}
+
+
+def picture(answer: httpx.Response) -> Image.Image:
+    assert answer.status_code == 200, answer.content[:300]
+    return Image.open(io.BytesIO(answer.content))
+
+
+def pixels(answer: httpx.Response) -> np.ndarray:
+    return np.asarray(picture(answer))
+
+
+@pytest.mark.parametrize(
+    ("format", "layer", "mode", "kind"),
+    [
+        ("png", "color", "RGBA", "PNG"), ("png", "shadow", "RGBA", "PNG"), ("png", "mask", "L", "PNG"),
+        ("webp", "color", "RGBA", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
+    ],
+)  # fmt: skip
+def test_formats(client: Client, format: str, layer: str, mode: str, kind: str):
+    answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})
+    image = picture(answer)
+    assert (image.size, image.mode, image.format) == ((256, 256), mode, kind)
+    assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
+
+
+def test_layers_say_the_same(client: Client):
+    color, shadow, mask = (pixels(client.get(TILE, params={"layer": layer})) for layer in ("color", "shadow", "mask"))
+    assert {0, 255} <= set(np.unique(mask)) <= {0, 128, 255}
+    there = mask != 128
+    assert there.any() and not there.all()  # the data ends in this tile
+    assert (color[..., 3] == np.where(there, 255, 0)).all()
+    assert (shadow[..., :3] == 0).all()
+    assert (mask[shadow[..., 3] > 128] == 0).all()
+    assert (mask[shadow[..., 3] < 127] != 0).all()
+
+
+def test_webp_of_data_layers_is_without_loss(client: Client):
+    for layer in ("shadow", "mask"):
+        png, webp = (
+            picture(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer}))
+            for format in ("png", "webp")
+        )
+        assert np.array_equal(np.asarray(png.convert("RGBA")), np.asarray(webp.convert("RGBA")))
+
+
+def test_tiles_of_four_blocks_are_a_direct_render_of_them_all(client: Client, hills_level):
+    """2 x 2 tiles that meet at the corner of four blocks, byte by byte."""
+    matrix_set = matrix_sets.get("WebMercatorQuad")
+    northwest, southeast = matrix_set.xy_bounds(X - 1, Y - 1, ZOOM), matrix_set.xy_bounds(X, Y, ZOOM)
+    scene = build_scene(load_level(hills_level))
+    bounds = northwest.left, southeast.bottom, southeast.right, northwest.top
+    frame = render(scene, scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512)))
+    assert frame.there.any() and (frame.visibility == 0).any()
+    for layer in ("color", "shadow", "mask"):
+        whole = layer_of(frame, layer)
+        for row in range(2):
+            for col in range(2):
+                answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})
+                part = whole[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256]
+                assert answer.content == encode(np.ascontiguousarray(part), layer, "png"), (layer, row, col)
+
+
+def test_a_double_tile_is_the_four_tiles_of_the_next_zoom(client: Client):
+    double = pixels(client.get(f"{TILES}/{ZOOM}/{X}/{Y}@2x.png"))
+    assert double.shape == (512, 512, 4)
+    for row in range(2):
+        for col in range(2):
+            one = pixels(client.get(f"{TILES}/{ZOOM + 1}/{2 * X + col}/{2 * Y + row}.png"))
+            assert np.array_equal(double[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256], one)
+
+
+def test_another_matrix_set(client: Client):
+    matrix_set = matrix_sets.get("WGS1984Quad")
+    zooms = client.get("/levels/hills").json()["tile_matrix_sets"]["WGS1984Quad"]
+    west, south, east, north = client.get("/levels/hills").json()["bounds"]
+    tile = matrix_set.tile((west + east) / 2, (south + north) / 2, zooms["maxzoom"] - 2)
+    answer = client.get(f"/levels/hills/tiles/WGS1984Quad/{tile.z}/{tile.x}/{tile.y}.png")
+    assert (pixels(answer)[..., 3] == 255).any()
+
+
+def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):
+    before = client.service.pool.tally.answered
+    far = f"{TILES}/{ZOOM}/{X + 50}/{Y}"
+    assert not pixels(client.get(f"{far}.png")).any()
+    assert pixels(client.get(f"{far}@2x.png", params={"layer": "shadow"})).shape == (512, 512, 4)
+    assert (pixels(client.get(f"{far}.png", params={"layer": "mask"})) == 128).all()
+    assert (pixels(client.get(f"{far}.jpg")) == 255).all()
+    answer = client.get(f"{far}.png")
+    assert answer.headers["etag"] and "max-age" in answer.headers["cache-control"]
+    assert answer.headers["x-skugga-algorithm"] == "none"
+    assert client.service.pool.tally.answered == before
+
+
+def test_an_empty_tile_is_what_drawing_it_would_give(client: Client):
+    """The block south of the data is reached by the zooms, and its tiles are empty by either way."""
+    near = client.get(f"{TILES}/{ZOOM}/{X}/{Y + 3}.png")  # in a block with data
+    far = client.get(f"{TILES}/{ZOOM}/{X + 50}/{Y}.png")
+    assert near.headers["x-skugga-algorithm"] == "none" or "server-timing" in near.headers
+    assert near.content == far.content
+
+
+def test_night_is_data(client: Client):
+    mask = pixels(client.get(TILE, params={"layer": "mask", **NIGHT}))
+    assert set(np.unique(mask)) == {0, 128}
+    shadow = pixels(client.get(TILE, params={"layer": "shadow", **NIGHT}))
+    assert (shadow[..., 3][mask == 0] == 255).all()
+
+
+def test_the_sun_of_the_query_is_the_suns(client: Client):
+    def shadows(**query) -> np.ndarray:
+        return pixels(client.get(TILE, params={"layer": "mask", **query})) == 0
+
+    own, morning, overhead = shadows(), shadows(azimuth=70, altitude=18), shadows(azimuth=180, altitude=85)
+    assert (own == shadows(azimuth=250, altitude=18)).all()
+    assert (own != morning).mean() > 0.1
+    assert overhead.mean() < 0.1 < own.mean()
+
+
+def test_time_with_a_plus_that_arrives_as_a_space(client: Client):
+    escaped = client.get(f"{TILE}?time=2024-06-21T19:00:00%2B02:00")
+    spaced = client.get(f"{TILE}?time=2024-06-21T19:00:00+02:00")
+    assert escaped.status_code == 200
+    assert (escaped.content, escaped.headers["etag"]) == (spaced.content, spaced.headers["etag"])
+
+
+def test_algorithm_and_settings_of_the_query(client: Client):
+    assert client.get(TILE).headers["x-skugga-algorithm"] == "shadow_map"
+    none = client.get(TILE, params={"algorithm": "none", "layer": "mask"})
+    assert none.headers["x-skugga-algorithm"] == "none"
+    cast = client.get(TILE, params={"algorithm": "relief=shadow_map", "layer": "mask"})
+    assert (pixels(none) == 0).sum() < (pixels(cast) == 0).sum()  # attached shadow alone
+    coarse = client.get(TILE, params={"map_size": 64, "depth_bits": 24, "filter": 1, "layer": "mask"})
+    assert coarse.status_code == 200
+    assert coarse.content != cast.content
+
+
+def test_headers(client: Client):
+    answer = client.get(TILE)
+    timing = answer.headers["server-timing"]
+    plan = client.get("/levels/hills/plan").json()
+    assert [part.split(";")[0] for part in timing.split(", ")][: len(plan["passes"])] == [
+        "geometry", "casters", "sun-relief-depth-map", "sun-relief-visibility", "shading",
+    ]  # fmt: skip
+    words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
+    assert set(words) == {"used", "needed", "clipped"}
+    assert int(words["needed"]) >= 0 and words["clipped"] in ("yes", "no")
+    assert answer.headers["cache-control"] == "public, max-age=3600"
+    assert client.get(TILE, params=NIGHT).headers["cache-control"] == "public, max-age=86400"
+
+
+def test_tags_tell_pictures_apart(client: Client):
+    addresses = [
+        f"{TILES}/{ZOOM}/{X}/{Y}.png", f"{TILES}/{ZOOM}/{X}/{Y}.webp", f"{TILES}/{ZOOM}/{X}/{Y}@2x.png",
+        f"{TILES}/{ZOOM}/{X - 1}/{Y}.png", f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=mask",
+        f"{TILES}/{ZOOM}/{X}/{Y}.png?azimuth=1&altitude=20", f"{TILES}/{ZOOM}/{X}/{Y}.png?algorithm=none",
+        TILE.replace("hills", "timed"),
+    ]  # fmt: skip
+    tags = [client.get(address).headers["etag"] for address in addresses]
+    assert len(set(tags)) == len(tags)
+
+
+def test_head_is_get_without_the_body(client: Client):
+    get, head = client.get(TILE), client.head(TILE)
+    assert head.status_code == 200
+    assert head.content == b""
+    for name in ("etag", "content-length", "content-type", "cache-control"):
+        assert head.headers[name] == get.headers[name]
+    assert client.head("/levels/nowhere").status_code == 404
+
+
+def test_other_origins_may_read(client: Client):
+    answer = client.get(TILE, headers={"Origin": "https://map.example"})
+    assert answer.headers["access-control-allow-origin"] == "*"
+    assert "X-Skugga-Caster-Reach" in answer.headers["access-control-expose-headers"]
+
+
+def test_tiles_of_one_block_at_once_are_one_render(client: Client):
+    before = client.service.pool.tally.answered
+    places = [(X + i, Y + j) for i in range(2) for j in range(2)]
+    query = {"azimuth": 245, "altitude": 19}  # that nobody has asked for yet
+    with ThreadPoolExecutor(4) as threads:
+        answers = list(threads.map(lambda xy: client.get(f"{TILES}/{ZOOM}/{xy[0]}/{xy[1]}.png", params=query), places))
+    assert [answer.status_code for answer in answers] == [200] * 4
+    drawn = client.service.pool.tally.answered - before
+    assert drawn == 1
+
+
+def test_the_service_answers_while_a_block_is_drawn(client: Client):
+    """A liveness bound: far from what an idle loop takes, and far below what a block takes on one thread of a rasteriser."""
+    done = threading.Event()
+
+    def draw() -> httpx.Response:
+        try:
+            return client.get(f"{TILES}/{ZOOM + 1}/{2 * X}/{2 * Y}.png", params={"azimuth": 131, "altitude": 7})
+        finally:
+            done.set()
+
+    waits = []
+    with ThreadPoolExecutor(1) as thread:
+        drawing = thread.submit(draw)
+        while not done.is_set():
+            start = time.perf_counter()
+            assert client.get("/healthz").status_code == 200
+            waits.append(time.perf_counter() - start)
+        assert "block;desc=drawn" in drawing.result().headers["server-timing"]
+    assert len(waits) > 3
+    assert max(waits) < 1.0

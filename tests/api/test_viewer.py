@@ -1,0 +1,51 @@
+"""The page on ``/``, with the viewer and without."""
+
+from pathlib import Path
+
+import pytest
+from fastapi import FastAPI
+
+from api import routes_viewer
+from api.app import create_app
+from api.settings import Settings
+from tests.api import fake_workers
+from tests.api.conftest import Client, running
+
+
+@pytest.fixture
+def app(hills_level: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setattr(routes_viewer, "STATIC_FOLDER", tmp_path)
+
+    def make() -> FastAPI:
+        return create_app(Settings(workers=1), [hills_level], fake_workers.obedient)
+
+    return make
+
+
+def check_page(client: Client, said: str) -> None:
+    page = client.get("/")
+    assert page.status_code == 200
+    assert page.headers["content-type"].startswith("text/html")
+    assert said in page.text
+
+
+def test_without_a_viewer_the_page_says_how_to_build_it(app):
+    with running(app()) as client:
+        check_page(client, "make viewer")
+        check_page(client, 'href="levels/hills/WebMercatorQuad/tilejson.json"')
+        assert client.get("/assets/map.js").status_code == 404
+        assert client.get("/assets/map.js").headers["content-type"] == "application/problem+json"
+
+
+def test_the_viewer_and_its_parts(app, tmp_path: Path):
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "index.html").write_text("<title>A viewer</title>", encoding="utf-8")
+    (tmp_path / "assets" / "map.js").write_text("draw()", encoding="utf-8")
+    (tmp_path.parent / "secret").write_text("x", encoding="utf-8")
+    with running(app()) as client:
+        check_page(client, "A viewer")
+        for address in ("/assets/map.js", "/static/assets/map.js"):
+            assert client.get(address).text == "draw()"
+        assert client.head("/assets/map.js").headers["content-length"] == "6"
+        for address in ("/static/../secret", "/static/%2e%2e/secret", "/assets/..%2f..%2fsecret"):
+            assert client.get(address).status_code == 404

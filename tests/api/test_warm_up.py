@@ -1,0 +1,22 @@
+import pytest
+
+from api import warm_up as module
+from api.warm_up import warm_up
+from terrain.errors import GraphicsError
+
+
+def test_a_wall_casts_its_shadow_where_it_belongs(gl):
+    assert warm_up() == gl.renderer
+    assert warm_up(gl.renderer[:4]) == gl.renderer
+
+
+def test_another_renderer_is_refused(gl):
+    with pytest.raises(GraphicsError, match="no such renderer"):
+        warm_up("no such renderer")
+
+
+@pytest.mark.parametrize("seen", [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (float("nan"), float("nan"))])
+def test_a_renderer_that_draws_wrong_shadows_is_refused(gl, monkeypatch: pytest.MonkeyPatch, seen: tuple[float, float]):
+    monkeypatch.setattr(module, "_visibility_beside_wall", lambda: seen)
+    with pytest.raises(GraphicsError, match="wrong shadows"):
+        warm_up()
