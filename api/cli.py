@@ -92,9 +92,7 @@ def render(
 def compare(
     level: LevelName,
     view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write false-colour error pictures.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write false-colour error pictures.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
     time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
@@ -109,9 +107,7 @@ def compare(
     from api.snapshot import scene_and_view
     from selector.compare import compare as measure
 
-    scene, map_view = scene_and_view(
-        find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs
-    )
+    scene, map_view = scene_and_view(find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs)
     with _progress("Comparing") as advance:
         comparison = measure(scene, map_view, view, fine, advance)
     show(comparison)

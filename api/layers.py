@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from PIL import Image
@@ -26,13 +26,24 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 
 
-def layer_of(frame: Frame, layer: str, highest_m: float = 0.0) -> np.ndarray:
-    """A layer of a frame as an array, row 0 northernmost.
+class Pictured(Protocol):
+    """What the picture layers are made of: part of a frame and of a served block."""
 
-    ``color`` and ``shadow`` are RGBA uint8 (shadow: black, alpha = 1 - visibility), transparent where there is no surface;
-    ``mask`` is uint8 (0 shadow, 255 lit, 128 no surface); ``visibility`` float32; ``depth`` float32, metres straight down
-    from the height ``highest_m``; ``position`` float64 (rows, cols, 3), x and y in the view's CRS and height in metres.
-    The last three are NaN where there is no surface.
+    @property
+    def color(self) -> np.ndarray: ...
+
+    @property
+    def visibility(self) -> np.ndarray: ...
+
+    @property
+    def there(self) -> np.ndarray: ...
+
+
+def picture_of(frame: Pictured, layer: str) -> np.ndarray:
+    """A picture layer as a uint8 array, row 0 northernmost.
+
+    ``color`` and ``shadow`` are RGBA (shadow: black, alpha = 1 - visibility), transparent where there is no surface;
+    ``mask`` is gray: 0 shadow, 255 lit, 128 no surface. Raises ``InputError``.
     """
     there, visibility = frame.there, frame.visibility
     if layer == "color":
@@ -44,8 +55,20 @@ def layer_of(frame: Frame, layer: str, highest_m: float = 0.0) -> np.ndarray:
         return out
     if layer == "mask":
         return np.where(there, np.where(visibility < 0.5, MASK_SHADOW, MASK_LIT), MASK_NO_SURFACE).astype(np.uint8)
+    raise InputError("layer", layer, ", ".join(get_args(PictureLayer)))
+
+
+def layer_of(frame: Frame, layer: str, highest_m: float = 0.0) -> np.ndarray:
+    """Any layer of a frame, row 0 northernmost: a picture layer, or data with NaN where there is no surface.
+
+    ``visibility`` is float32; ``depth`` float32, metres straight down from the height ``highest_m``; ``position`` float64
+    (rows, cols, 3), x and y in the view's CRS and height in metres. Raises ``InputError``.
+    """
+    if layer in get_args(PictureLayer):
+        return picture_of(frame, layer)
+    there = frame.there
     if layer == "visibility":
-        return visibility
+        return frame.visibility
     if layer == "depth":
         return np.where(there, highest_m - frame.height_m, np.nan).astype(np.float32)
     if layer == "position":

@@ -61,9 +61,7 @@ def matrix_set_of(name: str) -> TileMatrixSet:
     return served[name]
 
 
-def zoom_range(
-    matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float
-) -> ZoomRange | None:
+def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float) -> ZoomRange | None:
     """The zooms at which a level is served; ``None`` where it lies outside of the tile matrix set's area.
 
     The first is the one at which the level's longest side is nearest to ``LEVEL_TILES``, so that one or two tiles show

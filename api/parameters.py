@@ -64,9 +64,7 @@ async def wishes(
     algorithm: Annotated[str | None, Query(max_length=200, description="`auto`, a name, or `relief=NAME`.")] = None,
     map_size: Annotated[int | None, Query(ge=64, le=8192, description="Shadow-map texels a side.")] = None,
     depth_bits: Annotated[Literal[16, 24, 32] | None, BeforeValidator(_whole), Query()] = None,
-    filter: Annotated[
-        Literal[1, 2, 3, 5] | None, BeforeValidator(_whole), Query(description="Shadow-map taps a side.")
-    ] = None,
+    filter: Annotated[Literal[1, 2, 3, 5] | None, BeforeValidator(_whole), Query(description="Shadow-map taps a side.")] = None,
 ) -> Wishes:
     """The dependency for pictures and plans. Raises ``InputError``."""
     overrides = Overrides(algorithm=algorithm, map_size=map_size, depth_bits=depth_bits, filter=filter)

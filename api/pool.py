@@ -51,9 +51,7 @@ class Pool:
     def __init__(self, settings: Settings, target: WorkerTarget = worker_main) -> None:
         self._settings = settings
         self._target = target
-        self._config = WorkerConfig(
-            gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer
-        )
+        self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
         self._finished: ByteCache[Block] = ByteCache(settings.block_cache_bytes, lambda block: block.nbytes)
         self._flights: dict[Job, _Flight] = {}

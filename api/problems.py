@@ -36,10 +36,7 @@ class Problem(BaseModel):
 def problem_docs(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """What OpenAPI says of the statuses of a route's errors."""
     schema = Problem.model_json_schema()
-    return {
-        status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: {"schema": schema}}}
-        for status in statuses
-    }
+    return {status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: {"schema": schema}}} for status in statuses}
 
 
 def problem_response(
@@ -47,9 +44,7 @@ def problem_response(
 ) -> JSONResponse:
     """An answer that no cache keeps."""
     problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, code=code, parameter=parameter)
-    return JSONResponse(
-        problem.model_dump(exclude_none=True), status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE
-    )
+    return JSONResponse(problem.model_dump(exclude_none=True), status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE)
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:

@@ -88,9 +88,7 @@ class ServedLevel:
             "layers": list(get_args(PictureLayer)),
             "algorithms": list(SERVED_ALGORITHMS),
             "sun": sun,
-            "tile_matrix_sets": {
-                name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()
-            },
+            "tile_matrix_sets": {name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()},
         }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from api.jobs import Block
-from api.layers import MASK_NO_SURFACE, encode_picture, layer_of
+from api.layers import MASK_NO_SURFACE, encode_picture, picture_of
 from api.matrices import BLOCK_TILES, TILE_PX
 from terrain.errors import InputError
 
@@ -30,8 +30,7 @@ def cut(block: Block, x: int, y: int, layer: str, tiles: int = 1) -> np.ndarray:
     The tiles must lie in one block.
     """
     row, col = (index % BLOCK_TILES * TILE_PX for index in (y, x))
-    # Picture layers are made of what blocks and frames have in common.
-    return layer_of(block.part(row, col, tiles * TILE_PX), layer)  # type: ignore[arg-type]
+    return picture_of(block.part(row, col, tiles * TILE_PX), layer)
 
 
 def check_format(layer: str, format: str) -> None:

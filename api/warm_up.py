@@ -42,9 +42,7 @@ def warm_up(expect_renderer: str | None = None) -> str:
     apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
     west, east = _visibility_beside_wall()
     if not (west > 0.99 and east < 0.01):
-        raise GraphicsError(
-            f"'{device.renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it"
-        )
+        raise GraphicsError(f"'{device.renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it")
     return device.renderer
 
 

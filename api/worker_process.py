@@ -28,9 +28,7 @@ class WorkerProcess:
     ``on_death`` is called in the event loop when it ends by itself.
     """
 
-    def __init__(
-        self, target: WorkerTarget, config: WorkerConfig, threads: Executor, on_death: Callable[[], None]
-    ) -> None:
+    def __init__(self, target: WorkerTarget, config: WorkerConfig, threads: Executor, on_death: Callable[[], None]) -> None:
         spawn = get_context("spawn")
         self._pipe, self._theirs = spawn.Pipe()
         self._process = spawn.Process(target=target, args=(self._theirs, config), name="skugga-render", daemon=True)

@@ -104,7 +104,8 @@ def _shadow_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[Shadow
         verdict = "at most" if bits == 16 else "more than"
         reasons.append(Reasoned(
             name=f"depth_bits {bits}",
-            reason=f"a 16-bit step of {range_m / (2**16 - 1):.3g} m shifts a shadow by {shift_px:.2g} pixels, {verdict} {DEPTH_PX}",
+            reason=f"a 16-bit step of {range_m / (2**16 - 1):.3g} m shifts a shadow by {shift_px:.2g} pixels, "
+            f"{verdict} {DEPTH_PX}",
         ))  # fmt: skip
     if taps == "auto":
         taps = 3

@@ -14,10 +14,11 @@ ways keep a surface from shading itself:
    node that face the sun, the depth of that very triangle there is what the map holds unless something else is nearer. It is
    compared as it is: no bias at all, at any slope.
    Taps whose centre falls beside the ring do not count, unless all of them do.
-2. *Beside the ring* (coarse maps, surfaces that the sun grazes) the receiver is moved along its normal instead. With unit normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies up to
-   (dx |nx| + dy |ny|) / |nz| nearer. Moving by b gains a clearance of b / |nz| along the ray, so b = dx |nx| + dy |ny| is exactly
-   enough at every slope, and never more than d times the root of 2, where a bias in depth would grow without bound. (For
-   t = tx = ty this is the k t sin(theta) of the tables of slope-scaled offsets.)
+2. *Beside the ring* (coarse maps, surfaces that the sun grazes) the receiver is moved along its normal instead. With unit
+   normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies
+   up to (dx |nx| + dy |ny|) / |nz| nearer. Moving by b gains a clearance of b / |nz| along the ray, so b = dx |nx| + dy |ny|
+   is exactly enough at every slope, and never more than d times the root of 2, where a bias in depth would grow without
+   bound. (For t = tx = ty this is the k t sin(theta) of the tables of slope-scaled offsets.)
    The centre may lie on a neighbouring triangle of unit normal m, with |m - n| at most the buffer's ``crease`` c. For it
    dx |mx| + dy |my| <= dx |nx| + dy |ny| + |d| c, and n.m >= 1 - c^2 / 2, hence
 
@@ -25,8 +26,8 @@ ways keep a surface from shading itself:
 
    the divisor held above 1/4, so that b stays below 8 texels even on a knife edge.
 
-Constants remain: e for float32 positions (8 units in the last place of the coordinates' extent), half a depth step and e for the
-map's rounding, and in the ring the slope times (t/128 + e) for the rasteriser's grid.
+Constants remain: e for float32 positions (8 units in the last place of the coordinates' extent), half a depth step and e for
+the map's rounding, and in the ring the slope times (t/128 + e) for the rasteriser's grid.
 """
 
 from __future__ import annotations

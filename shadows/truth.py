@@ -147,9 +147,7 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
     grid = view.grid.finer(finer)
-    fine = MapView(
-        grid, part.row0 * 2**finer, part.col0 * 2**finer, part.row_step * 2**finer, part.col_step * 2**finer, rows, cols
-    )
+    fine = MapView(grid, part.row0 * 2**finer, part.col0 * 2**finer, part.row_step * 2**finer, part.col_step * 2**finer, rows, cols)
     classes = []
     for its_view in (part, fine):
         its = map_geometry(scene.surface(its_view.grid), its_view, buffer.frame)

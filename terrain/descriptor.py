@@ -69,9 +69,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
         middle = float(np.mean(scene.height_range_m))
         for mid_row in mid_rows:
             for mid_col in mid_cols:
-                rows, cols = np.meshgrid(
-                    mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width
-                )
+                rows, cols = np.meshgrid(mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width)
                 point, up = scene.world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
                 points = scene.light.from_earth(point + middle * up).reshape(-1, 3)
                 if np.isfinite(points).all():

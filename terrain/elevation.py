@@ -262,7 +262,7 @@ def _open(source: str) -> rasterio.DatasetReader:
 
 @compiled
 def _bilinear(values, valid, row, col):  # type: ignore[no-untyped-def]
-    """Bilinear heights at (row, col) of a window, clamped half a cell beyond its outer centres; and the nearest cell's validity."""
+    """Bilinear heights at (row, col) of a window, clamped beyond its outer centres; and the nearest cell's validity."""
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.zeros(row.shape, np.bool_)

@@ -102,8 +102,10 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     if name is not None:
         tms = matrix_sets.get(name)
         base = tms.matrix(0).cellSize
-        zoom = int(np.clip(np.ceil(np.log2(base / resolution) - 1e-9), 0, 30))
-        return tile_grid(tms, zoom)
+        zoom = int(np.clip(np.ceil(np.log2(base / resolution) - 1e-9), -30, 60))
+        if zoom < 0:
+            return tile_grid(tms, 0).coarser(-zoom)
+        return tile_grid(tms, zoom) if zoom <= tms.maxzoom else tile_grid(tms, tms.maxzoom).finer(zoom - tms.maxzoom)
     step = float(2.0 ** np.floor(np.log2(resolution) + 1e-9))
     x, y = world.anchor_x, world.anchor_y
     if crs != world.crs:

@@ -45,9 +45,7 @@ class _Model(BaseModel):
         if isinstance(data, dict):
             for key in data:
                 if key not in cls.model_fields:
-                    raise PydanticCustomError(
-                        "unknown_key", "unknown key", {"key": str(key), "known": ", ".join(cls.model_fields)}
-                    )
+                    raise PydanticCustomError("unknown_key", "unknown key", {"key": str(key), "known": ", ".join(cls.model_fields)})
         return data
 
 
@@ -241,9 +239,10 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         return SunSpec(**fields)
     except ValidationError as error:
         detail = error.errors()[0]
-        name = ".".join(str(part) for part in detail["loc"]) or ("time" if time is not None else "azimuth, altitude")
-        value = time if name == "time" else fields.get(name, {k: v for k, v in fields.items() if v is not None})
-        raise InputError(name, value, detail["msg"]) from None
+        given = {key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None}
+        name = ".".join(str(part) for part in detail["loc"]) or ", ".join(given)
+        value = given.get(name, ", ".join(f"{key}={value}" for key, value in given.items()))
+        raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
 def load_level(path: Path | str) -> LoadedLevel:

@@ -128,6 +128,8 @@ class Scene:
         west, south, east, north = extent
         if not (np.isfinite(extent).all() and west < east and south < north):
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
+        if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
+            raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         size = size or spec.size
         if size is None:
             scale = DEFAULT_VIEW_PX / max(east - west, north - south)

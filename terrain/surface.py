@@ -178,10 +178,7 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  
                     along[n, k] = exact[m, n, k]
                 else:
                     along[n, k] = (
-                        w[0] * exact[m - 1, n, k]
-                        + w[1] * exact[m, n, k]
-                        + w[2] * exact[m + 1, n, k]
-                        + w[3] * exact[m + 2, n, k]
+                        w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
                     )
         for j in range(cols):
             coarse = (col0 + j) // stride

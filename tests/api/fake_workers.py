@@ -17,9 +17,7 @@ from terrain.grid import BLOCK_PX
 RENDERER = "fake"
 
 
-def obedient(
-    pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None
-) -> None:
+def obedient(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
     """Answers at once, or where ``go`` is given says that a job has ``begun`` and waits to be let ``go``.
 
     A plan's view is an order: ``crash``, ``hang``, ``refuse`` (wrong input), ``fail``, ``doubt`` (broken OpenGL).

@@ -120,9 +120,7 @@ def test_no_tile_with_data_is_ever_skipped(seed: int):
 def test_a_tile_across_the_antimeridian_sees_data_on_its_far_side():
     zealand = registered.get("NZTM2000Quad")
     tile = zealand.tile(179.9, -40.0, 5)
-    assert all(
-        (tile.x, tile.y) == (each.x, each.y) for each in (zealand.tile(lon, -40.0, 5) for lon in (179.0, -179.0))
-    )
+    assert all((tile.x, tile.y) == (each.x, each.y) for each in (zealand.tile(lon, -40.0, 5) for lon in (179.0, -179.0)))
     for data in ((178.9, -40.1, 179.1, -39.9), (-179.1, -40.1, -178.9, -39.9), (180.9, -40.1, 181.1, -39.9)):
         assert not off_data(zealand, 5, tile.x, tile.y, data)
     assert off_data(zealand, 5, tile.x, tile.y, (0.0, -40.1, 0.2, -39.9))

@@ -99,9 +99,7 @@ def test_render_processes_end_with_a_service_that_is_killed(hills_level: Path):
 
 def test_the_services_process_has_no_opengl(hills_level: Path, client):
     timed = hills_level.with_name("timed.yaml")
-    done = subprocess.run(
-        [sys.executable, "-c", LOOK_INSIDE, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=SOON_S
-    )
+    done = subprocess.run([sys.executable, "-c", LOOK_INSIDE, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
     assert done.returncode == 0, done.stderr
 
 

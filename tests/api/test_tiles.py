@@ -60,10 +60,7 @@ def test_layers_say_the_same(client: Client):
 
 def test_webp_of_data_layers_is_without_loss(client: Client):
     for layer in ("shadow", "mask"):
-        png, webp = (
-            picture(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer}))
-            for format in ("png", "webp")
-        )
+        png, webp = (picture(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})) for format in ("png", "webp"))
         assert np.array_equal(np.asarray(png.convert("RGBA")), np.asarray(webp.convert("RGBA")))
 
 

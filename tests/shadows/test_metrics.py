@@ -7,7 +7,13 @@ import pytest
 
 from shadows.metrics import (
     block_shares,
-    boundary, coverage_error, edge_distances, errors_of, flicker, interior, soft_error,
+    boundary,
+    coverage_error,
+    edge_distances,
+    errors_of,
+    flicker,
+    interior,
+    soft_error,
 )  # fmt: skip
 from shadows.truth import Truth
 

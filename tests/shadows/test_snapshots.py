@@ -58,8 +58,6 @@ def test_a_changed_picture_is_found_and_a_missing_one_fails_on_ci(tmp_path, monk
         changed = picture.copy()
         changed[3, 4, 1] += 2
         assert_golden("p", changed, "llvmpipe", regenerate=False)
-    assert {path.name for path in (tmp_path / "output").iterdir()} == {
-        f"p.{k}.png" for k in ("actual", "expected", "difference")
-    }
+    assert {path.name for path in (tmp_path / "output").iterdir()} == {f"p.{k}.png" for k in ("actual", "expected", "difference")}
     with pytest.raises(pytest.skip.Exception):
         assert_golden("p", picture, "another", regenerate=False)

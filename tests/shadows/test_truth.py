@@ -87,9 +87,7 @@ def test_a_mirrored_azimuth_moves_false_and_missed_shadow(gl, scene, view, real,
 
 
 def test_heights_times_1_02_move_the_edges(gl, view, real, usual, scene):
-    level = scene.loaded.level.model_copy(
-        update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})}
-    )
+    level = scene.loaded.level.model_copy(update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})})
     higher = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
     found = errors_of(visibility(higher, view), real, 30.0)
     assert found.edge_mean > usual.edge_mean and found.wrong_cast > 1.5 * usual.wrong_cast

@@ -1,8 +1,8 @@
-import './style.css';
 import { readHash, writeHash } from './hash.js';
 import { createMap } from './map.js';
 import { address, requestJson } from './service.js';
 import { OFFSETS, formatTime, minutesOf, noonToday, parseTime, timeOf } from './suntime.js';
+import './style.css'; // after MapLibre's, which it adjusts
 
 const TMS = 'WebMercatorQuad';
 const LAYERS = { color: 'Shaded relief', shadow: 'Shadows only' };
@@ -110,7 +110,8 @@ function saySun(sun) {
   $('sun-dot').setAttribute('cx', radius * Math.sin(angle));
   $('sun-dot').setAttribute('cy', -radius * Math.cos(angle));
   $('sun-dot').classList.toggle('down', altitude < 0);
-  $('sun-words').textContent = `Azimuth ${azimuth.toFixed(1)}°, altitude ${altitude.toFixed(1)}°${altitude < 0 ? ': below the horizon' : ''}`;
+  const lines = [`Azimuth ${azimuth.toFixed(1)}°`, `Altitude ${altitude.toFixed(1)}°${altitude < 0 ? ', below the horizon' : ''}`];
+  $('sun-words').replaceChildren(...lines.map((textContent) => Object.assign(document.createElement('span'), { textContent })));
 }
 
 // --- drawing --------------------------------------------------------------------------------------------------------
@@ -162,7 +163,7 @@ async function draw() {
     const tiles = tilejson.tiles.map((tile) => new URL(tile, url).href.replace(/%7B/gi, '{').replace(/%7D/gi, '}'));
     $('tiles').value = tiles[0];
     $('tilejson').href = url;
-    saySun(tilejson.sun);
+    saySun(tilejson.skugga?.sun);
     show(level.name, { ...tilejson, tiles });
   } catch (error) {
     if (error.name !== 'AbortError') say(error.message, { failed: true });
@@ -208,7 +209,7 @@ function listen() {
 
   $('minutes').addEventListener('input', () => { $('time').value = timeOf(Number($('minutes').value)); });
   $('time').addEventListener('input', () => { if ($('time').value) $('minutes').value = minutesOf($('time').value); });
-  $('level').addEventListener('change', () => open(currentLevel(), {}));
+  $('level').addEventListener('change', () => open(currentLevel(), { layer: panel.elements.layer?.value }));
   // Events rise to the panel after the fields above have been set to agree.
   panel.addEventListener('input', (event) => {
     if (event.target.id === 'level' || event.target.readOnly) return;
@@ -248,5 +249,5 @@ try {
   listen();
   map.once('load', start);
 } catch {
-  say('This browser cannot draw the map: it has no WebGL 2.', { failed: false });
+  say('This browser cannot draw the map: it has no WebGL 2.');
 }
