@@ -240,8 +240,9 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
     except ValidationError as error:
         detail = error.errors()[0]
         given = {key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None}
-        name = ".".join(str(part) for part in detail["loc"]) or ", ".join(given)
-        value = given.get(name, ", ".join(f"{key}={value}" for key, value in given.items()))
+        name = ".".join(str(part) for part in detail["loc"]) or ("time" if time else "azimuth, altitude")
+        both = ", ".join(f"{key}={value}" for key, value in given.items())
+        value = given[name] if name in given and (len(given) == 1 or name != "time") else both
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
