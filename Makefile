@@ -45,14 +45,16 @@ lint: $(INSTALLED)
 viewer: $(VIEWER)
 
 viewer-if-possible: $(INSTALLED)
-	@$(MAKE) --no-print-directory viewer || echo "skugga: the viewer was not built (see above); all else works without it" >&2
+	@$(MAKE) --no-print-directory viewer >/dev/null 2>&1 || \
+	    echo "skugga: the viewer was not built ('make viewer' says why); all else works without it" >&2
 
 clean:
 	rm -rf $(VENV) api/static viewer/node_modules build dist *.egg-info
 
 $(INSTALLED): pyproject.toml
-	scripts/make-venv.sh $(VENV)
-	$(VENV)/bin/python -m pip install --quiet -e '.[test,viewer]'
+	@scripts/make-venv.sh $(VENV)
+	@echo "skugga: installing Python packages into $(VENV) (a minute or so)"
+	@$(VENV)/bin/python -m pip install -qq -e '.[test,viewer]'
 	@touch $@
 
 $(SYSTEM): $(INSTALLED) scripts/check_system.py
@@ -63,9 +65,10 @@ $(SYSTEM): $(INSTALLED) scripts/check_system.py
 
 # One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
 $(MODULES): viewer/package.json viewer/package-lock.json | $(INSTALLED)
-	$(NPM) ci --prefer-offline --fetch-retries=1 --fetch-retry-mintimeout=1000 --fetch-retry-maxtimeout=3000
+	@echo "skugga: building the viewer"
+	@$(NPM) ci --prefer-offline --fetch-retries=1 --fetch-retry-mintimeout=1000 --fetch-retry-maxtimeout=3000
 	@touch $@
 
 $(VIEWER): $(MODULES) $(VIEWER_SOURCES)
-	$(NPM) run --silent build -- --logLevel warn
+	@$(NPM) run --silent build -- --logLevel warn
 	@touch $@

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from selector.compare import _footprint_px  # the same footprint as in `skugga compare`
+from selector.compare import texel_footprint_px
 from selector.rules import choose
 from shadows import shadow_map
 from shadows.attached import attached
@@ -40,13 +40,11 @@ def scene_of(raster: Path, folder: Path) -> Scene:
 
 
 def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
-    cell = scene.elevation.cell_size_m(scene.world.metres_per_unit) / scene.world.metres_per_unit
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
     side = min(pixels, max(scene.elevation.shape))
-    if scene.elevation.crs.is_geographic:
-        x, y = scene.view(size=(8, 8)).centre
-    else:
-        x, y = scene.world.anchor_x, scene.world.anchor_y
-    half = side * cell / 2
+    x, y = scene.view(size=(8, 8)).centre
+    half = side * cell_m / unit_m / 2
     rows = []
     for azimuth, altitude in SUNS:
         lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
@@ -62,7 +60,7 @@ def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
             continue
         visibility = shadow_map.fill(buffer, lit, casters, settings, PassLog())
         visibility[attached(buffer, lit)] = 0.0
-        found = errors_of(visibility, truth, descriptor.pixel_m, _footprint_px(lit, settings, descriptor.pixel_m))
+        found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, settings, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))
         rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadowed, **asdict(found)})
     return rows
@@ -95,14 +93,14 @@ def main() -> None:
             scenes.append((slope_p95_deg(scene), raster, scene))
         scenes.sort(key=lambda item: -item[0])
         said = []
-        print(f"{'raster':40s} slope  azimuth altitude shadow%  wrong_cast% false%  missed%  edge_p95  interior% parts boundary%")
+        print(f"{'raster':40s} slope  azimuth altitude shadow% wrong_cast% false% missed% edge_p95 interior% parts boundary%")
         for slope, raster, scene in scenes:
             for row in measure(scene, given.pixels, given.map_size, given.filter):
                 said.append({"raster": raster.name, "slope_p95_deg": slope, **row})
                 print(
-                    f"{raster.stem[:39]:40s} {slope:5.1f}  {row['azimuth']:7.0f} {row['altitude']:8.0f} {100 * row['shadow']:7.2f}  "
-                    f"{100 * row['wrong_cast']:11.2f} {100 * row['false_shadow']:6.3f} {100 * row['missed_shadow']:8.3f} "
-                    f"{row['edge_p95']:9.2f} {100 * row['interior']:10.4f} {row['interior_parts']:5d} {100 * row['boundary']:9.2f}",
+                    f"{raster.stem[:39]:40s} {slope:5.1f}  {row['azimuth']:7.0f} {row['altitude']:8.0f} {100 * row['shadow']:7.2f} "
+                    f"{100 * row['wrong_cast']:11.2f} {100 * row['false_shadow']:6.3f} {100 * row['missed_shadow']:7.3f} "
+                    f"{row['edge_p95']:8.2f} {100 * row['interior']:9.4f} {row['interior_parts']:5d} {100 * row['boundary']:9.2f}",
                     flush=True,
                 )
     if given.json:

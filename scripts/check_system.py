@@ -1,7 +1,7 @@
 """Says whether this machine has the system libraries that Skugga needs; exit status 1 and one line if not.
 
-The check is the use itself: the compiled packages are imported and an OpenGL context is made the way the renderer makes it,
-since the presence of a library file says little about whether a driver answers.
+The check is the use itself: the compiled packages are imported and an OpenGL context is made the way the renderer
+makes it, since the presence of a library file says little about whether a driver answers.
 """
 
 import importlib
@@ -21,7 +21,8 @@ def main() -> int:
     except Exception as error:  # whatever is wrong, the caller needs it as one line
         print(f"skugga: {type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
-    print(f"skugga: OpenGL {context.version_code // 100}.{context.version_code // 10 % 10}, {context.info['GL_RENDERER']}")
+    major, minor = divmod(context.version_code // 10, 10)
+    print(f"skugga: OpenGL {major}.{minor}, {context.info['GL_RENDERER']}")
     context.release()
     return 0
 

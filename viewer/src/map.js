@@ -55,9 +55,10 @@ export function createMap(container, onProgress) {
   });
   map.touchZoomRotate.disableRotation();
   map.keyboard.disableRotation();
-  map.addControl(new NavigationControl({ showCompass: false }), 'bottom-right');
-  map.addControl(new ScaleControl({ maxWidth: 120 }), 'bottom-right');
+  // From the bottom up.
   map.addControl(new AttributionControl({ compact: false }), 'bottom-right');
+  map.addControl(new ScaleControl({ maxWidth: 120 }), 'bottom-right');
+  map.addControl(new NavigationControl({ showCompass: false }), 'bottom-right');
   // Failed tiles have been told by the loader; the listener keeps MapLibre from telling them to the console again.
   map.on('error', () => {});
 
