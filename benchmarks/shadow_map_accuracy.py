@@ -1,6 +1,6 @@
 """Accuracy of `shadow_map` on real rasters: error against truth, per raster and sun, at azimuths off the 45-degree axes.
 
-    python benchmarks/shadow_map_accuracy.py FOLDER [--map-size 4096] [--filter 1] [--pixels 512] [--json FILE]
+    python benchmarks/shadow_map_accuracy.py FOLDER [--map-size 4096] [--filter 1] [--pixels 400] [--markdown FILE]
 
 Every raster below FOLDER that is a terrain or a surface is drawn at its own resolution (at most ``--pixels`` a side, from its
 middle), steepest first by the 95th percentile of slope.
@@ -26,6 +26,7 @@ from shadows.truth import truth_of
 from terrain.descriptor import describe
 from terrain.errors import SkuggaError
 from terrain.geometry import map_geometry
+from terrain.gl import device
 from terrain.level import SunSpec, load_level
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
@@ -79,8 +80,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--map-size", type=int, default=4096)
     parser.add_argument("--filter", type=int, default=1)
-    parser.add_argument("--pixels", type=int, default=512)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--pixels", type=int, default=400)
+    parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scenes = []
@@ -92,19 +93,27 @@ def main() -> None:
                 continue
             scenes.append((slope_p95_deg(scene), raster, scene))
         scenes.sort(key=lambda item: -item[0])
-        said = []
-        print(f"{'raster':40s} slope  azimuth altitude shadow% wrong_cast% false% missed% edge_p95 interior% parts boundary%")
+        lines = [
+            f"# `shadow_map` against truth: map {given.map_size}, {given.filter} tap(s) a side, {given.pixels} pixels",
+            "",
+            f"Made by `benchmarks/shadow_map_accuracy.py` on {device().renderer}. Shares in per cent, edges in pixels.",
+            "",
+            "| raster | slope p95 | azimuth / altitude | shadow | `wrong_cast` | false | missed | `edge_p95` | "
+            "`interior` | boundary |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        ]
+        print(lines[-2])
         for slope, raster, scene in scenes:
             for row in measure(scene, given.pixels, given.map_size, given.filter):
-                said.append({"raster": raster.name, "slope_p95_deg": slope, **row})
-                print(
-                    f"{raster.stem[:39]:40s} {slope:5.1f}  {row['azimuth']:7.0f} {row['altitude']:8.0f} {100 * row['shadow']:7.2f} "
-                    f"{100 * row['wrong_cast']:11.2f} {100 * row['false_shadow']:6.3f} {100 * row['missed_shadow']:7.3f} "
-                    f"{row['edge_p95']:8.2f} {100 * row['interior']:9.4f} {row['interior_parts']:5d} {100 * row['boundary']:9.2f}",
-                    flush=True,
+                shares = (100 * row[key] for key in ("shadow", "wrong_cast", "false_shadow", "missed_shadow"))
+                lines.append(
+                    f"| {raster.parent.name}/{raster.stem} | {slope:.0f}° | {row['azimuth']:.0f} / {row['altitude']:.0f} | "
+                    + " | ".join(f"{share:.2f}" for share in shares)
+                    + f" | {row['edge_p95']:.2f} | {100 * row['interior']:.4f} | {100 * row['boundary']:.1f} |"
                 )
-    if given.json:
-        given.json.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+                print(lines[-1], flush=True)
+    if given.markdown:
+        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
