@@ -181,3 +181,32 @@ def test_the_installed_command_runs():
         pytest.skip("skugga is not installed beside this Python")
     done = subprocess.run([command, "render", "nowhere", "-o", "x.png"], capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stderr.startswith("skugga: LEVEL") and done.stderr.count("\n") == 1
+
+
+def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path):
+    rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
+    status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
+    assert (status, err) == (0, "")
+    rows = json.loads(rows_file.read_text())
+    assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {"shadow_map", "none"}
+    assert sum(row["pareto"] for row in rows) >= 1
+    for row in rows:
+        assert 0 <= row["wrong"] <= 1 and row["ms_p95"] >= row["ms_median"] >= 0 and row["bytes"] >= 0
+    assert "wrong cast" in out and "surface" in out and "noise" in out
+    pictures = sorted(folder.glob("*.png"))
+    assert len(pictures) == len(rows)
+    none = np.asarray(Image.open(folder / "none.png")).astype(int)
+    assert ((none[..., 2] - none[..., 0]) > 100).mean() > 0.02, "missed shadow is blue"
+
+
+def test_truth_needs_no_opengl(tmp_path):
+    """A map view by rays makes no OpenGL context, and says so."""
+    code = (
+        "import sys; sys.argv = ['skugga', 'render', 'jacksboro', '--size', '60x60', '--algorithm', 'truth',"
+        f" '-o', {str(tmp_path / 'x.png')!r}, '--stats', {str(tmp_path / 's.json')!r}]\n"
+        "from api.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    said = json.loads((tmp_path / "s.json").read_text())
+    assert said["device"] is None and said["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
