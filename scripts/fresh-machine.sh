@@ -132,6 +132,10 @@ run_and_look() {
         fi
         sleep 1
     done
+    # The map itself: a tile of the bundled level, once a render process is ready.
+    local tile="http://127.0.0.1:$port/levels/jacksboro/tiles/WebMercatorQuad/12/1089/1602.png"
+    curl --silent --fail --noproxy '*' --max-time 60 --retry 20 --retry-delay 2 --retry-all-errors --output "$folder/tile.png" "$tile" ||
+        { echo "fresh-machine: no tile came" >&2; status=1; }
     # SIGTERM first, as a service manager would. unshare itself ignores it; it ends when what it started has ended.
     kill -TERM -- "-$running" 2>/dev/null || true
     for ((i = 0; i < 20; i++)); do
@@ -146,6 +150,7 @@ run_and_look() {
     wait "$running" 2>/dev/null || true
     running=
     tail -15 "$log"
+    [ ! -s "$folder/tile.png" ] || echo "fresh-machine: a tile of $(wc -c <"$folder/tile.png") bytes"
     if [ -s "$folder/page.html" ]; then
         echo "fresh-machine: / answered with $(wc -c <"$folder/page.html") bytes, titled $(grep -o '<title>.*</title>' "$folder/page.html" || echo nothing)"
         [ -e "$home/api/static/index.html" ] || { echo "fresh-machine: the viewer was not built" >&2; status=1; }
