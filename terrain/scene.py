@@ -151,7 +151,8 @@ class Scene:
 
     def _default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
         if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
-            return self.elevation_bounds
+            west, south, east, north = self.elevation_bounds
+            return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
         try:
             bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
