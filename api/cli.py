@@ -178,7 +178,11 @@ def main() -> None:
     except OSError as error:
         if debug:
             raise
-        status = _fail(f"{error.filename or 'output'}: {error.strerror}", 1)
+        status = _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+    except Exception as error:
+        if debug:
+            raise
+        status = _fail(f"internal error, {type(error).__name__}: {error}; --debug shows where", 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -191,7 +195,9 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+    if not (
+        cross and text.isascii() and width.isdigit() and height.isdigit() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384
+    ):
         raise InputError("--size", text, "WxH, 1x1 to 16384x16384, as 1280x1024")
     return int(width), int(height)
 

@@ -115,6 +115,8 @@ def check_suffix(layer: str, path: Path) -> None:
         raise InputError("layer", layer, ", ".join(LAYERS))
     if path.suffix.lower() not in SUFFIXES[layer]:
         raise InputError("output", str(path), f"for layer {layer}: {', '.join(SUFFIXES[layer])}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(2, "its folder does not exist", str(path))
 
 
 def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:

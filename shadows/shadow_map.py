@@ -38,7 +38,6 @@ import numpy as np
 
 from shadows.passes import PassLog
 from shadows.plan import ShadowMapSettings
-from terrain.errors import RenderError
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
 from terrain.light_space import light_bounds
@@ -60,7 +59,7 @@ SIZE_STEP = 64
 def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: ShadowMapSettings, log: PassLog) -> np.ndarray:
     """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the relief.
 
-    Where there is no surface the value means nothing. Raises ``RenderError`` or ``GraphicsError``.
+    Where there is no surface the value means nothing. Raises ``GraphicsError``.
     """
     assert scene.light is not None
     rows, cols = buffer.there.shape
@@ -70,12 +69,12 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
     texel = np.array(settings.texel_m)
-    first = np.floor(low[:2] / texel).astype(np.int64) - BORDER_TEXELS
-    size = np.floor(high[:2] / texel).astype(np.int64) + 1 + BORDER_TEXELS - first
-    size = -(-size // SIZE_STEP) * SIZE_STEP
     gl = device()
-    if size.max() > gl.max_size:
-        raise RenderError(f"shadow map of {size[0]} x {size[1]} texels: the device holds {gl.max_size} a side")
+    first, size = _window(low, high, texel)
+    for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
+        while size[axis] > min(gl.max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
+            texel[axis] *= 2.0
+            first, size = _window(low, high, texel)
     extent_m = float(np.abs(buffer.position_frame_m[buffer.there]).max() + np.abs(high - low).max())
     error_m = 8.0 * np.finfo(np.float32).eps / 2 * extent_m
     step_m = settings.depth_step_m
@@ -130,6 +129,13 @@ def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: Shado
         for texture in textures:
             texture.release()
     return visibility
+
+
+def _window(low: np.ndarray, high: np.ndarray, texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First texel and size in texels of the map over light bounds, on the lattice counted from the anchor."""
+    first = np.floor(low[:2] / texel).astype(np.int64) - BORDER_TEXELS
+    size = np.floor(high[:2] / texel).astype(np.int64) + 1 + BORDER_TEXELS - first
+    return first, -(-size // SIZE_STEP) * SIZE_STEP
 
 
 def _set(program, values: dict) -> None:  # type: ignore[no-untyped-def]

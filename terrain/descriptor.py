@@ -54,7 +54,7 @@ def describe(scene: Scene, view: MapView, name: str = "map") -> Descriptor:
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:
-    """The largest light-space extent of blocks laid out over the level: 3 x 3 of them, 3 x 3 points each, plus relief."""
+    """The largest light-space extent of blocks laid out over the level: 3 x 3 of them, 17 x 17 points each, plus relief."""
     if scene.light is None:
         return None
     row, col, _ = overview_on_grid(scene.world, scene.elevation, view.grid)
@@ -66,13 +66,14 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
             side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
             spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
         (mid_rows, height), (mid_cols, width) = spans
-        middle = float(np.mean(scene.height_range_m))
+        middle, across = float(np.mean(scene.height_range_m)), np.linspace(-0.5, 0.5, 17)
         for mid_row in mid_rows:
             for mid_col in mid_cols:
-                rows, cols = np.meshgrid(mid_row + np.linspace(-0.5, 0.5, 3) * height, mid_col + np.linspace(-0.5, 0.5, 3) * width)
+                rows, cols = np.meshgrid(mid_row + across * height, mid_col + across * width)
                 point, up = scene.world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
                 points = scene.light.from_earth(point + middle * up).reshape(-1, 3)
-                if np.isfinite(points).all():
+                points = points[np.isfinite(points).all(axis=1)]
+                if len(points):
                     widest = np.maximum(widest, np.ptp(points, axis=0))
     altitude = np.radians(scene.light.altitude_deg)
     widest += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])

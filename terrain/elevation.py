@@ -66,11 +66,16 @@ class Overview:
 class Elevation:
     """An open raster of heights. Not to be shared between threads.
 
+    ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own.
+
     Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
     """
 
-    def __init__(self, source: str, units: Units | None = None, exaggeration: float = 1.0) -> None:
+    def __init__(
+        self, source: str, units: Units | None = None, exaggeration: float = 1.0, resolution_m: float | None = None
+    ) -> None:
         self.name = source
+        self.resolution_m = resolution_m
         try:
             self._dataset = BUNDLED[source]().open() if source in BUNDLED else _open(source)
         except (RasterioError, OSError) as error:
@@ -85,6 +90,8 @@ class Elevation:
             self.crs = CRS.from_user_input(dataset.crs.to_wkt())
         except (CRSError, RasterioError):
             raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
+        if self.crs.is_geocentric:
+            raise SourceError(source, self.crs.name, "a projected, geographic or engineering CRS")
         if dataset.transform.determinant == 0:
             raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
         self.rows, self.cols = dataset.height, dataset.width
@@ -137,7 +144,7 @@ class Elevation:
         row, col = (self.rows - 1) / 2, (self.cols - 1) / 2
         if self.crs.is_geographic:
             xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
-            ys = np.clip(ys, -89.9, 89.9)
+            ys = ys - ys[0] + np.clip(ys[0], -89.9, 89.9)
             _, _, width = WGS84.inv(xs[0], ys[0], xs[1], ys[1])
             _, _, height = WGS84.inv(xs[2], ys[2], xs[3], ys[3])
             return float(np.sqrt(width * height))

@@ -18,10 +18,14 @@ from morecantile import TileMatrixSet
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
+from terrain.errors import InputError
 from terrain.world import LONGITUDE_LATITUDE, World, transformer
 
 BLOCK_PX = 1024
 """Side of a map block in pixels: the unit of work and of caching."""
+
+MAX_WINDOW_NODES = 8192
+"""Most nodes along a block: pixels are at most four times as long as wide, less in small pictures."""
 
 TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 """CRSs whose maps share the grids of a tile matrix set."""
@@ -128,6 +132,11 @@ def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], 
     west, south, east, north = bounds
     col_px, row_px = (east - west) / cols, (north - south) / rows
     grid = map_grid(world, crs, min(col_px, row_px))
+    nodes = max(min(cols, BLOCK_PX) * col_px, min(rows, BLOCK_PX) * row_px) / grid.step
+    if nodes > MAX_WINDOW_NODES:
+        raise InputError(
+            "size", f"{cols}x{rows}", f"pixels nearer to squares: these are {col_px:.3g} by {row_px:.3g} in {crs.name}"
+        )
     # Differences first: with coordinates in the millions they are exact where sums are not.
     row0, row_step = _snapped(((grid.y0 - north) + row_px / 2) / grid.step, row_px / grid.step, rows)
     col0, col_step = _snapped(((west - grid.x0) + col_px / 2) / grid.step, col_px / grid.step, cols)

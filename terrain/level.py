@@ -256,6 +256,8 @@ def load_level(path: Path | str) -> LoadedLevel:
         raise LevelError(str(path), reason, "a readable YAML file") from None
     try:
         data = YAML(typ="safe", pure=True).load(text)
+    except (ValueError, RecursionError) as error:  # a date that is none, brackets without end
+        raise LevelError(str(path), str(error), "well-formed YAML 1.2") from None
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}: line {mark.line + 1}" if mark else str(path)

@@ -130,11 +130,17 @@ def _overview_cell_m(scene: Scene) -> float:
 
 @lru_cache(maxsize=8)
 def overview_on_grid(world, elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
-    """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes."""
+    """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
+
+    Columns run on across the antimeridian, in one piece.
+    """
     x, y = _overview_xy(elevation)
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
     row, col = (grid.y0 - np.asarray(y)) / grid.step, (np.asarray(x) - grid.x0) / grid.step
+    period = _columns_round_the_earth(grid)
+    if period is not None and np.isfinite(col).all():
+        col = np.unwrap(np.unwrap(col, period=period, axis=1), period=period, axis=0)
     size = np.zeros_like(row)
     with np.errstate(invalid="ignore"):
         for values in (row, col):
@@ -144,37 +150,79 @@ def overview_on_grid(world, elevation, grid: Grid) -> tuple[np.ndarray, np.ndarr
     return row, col, size + 1.0
 
 
+def _columns_round_the_earth(grid: Grid) -> float | None:
+    """Columns of a grid after which it meets itself; ``None`` where it does not."""
+    if grid.crs.is_geographic:
+        return 360.0 / grid.step
+    return 2.0 * np.pi * WGS84.a / grid.step if grid.crs.to_epsg() == 3857 else None
+
+
 def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tuple[Patch, ...], float]:
-    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres."""
+    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres.
+
+    A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
+    """
     row, col, half = overview_on_grid(scene.world, scene.elevation, buffer.view.grid)
     can = can & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
     row, col, half = row[can], col[can], half[can]
     own = buffer.surface
     rows, cols = own.height_m.shape
+    period = _columns_round_the_earth(buffer.view.grid)
+    if period is not None and len(col):
+        col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
     away = np.maximum.reduce(
         [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
     )
+    assert scene.light is not None
     known_m = 0.0
     if (away > 0).any():
-        assert scene.light is not None
         towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can])
         known_m = max(float(towards[away > 0].max()) - _sunward_edge_m(scene.light, buffer), 0.0)
-    detail = np.maximum(np.floor(np.log2(np.maximum(away, 1.0) / FULL_DETAIL_NODES)) + 1, 0).astype(int)
-    patches: set[Patch] = set()
-    for level in np.unique(detail):
-        at = detail == level
-        quads = PATCH_QUADS * 2**level
-        spans = [np.floor((v[at] + side * half[at]) / quads).astype(np.int64) for v in (row, col) for side in (-1, 1)]
-        for top, bottom, left, right in _distinct(np.stack(spans, axis=1)):
-            patches.update(
-                Patch(int(level), r, c) for r in range(top, bottom + 1) for c in range(left, right + 1)
-                if not _inside(r * quads, c * quads, quads, own.row0, own.col0, rows, cols)
-            )  # fmt: skip
-    return tuple(sorted(patches, key=lambda p: (p.level, p.row, p.col))), known_m
+    longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
+    farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(buffer.view.grid).step_m) + half.max(initial=0.0)
+    patches: list[Patch] = []
+    level, near = 0, 0
+    while near < farthest or level == 0:
+        far, quads = FULL_DETAIL_NODES * 2**level, PATCH_QUADS * 2**level
+        limits = ((own.row0 - far, own.row0 + rows + far), (own.col0 - far, own.col0 + cols + far))
+        low, high = (
+            np.stack([np.clip(v + side * half, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
+            for side in (-1, 1)
+        )
+        reached = (low < high).all(axis=1)
+        spans = np.concatenate([np.floor(low[reached] / quads), np.floor(high[reached] / quads)], axis=1).astype(np.int64)
+        found = {
+            Patch(level, r, c)
+            for top, left, bottom, right in _distinct(spans)
+            for r in range(top, bottom + 1)
+            for c in range(left, right + 1)
+            if not _inside(r * quads, c * quads, quads, own.row0 - near, own.col0 - near, rows + 2 * near, cols + 2 * near)
+        }
+        patches += _in_the_way(scene, buffer, sorted(found, key=lambda patch: (patch.row, patch.col)))
+        level, near = level + 1, far
+    return tuple(patches), known_m
+
+
+def _in_the_way(scene: Scene, buffer: GeometryBuffer, patches: list[Patch]) -> list[Patch]:
+    """Those of some patches of one level whose ground, if it were the level's highest, could shade the block."""
+    if not patches:
+        return []
+    assert scene.light is not None
+    grid, quads = buffer.view.grid, PATCH_QUADS * 2 ** patches[0].level
+    middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
+    point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
+    low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
+    at = scene.light.from_earth(point + scene.height_range_m[1] * up)
+    slack = quads * scene.surface(grid).step_m * 1.5  # half a diagonal, doubled: map scale varies over a level
+    ways = (at[:, 0] >= low[0] - slack) & (at[:, 0] <= high[0] + slack) & (at[:, 1] >= low[1] - slack)
+    keep = ways & (at[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(at).all(axis=1)
+    return [patch for patch, kept in zip(patches, keep, strict=True) if kept]
 
 
 def _distinct(spans: np.ndarray) -> list[list[int]]:
     """The distinct rows of an integer array, by way of one number each (``np.unique`` over rows is 20 times slower)."""
+    if not len(spans):
+        return []
     first = spans.min(axis=0)
     sizes = np.ptp(spans, axis=0) + 1
     keys = np.unique(np.ravel_multi_index(tuple((spans - first).T), tuple(sizes)))

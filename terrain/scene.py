@@ -128,19 +128,24 @@ class Scene:
         west, south, east, north = extent
         if not (np.isfinite(extent).all() and west < east and south < north):
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
+        pixels = (east - west) / (size or (1, 1))[0], (north - south) / (size or (1, 1))[1]
+        if max(map(abs, extent)) > 1e9 or min(pixels) < 1e-9 * max(map(abs, extent)):
+            raise InputError("bounds", extent, "coordinates below 1e9 and pixels that they can tell apart")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         size = size or spec.size
-        if size is None:
-            scale = DEFAULT_VIEW_PX / max(east - west, north - south)
-            size = max(int(np.rint((east - west) * scale)), 1), max(int(np.rint((north - south) * scale)), 1)
+        if size is None:  # square pixels: the shorter side grows to a whole number of them
+            pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
+            size = max(int(np.rint((east - west) / pixel)), 1), max(int(np.rint((north - south) / pixel)), 1)
+            wider, higher = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
+            extent = west, south, east, north = west - wider, south - higher, east + wider, north + higher
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
     def _crs(self, text: str | None) -> CRS:
         if text is None:
             return self.map_crs
         try:
-            crs = CRS.from_user_input(int(text) if text.isdigit() else text)
+            crs = CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
         except CRSError:
             raise InputError("crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
         if self.world.flat and crs != self.world.crs:
@@ -154,6 +159,8 @@ class Scene:
             west, south, east, north = self.elevation_bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
+        if self.bounds_lon_lat[2] > 180.0 and not crs.is_geographic and crs != self.elevation.crs:
+            raise InputError("crs", crs.name, "bounds to go with it: the level crosses the antimeridian, where this CRS ends")
         try:
             bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
         except ProjError:
@@ -166,7 +173,7 @@ class Scene:
 def build_scene(loaded: LoadedLevel) -> Scene:
     """Open a level's elevation and place its anchor and sun. Raises ``LevelError``, ``SourceError`` or ``InputError``."""
     terrain = loaded.level.terrain
-    elevation = Elevation(loaded.source, terrain.units, terrain.exaggeration)
+    elevation = Elevation(loaded.source, terrain.units, terrain.exaggeration, terrain.resolution)
     world = _world(loaded, elevation)
     spec = loaded.level.sun
     return Scene(loaded, world, elevation, None if spec == "none" else sun_of(spec, world))

@@ -38,27 +38,19 @@ _SRGB_STEPS = 4096
 def shade(buffer: GeometryBuffer, scene: Scene, visibility: np.ndarray) -> np.ndarray:
     """Colour (rows, cols, 3) uint8, sRGB, of a buffer's points under a sun visibility; black where nothing is there."""
     low, high = scene.height_range_m
-    sun_share, sky_share, exposure = light_shares(None if scene.sun is None else scene.sun.altitude_deg)
+    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     to_sun = np.zeros(3) if scene.sun is None else buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
     return _shade(
         buffer.there, buffer.height_m, buffer.shading_normal_frame, visibility, to_sun, _up_centre(scene, buffer),
         buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint_table(),
-        np.array(SUNLIGHT) * sun_share * exposure, np.array(SKYLIGHT) * sky_share * exposure, _srgb_table(),
+        np.array(SUNLIGHT) * exposure, np.array(SKYLIGHT) * SKY_SHARE * exposure, _srgb_table(), scene.sun is not None, NIGHT_SKY,
     )  # fmt: skip
 
 
-def light_shares(altitude_deg: float | None) -> tuple[float, float, float]:
-    """Direct light, sky light and exposure for a sun's altitude at the anchor (``None``: no sun, as at night).
-
-    Direct light fades in over the first degree above the horizon, sky light from nautical dusk (-12 degrees) to 6.
-    """
-    if altitude_deg is None:
-        altitude_deg = -90.0
-    sun = float(np.clip(altitude_deg, 0.0, 1.0))
-    dusk = float(np.clip((altitude_deg + 12.0) / 18.0, 0.0, 1.0))
-    sky = SKY_SHARE * (NIGHT_SKY + (1.0 - NIGHT_SKY) * dusk * dusk * (3.0 - 2.0 * dusk))
-    level = np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG))) + SKY_SHARE
-    return sun, sky, LEVEL_GROUND / float(level)
+def exposure_of(altitude_deg: float | None) -> float:
+    """Exposure for a sun's altitude at the anchor (``None``: no sun): level, lit, white ground keeps its brightness."""
+    level = np.sin(np.radians(max(-90.0 if altitude_deg is None else altitude_deg, EXPOSURE_FLOOR_DEG))) + SKY_SHARE
+    return LEVEL_GROUND / float(level)
 
 
 def tint_table(steps: int = 256) -> np.ndarray:
@@ -84,7 +76,7 @@ def _up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
 
 
 @compiled
-def _shade(there, height, normal, visibility, to_sun, centre, position, low, relief, tint, sun, sky, srgb):  # type: ignore[no-untyped-def]
+def _shade(there, height, normal, visibility, to_sun, centre, position, low, relief, tint, sun, sky, srgb, has_sun, night):  # type: ignore[no-untyped-def]
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.uint8)
     last = srgb.size - 1
@@ -94,13 +86,20 @@ def _shade(there, height, normal, visibility, to_sun, centre, position, low, rel
                 continue
             n = normal[i, j]
             ux, uy, uz = position[i, j, 0] - centre[0], position[i, j, 1] - centre[1], position[i, j, 2] - centre[2]
-            up = (n[0] * ux + n[1] * uy + n[2] * uz) / np.sqrt(ux * ux + uy * uy + uz * uz)
-            facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0) * visibility[i, j]
+            length = np.sqrt(ux * ux + uy * uy + uz * uz)
+            up = (n[0] * ux + n[1] * uy + n[2] * uz) / length
+            # Direct light fades in over the first degree of the sun's altitude here, sky light from nautical dusk (-12) to 6.
+            sine = (to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz) / length
+            altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))) if has_sun else -90.0
+            direct = min(max(altitude, 0.0), 1.0) * visibility[i, j]
+            dusk = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
+            sky_here = night + (1.0 - night) * dusk * dusk * (3.0 - 2.0 * dusk)
+            facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0) * direct
             share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
             at = min(int(share), tint.shape[0] - 2)
             for k in range(3):
                 albedo = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
-                light = albedo * (sun[k] * facing + sky[k] * (0.5 + 0.5 * up))
+                light = albedo * (sun[k] * facing + sky[k] * sky_here * (0.5 + 0.5 * up))
                 shown = light if light <= 0.5 else 1.0 - 0.25 / light  # a shoulder: slopes that face a low sun keep their tint
                 out[i, j, k] = srgb[min(int(shown * srgb.size), last)]
     return out

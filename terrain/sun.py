@@ -50,9 +50,9 @@ def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[f
 
     Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
     """
-    moment = time.astimezone(UTC)
-    if not YEARS[0] <= moment.year <= YEARS[1]:
+    if not YEARS[0] <= time.year <= YEARS[1]:
         raise InputError("time", time.isoformat(), f"years {YEARS[0]} to {YEARS[1]}")
+    moment = time.astimezone(UTC)
     import pandas  # with pvlib 0.8 s: paid only where a time is asked for
     from pvlib.solarposition import spa_python
 

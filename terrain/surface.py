@@ -54,10 +54,11 @@ class Surface:
 
     def __post_init__(self) -> None:
         step_m = step_at_anchor_m(self.world, self.grid)
-        ratio = step_m / self.elevation.cell_size_m(self.world.metres_per_unit)
+        cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
+        ratio, detail_m = step_m / cell_m, max(step_m, self.elevation.resolution_m or 0.0)
         stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
         for name, value in {
-            "step_m": step_m, "level": max(int(np.rint(np.log2(ratio))), 0), "cells_per_step": ratio, "_stride": stride,
+            "step_m": step_m, "level": max(int(np.rint(np.log2(detail_m / cell_m))), 0), "cells_per_step": ratio, "_stride": stride,
         }.items():  # fmt: skip
             object.__setattr__(self, name, value)
 
