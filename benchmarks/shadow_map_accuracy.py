@@ -49,7 +49,8 @@ def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
     rows = []
     for azimuth, altitude in SUNS:
         lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-        view = lit.view(bounds=(x - half, y - half, x + half, y + half), size=(side, side))
+        south, north = (np.clip(v, -90, 90) if lit.map_crs.is_geographic else v for v in (y - half, y + half))
+        view = lit.view(bounds=(x - half, south, x + half, north), size=(side, side))
         frame = lit.world.frame_near(view.grid.crs, *view.centre)
         buffer = map_geometry(lit.surface(view.grid), view, frame)
         casters = casters_of(lit, buffer)

@@ -129,6 +129,13 @@ def test_options_change_the_picture(gl, run, tmp_path):
         (("render", "jacksboro", "--view", "ridge", "-o", "x.png"), ("view", "ridge", "map")),
         (("render", "jacksboro"), ("-o",)),
         (("render", "jacksboro", "--sparkle", "-o", "x.png"), ("--sparkle",)),
+        (("render", "jacksboro", "--size", "²x1", "-o", "x.png"), ("--size",)),
+        (("render", "jacksboro", "--size", "16384x1", "-o", "x.png"), ("size", "squares")),
+        (("render", "jacksboro", "--crs", "²", "-o", "x.png"), ("crs",)),
+        (("render", "jacksboro", "--bounds=-1e300,-1e300,1e300,1e300", "-o", "x.png"), ("bounds", "1e9")),
+        (("render", "jacksboro", "--bounds", "740000,4040000,740000.0000001,4040000.0000001", "-o", "x.png"), ("bounds",)),
+        (("render", "jacksboro", "--crs", "4326", "--bounds", "0,-100,1,0", "-o", "x.png"), ("bounds", "-90 to 90")),
+        (("render", "jacksboro", "--time", "0001-01-01T00:00:00+14:00", "-o", "x.png"), ("time", "1678")),
         (("validate", "nowhere.yaml"), ("nowhere.yaml",)),
         (("frobnicate",), ("frobnicate",)),
     ],
@@ -153,6 +160,15 @@ def test_a_raster_that_cannot_be_used_is_status_2(run, tmp_path):
 def test_an_unwritable_output_is_status_1(run, tmp_path):
     status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "no" / "such" / "x.png"))
     assert status == 1 and "x.png" in err and err.count("\n") == 1
+
+
+def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.setattr("api.snapshot.render_frame", broken)
+    status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "x.png"))
+    assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
 
 def test_levels_and_validate(run):

@@ -199,3 +199,26 @@ def test_real_rasters_have_their_heights(shared_data, name):
     assert np.isfinite(overview.heights_m).mean() == pytest.approx(share, abs=0.02)
     assert low - 1 <= np.nanmin(overview.heights_m) and np.nanmax(overview.high_m) <= high + 1
     assert np.nanmax(overview.high_m) >= high * 0.9 - 10 if high > 0 else True
+
+
+def test_a_raster_that_reaches_the_pole_has_cells_of_some_size(write_raster):
+    elevation = Elevation(str(write_raster(np.ones((4, 8), np.float32), "EPSG:4326", 10, 90, 0.015)))
+    assert elevation.cell_size_m(1.0) > 10.0
+
+
+def test_a_geocentric_raster_is_refused(write_raster):
+    with pytest.raises(SourceError, match="projected, geographic or engineering"):
+        Elevation(str(write_raster(np.ones((4, 4), np.float32), "EPSG:4978", 0, 4, 1)))
+
+
+def test_resolution_is_the_finest_detail_drawn(write_raster, make_scene):
+    values = np.zeros((64, 64), np.float32)
+    values[32, 32] = 100.0
+    path = write_raster(values, UTM, 500_000, 5_000_640, 10)
+    highest = []
+    for keys in ({}, {"resolution": 40}):
+        scene = make_scene(path, terrain=keys)
+        view = scene.view(size=(64, 64))
+        height, _ = scene.surface(view.grid).heights(int(view.row0), int(view.col0), 90, 90)
+        highest.append(np.nanmax(height))
+    assert highest[0] > 60 and highest[1] < 15

@@ -1,0 +1,95 @@
+"""Casters outside a block: which ground is looked at, how far, and that their number stays bounded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terrain.geometry import map_geometry
+from terrain.level import SunSpec
+from terrain.reach import Patch, casters_of, longest_shadow_m
+from terrain.scene import Scene
+from tests.conftest import ENGINEERING
+from tests.render import render
+
+
+def casters(scene: Scene, view):
+    buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
+    return buffer, casters_of(scene, buffer)
+
+
+def hills(rows: int, cols: int, relief: float, seed: int = 4) -> np.ndarray:
+    rough = np.random.default_rng(seed).normal(size=(rows, cols)).cumsum(0).cumsum(1)
+    return ((rough - rough.min()) / np.ptp(rough) * relief).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("relief", "altitude", "length_km"),
+    # The table of caster distances has terrestrial refraction in it; without it the curved ones are some per cent shorter.
+    [(1500, 10, 8.46), (1500, 2, 39.46), (3000, 1, 113.7), (1500, 0, 138.2), (0, 5, 0.0), (-5, 5, 0.0)],
+)
+def test_the_longest_shadow_on_a_curved_earth(relief, altitude, length_km):
+    assert longest_shadow_m(relief, altitude) / 1000 == pytest.approx(length_km, rel=0.005)
+
+
+def test_the_longest_shadow_on_a_flat_one():
+    assert longest_shadow_m(100, 30, curved=False) == pytest.approx(100 / np.tan(np.radians(30)))
+    assert longest_shadow_m(100, 0, curved=False) == np.inf
+
+
+def test_only_ground_towards_the_sun_and_high_enough_is_read(write_raster, make_scene):
+    heights = np.zeros((400, 400), np.float32)
+    heights[195:205, 20:30] = 200.0  # in the west
+    heights[195:205, 370:380] = 200.0  # in the east
+    heights[20:30, 195:205] = 200.0  # in the north, beside the way
+    scene = make_scene(write_raster(heights, ENGINEERING, 0, 4000, 10.0), 270, 8)
+    view = scene.view(bounds=(1700, 1900, 2100, 2100), size=(400, 200))
+    buffer, found = casters(scene, view)
+    assert found.patches
+    for patch in found.patches:
+        quads = 256 * 2**patch.level
+        x = view.grid.x(np.array([patch.col * quads, (patch.col + 1) * quads]))
+        y = view.grid.y(np.array([patch.row * quads, (patch.row + 1) * quads]))
+        assert x[0] <= 2100 and x[1] >= 0 and y[0] >= 1300 and y[1] <= 2700
+    assert found.reach.needed_m > 1300
+    assert render(scene.with_sun(SunSpec(azimuth=270, altitude=20)), view).reach.needed_m < found.reach.needed_m
+
+
+def test_ground_across_the_antimeridian_casts_like_any_other(write_raster, make_scene):
+    """The same hills at longitude 180 and at 100: the same casters, the same shadows."""
+    found = []
+    for lon in (180.0, 100.0):
+        raster = write_raster(hills(120, 120, 900), "EPSG:4326", lon - 0.06, 10.06, 0.001, name=f"at{lon:.0f}.tif")
+        scene = make_scene(raster, 90, 5)
+        x = np.radians(lon) * 6378137.0
+        view = scene.view(bounds=(x - 2000, 1113000, x + 400, 1118000), crs="EPSG:3857", size=(128, 256))
+        buffer, its = casters(scene, view)
+        found.append((len(its.patches), render(scene, view, filter=1)))
+    assert abs(found[0][0] - found[1][0]) <= 4  # the two grids are cut into patches elsewhere
+    one, other = (frame.visibility < 0.5 for _, frame in found)
+    assert 0.05 < one.mean() < 0.95
+    assert (one != other).mean() < 0.02  # sampled at other places of the hills by less than a pixel
+
+
+def test_cells_far_larger_than_the_view_bring_few_patches(write_raster, make_scene):
+    scene = make_scene(write_raster(hills(20, 20, 3000), "EPSG:32633", 0, 9_000_000, 50_000.0), 200, 30)
+    view = scene.view(bounds=(500000, 8500000, 500100, 8500100), size=(256, 256))
+    _, found = casters(scene, view)
+    assert len(found.patches) < 500
+    assert len({(patch.level, patch.row, patch.col) for patch in found.patches}) == len(found.patches)
+    assert Patch(0, 1, 2) == Patch(0, 1, 2)
+
+
+def test_coarse_detail_comes_with_distance(write_raster, make_scene):
+    scene = make_scene(write_raster(hills(300, 300, 4000), "EPSG:32633", 300_000, 5_300_000, 500.0), 180, 1)
+    view = scene.view(bounds=(370_000, 5_228_000, 371_000, 5_229_000), size=(512, 512))
+    buffer, found = casters(scene, view)
+    levels = {patch.level for patch in found.patches}
+    assert 0 in levels and max(levels) >= 3 and len(found.patches) < 3000
+    for patch in found.patches:
+        quads = 256 * 2**patch.level
+        row, col = (max(first - (index + 1) * quads, index * quads - last, 0) for first, last, index in (
+            (buffer.surface.row0, buffer.surface.row0 + buffer.surface.height_m.shape[0], patch.row),
+            (buffer.surface.col0, buffer.surface.col0 + buffer.surface.height_m.shape[1], patch.col),
+        ))  # fmt: skip
+        assert max(row, col) <= 4096 * 2**patch.level, "detail falls only with distance"
