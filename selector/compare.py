@@ -82,7 +82,7 @@ def candidates(scene: Scene, view: MapView, name: str = "map") -> Iterator[Plan]
             continue
         for size in MAP_SIZES:
             for taps in FILTERS:
-                for bits in DEPTHS if size == MAP_SIZES[-1] else DEPTHS[:1]:
+                for bits in DEPTHS if (size, taps) == (MAP_SIZES[-1], FILTERS[0]) else DEPTHS[:1]:
                     asked = {"algorithm": algorithm.name, "map_size": size, "filter": taps, "depth_bits": bits}
                     plan = choose(descriptor, level, asked)
                     if plan.headline == algorithm.name:
@@ -99,9 +99,9 @@ def compare(
     grounds = [_ground(scene, block, row, col, fine) for block, row, col in blocks_of(view)]
     step(1, total)
     first = grounds[0]
-    surface = truth_module.surface_error(first.buffer, scene, first.casters)
     real = _whole_truth(view, grounds)
     floor = _noise_floor(scene, grounds, real, view)
+    surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
     rows = []

@@ -8,6 +8,7 @@ four offsets and at S stratified sub-samples of the pixel all agree; else it is 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -159,8 +160,9 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     return float((classes[0][0] != classes[1][0])[both].mean()) if both.any() else 0.0
 
 
+@lru_cache(maxsize=1)
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> RayScene:
-    """Everything that can shade a buffer's points, for rays."""
+    """Everything that can shade a buffer's points, for rays; the last one is kept, since building it costs most."""
     return RayScene(caster_sheets(scene, buffer, casters))
 
 
