@@ -7,7 +7,7 @@ import pytest
 
 from terrain.geometry import map_geometry
 from terrain.level import SunSpec
-from terrain.reach import Patch, casters_of, longest_shadow_m
+from terrain.reach import casters_of, longest_shadow_m
 from terrain.scene import Scene
 from tests.conftest import ENGINEERING
 from tests.render import render
@@ -77,7 +77,6 @@ def test_cells_far_larger_than_the_view_bring_few_patches(write_raster, make_sce
     _, found = casters(scene, view)
     assert len(found.patches) < 500
     assert len({(patch.level, patch.row, patch.col) for patch in found.patches}) == len(found.patches)
-    assert Patch(0, 1, 2) == Patch(0, 1, 2)
 
 
 def test_coarse_detail_comes_with_distance(write_raster, make_scene):
