@@ -56,7 +56,7 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
     view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
     layer: Annotated[str, typer.Option(help="color, shadow, mask, visibility, depth or position.")] = "color",
-    algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME.")] = None,
+    algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")] = None,
     time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
     altitude: Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")] = None,
@@ -66,6 +66,8 @@ def render(
     map_size: Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")] = None,
     depth_bits: Annotated[int | None, typer.Option(help="16, 24 or 32.")] = None,
     filter: Annotated[int | None, typer.Option(help="Taps a side: 1, 2, 3 or 5.")] = None,
+    light: Annotated[str | None, typer.Option(help="The light that shadow, mask and visibility are of.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="The clock of moving casters.")] = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
@@ -81,9 +83,9 @@ def render(
     }
     with _progress("Rendering") as advance:
         scene, frame = snapshot(
-            find_level(level), view, parse_sun(time, azimuth, altitude), overrides, _size(size), _bounds(bounds), crs, advance
+            find_level(level), view, parse_sun(time, azimuth, altitude), overrides, _size(size), _bounds(bounds), crs, advance, seconds
         )
-    write_layer(frame, layer, output, scene.height_range_m[1])
+    write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")
 
@@ -100,6 +102,7 @@ def compare(
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
     bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
     crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
+    light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
 ) -> None:
     """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
@@ -107,12 +110,12 @@ def compare(
     from api.snapshot import scene_and_view
     from selector.compare import compare as measure
 
-    scene, map_view = scene_and_view(find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs)
+    scene, seen = scene_and_view(find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs)
     with _progress("Comparing") as advance:
-        comparison = measure(scene, map_view, view, fine, advance)
+        comparison = measure(scene, seen, view, fine, advance, light)
     show(comparison)
     if output is not None:
-        write_pictures(scene, comparison, output)
+        write_pictures(scene, comparison, output, view)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
         json_file.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")

@@ -18,8 +18,9 @@ from terrain.scene import Scene
 
 def row_name(figures: dict[str, Any]) -> str:
     """A row's algorithm and settings in few words, as ``shadow_map-2048-3-16``."""
-    name = figures["algorithm"]["sun"]["relief"]
-    settings = figures["settings"].get("sun", {}).get("relief")
+    names = [name for per_kind in figures["algorithm"].values() for name in per_kind.values() if name != "none"]
+    settings = next((s for per_kind in figures["settings"].values() for s in per_kind.values() if "map_size" in s), None)
+    name = "+".join(dict.fromkeys(names)) or "none"
     return f"{name}-{settings['map_size']}-{settings['filter']}-{settings['depth_bits']}" if settings else name
 
 
@@ -53,10 +54,10 @@ def show(comparison: Comparison, console: Console | None = None) -> None:
         console.print(f"note: {remark}")
 
 
-def write_pictures(scene: Scene, comparison: Comparison, folder: Path) -> None:
+def write_pictures(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
     """One PNG a row into a folder: false shadow red, missed shadow blue, over the shaded ground in gray."""
     folder.mkdir(parents=True, exist_ok=True)
-    plan = choose(describe(scene, comparison.view), scene.loaded.level, {"algorithm": "none"})
+    plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": "none"})
     ground = render_frame(scene, comparison.view, plan).color.mean(axis=2)
     for row in comparison.rows:
         Image.fromarray(false_colours(ground, row)).save(folder / f"{row_name(row.figures)}.png")

@@ -93,6 +93,8 @@ class Block:
         """Where there is a surface."""
         return ~np.isnan(self.visibility)
 
+    opaque = there
+
     def part(self, row: int, col: int, side: int) -> Block:
         """The square part of a block whose first pixel is (row, col)."""
         pixels = slice(row, row + side), slice(col, col + side)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import Literal, Protocol, get_args
 
@@ -11,6 +12,8 @@ from PIL import Image
 
 from shadows.render import Frame
 from terrain.errors import InputError
+from terrain.grid import MapView
+from terrain.scene import Scene
 
 PictureLayer = Literal["color", "shadow", "mask"]
 DataLayer = Literal["visibility", "depth", "position"]
@@ -18,7 +21,8 @@ Layer = Literal[PictureLayer, DataLayer]
 
 LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer))
 SUFFIXES: dict[str, tuple[str, ...]] = {
-    **{name: (".png", ".webp", ".tif") for name in get_args(PictureLayer)},
+    "color": (".png", ".webp", ".tif", ".jpg"),
+    "shadow": (".png", ".webp", ".tif"), "mask": (".png", ".webp", ".tif"),
     "visibility": (".npy", ".tif"), "depth": (".npy", ".tif"), "position": (".npy",),
 }  # fmt: skip
 """Layer -> file suffixes that can hold it without loss."""
@@ -38,16 +42,19 @@ class Pictured(Protocol):
     @property
     def there(self) -> np.ndarray: ...
 
+    @property
+    def opaque(self) -> np.ndarray: ...
+
 
 def picture_of(frame: Pictured, layer: str) -> np.ndarray:
     """A picture layer as a uint8 array, row 0 northernmost.
 
-    ``color`` and ``shadow`` are RGBA (shadow: black, alpha = 1 - visibility), transparent where there is no surface;
-    ``mask`` is gray: 0 shadow, 255 lit, 128 no surface. Raises ``InputError``.
+    ``color`` and ``shadow`` are RGBA (shadow: black, alpha = 1 - visibility), transparent where there is no surface (the sky of
+    a perspective view's colour is opaque); ``mask`` is gray: 0 shadow, 255 lit, 128 no surface. Raises ``InputError``.
     """
     there, visibility = frame.there, frame.visibility
     if layer == "color":
-        alpha = np.where(there, np.uint8(255), np.uint8(0))
+        alpha = np.where(frame.opaque, np.uint8(255), np.uint8(0))
         return np.concatenate([frame.color, alpha[..., None]], axis=-1)
     if layer == "shadow":
         out = np.zeros((*there.shape, 4), np.uint8)
@@ -58,48 +65,55 @@ def picture_of(frame: Pictured, layer: str) -> np.ndarray:
     raise InputError("layer", layer, ", ".join(get_args(PictureLayer)))
 
 
-def layer_of(frame: Frame, layer: str, highest_m: float = 0.0) -> np.ndarray:
-    """Any layer of a frame, row 0 northernmost: a picture layer, or data with NaN where there is no surface.
+def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
+    """Any layer of a frame, row 0 the upper one: a picture layer, or data with NaN where there is no surface.
 
-    ``visibility`` is float32; ``depth`` float32, metres straight down from the height ``highest_m``; ``position`` float64
-    (rows, cols, 3), x and y in the view's CRS and height in metres. Raises ``InputError``.
+    ``visibility`` is float32; ``depth`` float32, metres: in a map straight down from the level's highest ground, in
+    perspective along the view's axis from the eye; ``position`` float64 (rows, cols, 3), x and y in the view's CRS (of a
+    perspective view: that of the level's maps) and height in metres. Raises ``InputError``.
     """
     if layer in get_args(PictureLayer):
         return picture_of(frame, layer)
-    there = frame.there
+    view, there = frame.view, frame.there
     if layer == "visibility":
         return frame.visibility
+    if layer == "depth" and isinstance(view, MapView):
+        return np.where(there, scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
     if layer == "depth":
-        return np.where(there, highest_m - frame.height_m, np.nan).astype(np.float32)
+        return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
     if layer == "position":
-        view = frame.view
         out = np.full((view.rows, view.cols, 3), np.nan)
         row, col = np.nonzero(there)
-        out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
-        out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
-        out[row, col, 2] = frame.height_m[row, col]
+        if isinstance(view, MapView):
+            out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
+            out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
+            out[row, col, 2] = frame.height_m[row, col]
+        elif frame.position_earth_m is not None:
+            out[row, col] = np.stack(scene.world.map_position(scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
         return out
     raise InputError("layer", layer, ", ".join(LAYERS))
 
 
 def encode_picture(array: np.ndarray, suffix: str) -> bytes:
-    """PNG or lossless WebP of a picture layer (RGBA or gray)."""
+    """PNG, lossless WebP or JPEG (of opaque colour) of a picture layer (RGBA or gray)."""
     out = io.BytesIO()
     image = Image.fromarray(array)
     if suffix == ".png":
         image.save(out, "PNG", compress_level=4)
     elif suffix == ".webp":
         image.save(out, "WEBP", lossless=True, method=1, exact=True)
+    elif suffix in (".jpg", ".jpeg"):
+        image.convert("RGB").save(out, "JPEG", quality=92)
     else:
-        raise InputError("format", suffix, "png, webp")
+        raise InputError("format", suffix, "png, webp, jpg")
     return out.getvalue()
 
 
-def write_layer(frame: Frame, layer: str, path: Path, highest_m: float = 0.0) -> None:
-    """Write a layer to a file by its suffix; ``.tif`` is georeferenced. Raises ``InputError``."""
+def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
+    """Write a layer to a file by its suffix; ``.tif`` of a map view is georeferenced. Raises ``InputError``."""
     suffix = path.suffix.lower()
     check_suffix(layer, path)
-    array = layer_of(frame, layer, highest_m)
+    array = layer_of(scene, frame, layer)
     if suffix == ".npy":
         with path.open("wb") as file:
             np.save(file, array)
@@ -121,13 +135,18 @@ def check_suffix(layer: str, path: Path) -> None:
 
 def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:
     import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
     from rasterio.transform import from_bounds
 
     bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
     view = frame.view
-    with rasterio.open(
+    where = {}
+    if isinstance(view, MapView):
+        where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
+    with warnings.catch_warnings(), rasterio.open(
         path, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
-        crs=view.grid.crs.to_wkt(), transform=from_bounds(*view.bounds, view.cols, view.rows), compress="deflate",
+        **where, compress="deflate",
         nodata=np.nan if bands.dtype.kind == "f" else (MASK_NO_SURFACE if len(bands) == 1 else None),
     ) as dataset:  # fmt: skip
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         dataset.write(bands)

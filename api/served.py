@@ -15,9 +15,8 @@ from api.jobs import LevelKey
 from api.layers import PictureLayer
 from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from shadows.registry import ALGORITHMS
-from terrain.bundled import BUNDLED
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
-from terrain.level import LoadedLevel, SunSpec, algorithm_choice, load_level
+from terrain.level import LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
 from terrain.scene import Scene, build_scene
 from terrain.sun import Sun, sun_of
 from terrain.world import LONGITUDE_LATITUDE, World, transformer
@@ -134,11 +133,9 @@ class ServedLevels:
 
     def _read(self, path: Path) -> ServedLevel:
         loaded = load_level(path)
-        if not self._remote_sources and not _is_local(loaded.source):
-            raise LevelError(
-                f"{path}: terrain.source", loaded.level.terrain.source,
-                "a local file; SKUGGA_REMOTE_SOURCES=true allows what is not",
-            )  # fmt: skip
+        remote = [source for source in loaded.sources if not _is_local(source)]
+        if remote and not self._remote_sources:
+            raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows what is not")
         if not names_in(loaded.level.shadows.algorithm) <= set(SERVED_ALGORITHMS):
             raise LevelError(
                 f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
@@ -156,26 +153,26 @@ def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     """The algorithms that an override names, whichever way it is spelt."""
     if algorithm is None:
         return set()
-    return {name for kinds in algorithm_choice(algorithm).values() for name in kinds.values()}
+    return {name for kinds in algorithm_choice(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
 
 
 def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
     world, bounds, data_bounds, zooms = scene.world, scene.bounds_lon_lat, None, {}
     if bounds is not None:
         west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
-            *scene.elevation_bounds, densify_pts=21
+            *scene.elevation.bounds, densify_pts=21
         )
         data_bounds = (west, south, east + 360.0 if east < west else east, north)
         cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
         found = {name: zoom_range(each, world, bounds, cell_m) for name, each in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in found.items() if range_ is not None}
-    text = repr((loaded.digest, _stamp(Path(loaded.source))))
+    text = repr((loaded.digest, *(_stamp(Path(source)) for source in loaded.sources)))
     version = hashlib.sha256(text.encode()).hexdigest()[:16]
     return ServedLevel(loaded, version, world, bounds, data_bounds, zooms)
 
 
 def _stamps(loaded: LoadedLevel) -> tuple[Any, ...]:
-    return _stamp(loaded.path), _stamp(Path(loaded.source))
+    return _stamp(loaded.path), *(_stamp(Path(source)) for source in loaded.sources)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
@@ -188,4 +185,4 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 
 
 def _is_local(source: str) -> bool:
-    return source in BUNDLED or not ("://" in source or source.startswith("/vsi"))
+    return not ("://" in source or source.startswith("/vsi"))

@@ -9,9 +9,11 @@ from typing import Any
 
 from selector.rules import choose
 from shadows.render import Frame, render_frame
+from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.grid import MapView
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 
@@ -24,11 +26,12 @@ def snapshot(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     on_block: Callable[[int, int], None] | None = None,
+    seconds: float | None = None,
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view. Raises ``SkuggaError``."""
-    scene, map_view = scene_and_view(level, view, sun, size, bounds, crs)
-    plan = choose(describe(scene, map_view, view), scene.loaded.level, overrides)
-    return scene, render_frame(scene, map_view, plan, on_block)
+    scene, seen = scene_and_view(level, view, sun, size, bounds, crs, seconds)
+    plan = choose(describe(scene, seen, view), scene.loaded.level, overrides)
+    return scene, render_frame(scene, seen, plan, on_block)
 
 
 def scene_and_view(
@@ -38,9 +41,10 @@ def scene_and_view(
     size: tuple[int, int] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
-) -> tuple[Scene, MapView]:
-    """A level's scene under a sun and one of its views. Raises ``SkuggaError``."""
-    scene = build_scene(load_level(level)).with_sun(sun)
+    seconds: float | None = None,
+) -> tuple[Scene, MapView | PerspectiveView]:
+    """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
+    scene = build_scene(load_level(level)).with_sun(sun).at_second(seconds)
     return scene, scene.view(view, bounds, crs, size)
 
 
@@ -58,14 +62,16 @@ def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
         "sun": None
         if scene.sun is None
         else {"azimuth": scene.sun.azimuth_deg, "altitude": scene.sun.altitude_deg, "time": _iso(scene)},
-        "view": {
-            "crs": frame.view.grid.crs.to_string(),
-            "bounds": frame.view.bounds,
-            "size": [frame.view.cols, frame.view.rows],
-            "node_step": frame.view.grid.step,
-        },
+        "view": _view(frame.view),
         "device": {"renderer": gl.device().renderer, "version": gl.device().version} if used_gl else None,
     }
+
+
+def _view(view: MapView | PerspectiveView) -> dict[str, Any]:
+    size = [view.cols, view.rows]
+    if isinstance(view, MapView):
+        return {"crs": view.grid.crs.to_string(), "bounds": view.bounds, "size": size, "node_step": view.grid.step}
+    return {"eye_earth_m": list(view.eye_earth_m), "focal_px": view.focal_px, "size": size}
 
 
 def _iso(scene: Scene) -> str | None:

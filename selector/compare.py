@@ -11,20 +11,26 @@ import numpy as np
 
 from selector.rules import choose
 from shadows import truth as truth_module
-from shadows.attached import attached
+from shadows.attached import attached, lamp_in_frame
 from shadows.metrics import BLOCK_PX as COVERAGE_PX
 from shadows.metrics import block_shares, coverage_error, errors_of
 from shadows.passes import PassLog
-from shadows.plan import Plan, ShadowMapSettings
+from shadows.plan import LampMapSettings, Plan, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
-from shadows.render import FILLS
+from shadows.render import FILLS, bands_of
 from shadows.truth import Truth
 from shadows.truth_cache import cached_truth
+from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer, map_geometry
+from terrain.errors import InputError
+from terrain.geometry import GeometryBuffer
 from terrain.grid import MapView, blocks_of
+from terrain.level import SUN
+from terrain.picture import geometry_of
 from terrain.reach import Casters, casters_of
 from terrain.scene import Scene
+
+View = MapView | PerspectiveView
 
 MAP_SIZES = (512, 1024, 2048, 4096)
 FILTERS = (1, 3)
@@ -39,6 +45,7 @@ class Ground:
     """One block's part of a view: its geometry, its casters, its truth, and where it lies in the view."""
 
     buffer: GeometryBuffer
+    light: str
     casters: Casters
     truth: Truth
     true_shares: np.ndarray
@@ -63,7 +70,7 @@ class Comparison:
     pixels that truth's own sub-samples get wrong, ``remarks`` what a reader must know (no surface, night, nothing casts).
     """
 
-    view: MapView
+    view: View
     rows: list[Row]
     boundary: float
     surface: float
@@ -71,8 +78,8 @@ class Comparison:
     remarks: list[str]
 
 
-def candidates(scene: Scene, view: MapView, name: str = "map") -> Iterator[Plan]:
-    """The plans to compare: every capable algorithm but truth itself, its settings crossed."""
+def candidates(scene: Scene, view: View, name: str = "map") -> Iterator[Plan]:
+    """The plans to compare: every capable algorithm but truth itself, its settings crossed, for all lights alike."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     for algorithm in ALGORITHMS.values():
         if algorithm.name == "truth" or descriptor.view_kind not in algorithm.views:
@@ -90,13 +97,25 @@ def candidates(scene: Scene, view: MapView, name: str = "map") -> Iterator[Plan]
 
 
 def compare(
-    scene: Scene, view: MapView, name: str = "map", fine: bool = False, on_step: Callable[[int, int], None] | None = None
+    scene: Scene,
+    view: View,
+    name: str = "map",
+    fine: bool = False,
+    on_step: Callable[[int, int], None] | None = None,
+    light: str | None = None,
 ) -> Comparison:
-    """Measure every candidate on one geometry; ``on_step(done, total)`` is called as the work goes on."""
+    """Measure every candidate on one geometry; ``on_step(done, total)`` is called as the work goes on.
+
+    ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``.
+    """
+    if light is not None and light not in scene.light_names:
+        raise InputError("light", light, ", ".join(scene.light_names) or "nothing: the level has no lights")
+    light = light or (*scene.light_names, SUN)[0]
     plans = list(candidates(scene, view, name))
     total = len(plans) + 2
     step = on_step or (lambda done, of: None)
-    grounds = [_ground(scene, block, row, col, fine) for block, row, col in blocks_of(view)]
+    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    grounds = [_ground(scene, light, block, row, col, fine) for block, row, col in parts]
     step(1, total)
     first = grounds[0]
     real = _whole_truth(view, grounds)
@@ -123,16 +142,15 @@ def false_colours(base: np.ndarray, row: Row) -> np.ndarray:
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
-def _ground(scene: Scene, block: MapView, row: int, col: int, fine: bool) -> Ground:
-    frame = scene.world.frame_near(block.grid.crs, *block.centre)
-    buffer = map_geometry(scene.surface(block.grid), block, frame)
+def _ground(scene: Scene, light: str, block: View, row: int, col: int, fine: bool) -> Ground:
+    buffer = geometry_of(scene, block)
     casters = casters_of(scene, buffer)
-    real = cached_truth(buffer, scene, casters, FINE_SAMPLES if fine else SAMPLES)
-    shares = truth_module.coverage_truth(buffer, scene, casters, COVERAGE_PX)
-    return Ground(buffer, casters, real, shares, row, col)
+    real = cached_truth(buffer, scene, casters, FINE_SAMPLES if fine else SAMPLES, light)
+    shares = truth_module.coverage_truth(buffer, scene, casters, COVERAGE_PX, light=light)
+    return Ground(buffer, light, casters, real, shares, row, col)
 
 
-def _paste(view: MapView, grounds: list[Ground], parts: list[np.ndarray], empty: Any) -> np.ndarray:
+def _paste(view: View, grounds: list[Ground], parts: list[np.ndarray], empty: Any) -> np.ndarray:
     """One array of the view from one of each block."""
     whole = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
     for ground, part in zip(grounds, parts, strict=True):
@@ -143,51 +161,52 @@ def _paste(view: MapView, grounds: list[Ground], parts: list[np.ndarray], empty:
     return whole
 
 
-def _whole_truth(view: MapView, grounds: list[Ground]) -> Truth:
+def _whole_truth(view: View, grounds: list[Ground]) -> Truth:
     fields = ("lit", "attached", "decidable", "there")
     return Truth(*(_paste(view, grounds, [getattr(g.truth, field) for g in grounds], False) for field in fields))
 
 
-def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: MapView) -> float:
+def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: View) -> float:
     """Wrong share of truth's own sub-samples of another seed (their majority) against truth."""
-    if scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0 or not real.there.any():
+    light = grounds[0].light
+    if (light == SUN and not scene.sun_is_up) or not real.there.any():
         return 0.0
     votes = []
     for ground in grounds:
-        rays = truth_module.ray_scene(ground.buffer, scene, ground.casters)
-        to_sun = ground.buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+        rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
         count = np.zeros(ground.buffer.there.shape, np.float32)
         for its_view in truth_module.sub_views(ground.buffer.view, SAMPLES, seed=1):
-            sample = map_geometry(scene.surface(its_view.grid), its_view, ground.buffer.frame)
-            count += truth_module.lit_from(sample, rays, to_sun)
+            sample = geometry_of(scene, its_view, ground.buffer.frame)
+            count += truth_module.lit_from(sample, scene, light, rays)
         votes.append(count / SAMPLES)
     return errors_of(_paste(view, grounds, votes, np.nan), real, 1.0).wrong
 
 
 def _map_size(plan: Plan) -> int:
-    settings = plan.settings.get("sun", {}).get("relief")
-    return settings.map_size if isinstance(settings, ShadowMapSettings) else 0
+    sizes = [getattr(settings, "map_size", 0) for per_kind in plan.settings.values() for settings in per_kind.values()]
+    return max(sizes, default=0)
 
 
 def _measure(
-    scene: Scene, view: MapView, grounds: list[Ground], real: Truth, plan: Plan, pixel_m: float, repeats: int = REPEATS
+    scene: Scene, view: View, grounds: list[Ground], real: Truth, plan: Plan, pixel_m: float, repeats: int = REPEATS
 ) -> Row:
-    name = plan.algorithm["sun"]["relief"]
-    settings = plan.settings.get("sun", {}).get("relief")
+    steps = [step for step in plan.steps if step.light == grounds[0].light and step.algorithm in FILLS]
     times_ms, parts = [], []
     log = PassLog()
     for _ in range(repeats if real.there.any() else 1):
         log, start = PassLog(), time.perf_counter()
-        parts = [_visibility(scene, ground, name, settings, log) for ground in grounds]
+        parts = [_visibility(scene, ground, steps, log) for ground in grounds]
         times_ms.append((time.perf_counter() - start) * 1000.0)
-        if name not in FILLS:
+        if not steps:
             times_ms = [0.0]
             break
+    footprints = []
     for ground, part in zip(grounds, parts, strict=True):
-        part[attached(ground.buffer, scene)] = 0.0
+        part[attached(ground.buffer, scene, ground.light)] = 0.0
         part[~ground.buffer.there] = np.nan
+        footprints.append(texel_footprint_px(scene, steps[0] if steps else None, ground.buffer, pixel_m))
     visibility = _paste(view, grounds, parts, np.nan)
-    found = errors_of(visibility, real, pixel_m, texel_footprint_px(scene, settings, pixel_m))
+    found = errors_of(visibility, real, pixel_m, _paste(view, grounds, footprints, 0.0))
     shares = [coverage_error(block_shares(1.0 - part), ground.true_shares) for ground, part in zip(grounds, parts, strict=True)]
     dark, true_dark = np.nan_to_num(visibility, nan=1.0) < 0.5, ~real.lit
     figures = {
@@ -208,18 +227,32 @@ def _measure(
     return Row(figures, real.decidable & dark & ~true_dark, real.decidable & ~dark & true_dark)
 
 
-def _visibility(scene: Scene, ground: Ground, name: str, settings: Any, log: PassLog) -> np.ndarray:
-    if name not in FILLS:
-        return np.ones(ground.buffer.there.shape, np.float32)
-    return FILLS[name](ground.buffer, scene, ground.casters, settings, log)
+def _visibility(scene: Scene, ground: Ground, steps: list[Step], log: PassLog) -> np.ndarray:
+    visibility = np.ones(ground.buffer.there.shape, np.float32)
+    for step in steps:
+        visibility *= FILLS[step.algorithm](ground.buffer, scene, step.light, step.kinds, ground.casters, step.settings, log)
+    return visibility
 
 
-def texel_footprint_px(scene: Scene, settings: Any, pixel_m: float) -> float:
-    """A texel's larger side on level ground, in pixels."""
-    if not isinstance(settings, ShadowMapSettings) or scene.sun is None:
-        return 0.0
-    sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
-    return float(max(settings.texel_m[0], settings.texel_m[1] / sine) / pixel_m)
+def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, pixel_m: float) -> np.ndarray:
+    """A texel's larger side on level ground in pixels (rows, cols); 0 for an algorithm without texels, and off the surface."""
+    settings = None if step is None else step.settings
+    texel_m: float | np.ndarray = 0.0
+    if isinstance(settings, ShadowMapSettings) and scene.sun is not None:
+        sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
+        texel_m = max(settings.texel_m[0], settings.texel_m[1] / sine)
+    elif isinstance(settings, LampMapSettings) and step is not None:
+        lamp = scene.lamps[step.light]
+        position, _ = lamp_in_frame(buffer, lamp)
+        way = position - buffer.position_frame_m
+        away_m = np.linalg.norm(way, axis=-1)
+        tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
+        texel_m = 2.0 * tangent * away_m / settings.map_size * away_m / np.maximum(np.abs(way[..., 2]), 0.01 * away_m)
+    size_m: float | np.ndarray = pixel_m
+    if isinstance(buffer.view, PerspectiveView):
+        eye, _ = buffer.view.in_frame(buffer.frame)
+        size_m = np.linalg.norm(buffer.position_frame_m - eye, axis=-1) * buffer.view.pixel
+    return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
 
 
 def _mark_pareto(rows: list[Row]) -> None:
@@ -234,7 +267,9 @@ def _remarks(scene: Scene, real: Truth, rows: list[Row]) -> list[str]:
     remarks = []
     if not real.there.any():
         remarks.append("the view shows no surface: there is nothing to compare")
-    elif scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
+    elif not scene.light_names:
+        remarks.append("the level has no light: everything is dark, whatever the algorithm")
+    elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
     elif not (real.there & ~real.attached & ~real.lit).any():
         remarks.append("nothing lies in cast shadow: only false shadow can be measured")

@@ -5,15 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 
-from shadows.plan import Plan, Reasoned, ShadowMapSettings, Target, TruthSettings
-from shadows.registry import ALGORITHMS
+from shadows.passes import PassLog
+from shadows.plan import LampMapSettings, Plan, Reasoned, Settings, ShadowMapSettings, Target, TruthSettings
+from shadows.registry import ALGORITHMS, LightKind, ViewKind
 from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
 from shadows.shadow_map import BORDER_TEXELS
-from terrain.descriptor import Descriptor
+from terrain.descriptor import Descriptor, LampFacts
 from terrain.effects import EFFECTS
-from terrain.errors import UnsupportedError
-from terrain.level import Choice, Level, Shadows, algorithm_choice, override
+from terrain.effects.cast_shadows import of_sun
+from terrain.errors import InputError, UnsupportedError
+from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override
 
 TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
@@ -29,7 +32,6 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     """
     overrides = overrides or {}
     asked = override(level.shadows, overrides)
-    reasons: list[Reasoned] = []
     effects, left_out = [], []
     for effect in EFFECTS.values():
         verdict = effect.called_for(descriptor)
@@ -38,47 +40,98 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         if wish != "auto":
             runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
         (effects if runs else left_out).append(Reasoned(name=effect.name, reason=reason))
-    choice: Choice = algorithm_choice(asked.algorithm)
+    try:
+        choice = algorithm_choice(asked.algorithm, level.light_names)
+    except PydanticCustomError as error:
+        raise InputError("algorithm", overrides.get("algorithm"), error.message()) from None
     who = "the level" if overrides.get("algorithm") is None else "the request"
-    rejected: list[Reasoned] = []
-    name, reason = _algorithm(descriptor, choice, who, effects, left_out, rejected)
-    reasons.append(Reasoned(name=name, reason=reason))
-    settings = {}
-    if name == "shadow_map":
-        resolved, why = _shadow_map_settings(descriptor, asked)
-        settings = {"sun": {"relief": resolved}}
-        reasons += why
-    elif name == "truth":
-        settings = {"sun": {"relief": TruthSettings()}}
-    return Plan(
-        view=descriptor.view, policy="rules", algorithm={"sun": {"relief": name}}, settings=settings,
-        effects=effects, left_out=left_out, rejected=rejected,
-        passes=[GEOMETRY_PASS, CASTERS_PASS, *ALGORITHMS[name].passes, SHADING_PASS],
-        target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
+    algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
+    settings: dict[str, dict[CasterKind, Settings]] = {}
+    reasons: list[Reasoned] = []
+    kinds_of = {SUN: "sun"} if descriptor.highest_sun_deg is not None or not descriptor.lamps else {}
+    kinds_of |= {lamp.name: lamp.kind for lamp in descriptor.lamps}
+    casting = any(effect.name == "cast_shadows" for effect in effects)
+    missing = next((effect.reason for effect in left_out if effect.name == "cast_shadows"), "")
+    for light, kind_of_light in kinds_of.items():
+        for caster in descriptor.casters:
+            wish = choice.get(light, {}).get(caster)
+            name, reason = _algorithm(descriptor, light, caster, wish, who, missing if not casting else None)
+            _check(name, kind_of_light, caster, descriptor.view_kind)
+            algorithm.setdefault(light, {})[caster] = name
+            reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
+    for light, per_kind in algorithm.items():
+        resolved: dict[str, Settings] = {}
+        for caster, name in per_kind.items():
+            if name not in resolved and name != "none":
+                resolved[name], why = _settings(name, descriptor, light, asked)
+                reasons += why
+            if name in resolved:
+                settings.setdefault(light, {})[caster] = resolved[name]
+    used = {name for per_kind in algorithm.values() for name in per_kind.values()}
+    plan = Plan(
+        view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
+        rejected=[Reasoned(name=name, reason=_rejected(name, used, missing, who, choice)) for name in ALGORITHMS if name not in used],
+        passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
+    passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
+    return plan.model_copy(update={"passes": [GEOMETRY_PASS, CASTERS_PASS, *passes, SHADING_PASS]})
 
 
-def _algorithm(descriptor, choice, who, effects, left_out, rejected):  # type: ignore[no-untyped-def]
-    """The algorithm for the relief under the sun and the reason; adds to ``rejected``."""
-    called = {effect.name: effect.reason for effect in effects}
-    missing = {effect.name: effect.reason for effect in left_out}
-    wish = choice.get("sun", {}).get("relief")
-    if "cast_shadows" in missing:
-        for name in ALGORITHMS:
-            if name != "none":
-                rejected.append(Reasoned(name=name, reason=missing["cast_shadows"]))
-        return "none", missing["cast_shadows"]
+def _algorithm(
+    descriptor: Descriptor, light: str, caster: CasterKind, wish: AlgorithmName | None, who: str, missing: str | None
+) -> tuple[AlgorithmName, str]:
+    """The algorithm of a light for a kind of casters, and the reason."""
+    if missing is not None:
+        return "none", missing
+    if light == SUN and not of_sun(descriptor).called_for and descriptor.lamps:
+        return "none", of_sun(descriptor).reason
     if wish is not None:
-        able = ALGORITHMS[wish]
-        if descriptor.view_kind not in able.views:
-            raise UnsupportedError("algorithm", wish, f"{able.about}: not for {descriptor.view_kind} views")
-        for name in ALGORITHMS:
-            if name != wish:
-                rejected.append(Reasoned(name=name, reason=f"{who} asks for {wish}"))
         return wish, f"asked for by {who}"
-    rejected.append(Reasoned(name="truth", reason=ALGORITHMS["truth"].about))
-    rejected.append(Reasoned(name="none", reason=called["cast_shadows"]))
-    return "shadow_map", "the algorithm at hand for relief under the sun in a map view"
+    if caster == "relief" and descriptor.relief_m <= 0.0:
+        return "none", "level ground cannot cast"
+    return "shadow_map", f"the algorithm at hand for {caster} under {'the sun' if light == SUN else light}"
+
+
+def _check(name: AlgorithmName, light: LightKind, caster: CasterKind, view: ViewKind) -> None:
+    able = ALGORITHMS[name]
+    for wanted, served, what in ((view, able.views, "views"), (light, able.lights, "lights"), (caster, able.casters, "casters")):
+        if wanted not in served:
+            raise UnsupportedError("algorithm", name, f"{able.about}: it serves {what} of the kinds {', '.join(sorted(served))}")
+
+
+def _rejected(name: AlgorithmName, used: set[AlgorithmName], missing: str, who: str, choice: Choice) -> str:
+    if missing:
+        return missing
+    if choice:
+        return f"{who} asks for {', '.join(sorted(used))}"
+    return "there are casters and light" if name == "none" else ALGORITHMS[name].about
+
+
+def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows) -> tuple[Settings, list[Reasoned]]:
+    if name == "truth":
+        return TruthSettings(), []
+    if light == SUN:
+        return _shadow_map_settings(descriptor, asked)
+    return _lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)
+
+
+def _lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
+    """A texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
+    across_m = 2.0 * lamp.reference_m * np.tan(np.radians(min(lamp.cutoff_deg, 45.0 if lamp.kind == "omni" else 85.0)))
+    size, reasons = asked.map_size, []
+    if size == "auto":
+        wanted = across_m / descriptor.pixel_m / TEXEL_PX + 2 * BORDER_TEXELS
+        size = int(np.clip(2 ** np.ceil(np.log2(wanted)), 512, 2048 if lamp.kind == "omni" else 4096))
+        texel_px = across_m / (size - 2 * BORDER_TEXELS) / descriptor.pixel_m
+        reasons.append(
+            Reasoned(name=f"{lamp.name}: map_size {size}", reason=f"a texel covers {texel_px:.2g} pixels where it is aimed")
+        )
+    bits = 32 if asked.depth_bits == "auto" else asked.depth_bits
+    if asked.depth_bits == "auto":
+        why = "a perspective map's steps grow with the square of the distance: even ones need float"
+        reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
+    taps = 3 if asked.filter == "auto" else asked.filter
+    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
 
 
 def _shadow_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:

@@ -1,4 +1,4 @@
-"""Attached shadow: decided once, outside the algorithms, for all of them alike."""
+"""What no light can reach whatever casts: decided once, outside the algorithms, for all of them alike."""
 
 from __future__ import annotations
 
@@ -6,25 +6,56 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
+from terrain.level import SUN
+from terrain.lights import Lamp
+from terrain.resolve import FOREST
 from terrain.scene import Scene
 
 
-def attached(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Where the geometric normal does not face the sun (n.l <= 0), bool (rows, cols); True off the surface too.
+def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
+    """Where a light cannot reach, bool (rows, cols); True off the surface too.
 
-    Everything is, while the sun is nowhere above the horizon or where there is none.
+    That is where the geometric normal does not face it (n.l <= 0; leaves are lit from either side), outside of a spot's cone,
+    and everywhere while the sun is nowhere above the horizon or where there is none.
     """
-    if scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
-        return np.ones(buffer.there.shape, bool)
-    return turned_away(buffer.normal_frame, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth)
+    leaves = buffer.kind == FOREST
+    if light == SUN:
+        if not scene.sun_is_up or scene.sun is None:
+            return np.ones(buffer.there.shape, bool)
+        return turned_away(buffer.normal_frame, leaves, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth)
+    lamp = scene.lamps[light]
+    position, axis = lamp_in_frame(buffer, lamp)
+    return _beside_lamp(
+        buffer.position_frame_m, buffer.normal_frame, leaves, position, axis, float(np.cos(np.radians(lamp.cutoff_deg)))
+    )
+
+
+def lamp_in_frame(buffer: GeometryBuffer, lamp: Lamp) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and unit axis (3,) of a lamp in a buffer's frame."""
+    position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+    return position, buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
 
 
 @compiled
-def turned_away(normal, to_light):  # type: ignore[no-untyped-def]
+def turned_away(normal, leaves, to_light):  # type: ignore[no-untyped-def]
     """Where unit normals (rows, cols, 3) do not face a direction (3,); True where a normal is NaN."""
     out = np.empty(normal.shape[:2], np.bool_)
     for i in range(normal.shape[0]):
         for j in range(normal.shape[1]):
             n = normal[i, j]
-            out[i, j] = not n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2] > 0.0
+            facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
+            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > 0.0
+    return out
+
+
+@compiled
+def _beside_lamp(point, normal, leaves, position, axis, cosine):  # type: ignore[no-untyped-def]
+    out = np.ones(normal.shape[:2], np.bool_)
+    for i in range(normal.shape[0]):
+        for j in range(normal.shape[1]):
+            x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
+            facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
+            along = -(axis[0] * x + axis[1] * y + axis[2] * z)
+            inside = along >= cosine * np.sqrt(x * x + y * y + z * z)
+            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > 0.0 and inside)
     return out

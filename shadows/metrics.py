@@ -61,10 +61,11 @@ class Errors:
     boundary: float
 
 
-def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footprint_px: float = 0.0) -> Errors:
+def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footprint_px: float | np.ndarray = 0.0) -> Errors:
     """Hold a visibility (rows, cols) in [0, 1], attached shadow included, against truth.
 
-    ``pixel_m`` is a pixel's side on the receiver; ``texel_footprint_px`` that of an algorithm's texel in pixels, if it has any.
+    ``pixel_m`` is a pixel's side on the receiver; ``texel_footprint_px`` that of an algorithm's texel in pixels, if it has any:
+    one number, or one a pixel (rows, cols).
     """
     decidable = truth.decidable
     dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.there
@@ -72,7 +73,7 @@ def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footpr
     wrong = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
     distances = edge_distances(dark, true_dark, truth.there)
-    inside = interior(wrong, true_dark, truth.there, max(INTERIOR_PX, 2.0 * texel_footprint_px))
+    inside = interior(wrong, true_dark, truth.there, np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px))
     parts, count = label(inside, structure=_SQUARE)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
@@ -112,7 +113,7 @@ def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     return dark & binary_dilation(there & ~dark, structure=_CROSS)
 
 
-def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float) -> np.ndarray:
+def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
     """Wrong pixels farther than a distance from truth's boundary: all of them where truth has none."""
     edge = boundary(true_dark, there) | boundary(there & ~true_dark, there)
     if not edge.any():

@@ -42,3 +42,8 @@ class PassLog:
     def names(self) -> list[str]:
         """Names of the passes that ran, in order."""
         return list(self.records)
+
+    @staticmethod
+    def named(light: str, kinds: tuple[str, ...], passes: tuple[str, ...]) -> list[str]:
+        """The names of an algorithm's passes for a light and the kinds of casters it takes on together."""
+        return [f"{light}/{'+'.join(kinds)}: {name}" for name in passes]

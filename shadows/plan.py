@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from terrain.level import AlgorithmName, CasterKind, LightName
+from terrain.level import SUN, AlgorithmName, CasterKind
 
 
 class _Value(BaseModel):
@@ -36,10 +37,22 @@ class ShadowMapSettings(_Value):
     bias_scale: float = Field(default=1.0, ge=0)
 
 
+class LampMapSettings(_Value):
+    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side."""
+
+    map_size: int = Field(ge=64, le=8192)
+    depth_bits: Literal[16, 24, 32]
+    filter: Literal[1, 2, 3, 5]
+    bias_scale: float = Field(default=1.0, ge=0)
+
+
 class TruthSettings(_Value):
     """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
 
     sun_samples: int = Field(default=1, ge=1, le=1024)
+
+
+Settings = ShadowMapSettings | LampMapSettings | TruthSettings
 
 
 class Target(_Value):
@@ -57,13 +70,23 @@ class Predicted(_Value):
     wrong: float
 
 
+@dataclass(frozen=True)
+class Step:
+    """One call of an algorithm: for a light, for some kinds of casters together."""
+
+    light: str
+    kinds: tuple[CasterKind, ...]
+    algorithm: AlgorithmName
+    settings: Settings | None
+
+
 class Plan(_Value):
     """What will be done for a view, and why."""
 
     view: str
     policy: Literal["rules", "predict", "measure"]
-    algorithm: dict[LightName, dict[CasterKind, AlgorithmName]]
-    settings: dict[LightName, dict[CasterKind, ShadowMapSettings | TruthSettings]]
+    algorithm: dict[str, dict[CasterKind, AlgorithmName]]
+    settings: dict[str, dict[CasterKind, Settings]]
     effects: list[Reasoned]
     left_out: list[Reasoned]
     rejected: list[Reasoned]
@@ -73,8 +96,35 @@ class Plan(_Value):
     reasons: list[Reasoned]
 
     @property
+    def lights(self) -> tuple[str, ...]:
+        """The lights whose visibility is filled, in order; a level without any has the sun's, which is nowhere."""
+        return tuple(self.algorithm) or (SUN,)
+
+    @property
+    def steps(self) -> list[Step]:
+        """What is to be filled, in order: caster kinds of one light that share algorithm and settings go together."""
+        steps: list[Step] = []
+        for light, per_kind in self.algorithm.items():
+            for kind, name in per_kind.items():
+                settings = self.settings.get(light, {}).get(kind)
+                for number, step in enumerate(steps):
+                    if step.light == light and step.algorithm == name and step.settings == settings:
+                        steps[number] = Step(light, (*step.kinds, kind), name, settings)
+                        break
+                else:
+                    steps.append(Step(light, (kind,), name, settings))
+        return steps
+
+    @property
     def headline(self) -> str:
-        """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep``."""
-        kinds = {f"{kind}={name}": name for per_kind in self.algorithm.values() for kind, name in per_kind.items()}
-        names = set(kinds.values())
-        return names.pop() if len(names) == 1 else ",".join(kinds)
+        """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""
+        names = {name for per_kind in self.algorithm.values() for name in per_kind.values()}
+        if len(names) <= 1:
+            return names.pop() if names else "none"
+        words = []
+        for light, per_kind in self.algorithm.items():
+            if light != SUN and len(set(per_kind.values())) == 1:
+                words.append(f"{light}={next(iter(per_kind.values()))}")
+            else:
+                words += [f"{kind}={name}" for kind, name in per_kind.items()]
+        return ",".join(words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,95 +11,154 @@ from shadows import shadow_map, truth
 from shadows.attached import attached
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
+from terrain.antialias import NO_PIXELS, Sampled, sampled
+from terrain.camera import PerspectiveView
 from terrain.errors import InputError, RenderError
-from terrain.geometry import map_geometry
 from terrain.grid import MapView, blocks_of
+from terrain.picture import geometry_of
 from terrain.reach import Reach, casters_of
 from terrain.scene import Scene
-from terrain.shading import shade
+from terrain.shading import encoded, shade, sky
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "casters"
 SHADING_PASS = "shading"
 
 FILLS = {"shadow_map": shadow_map.fill, "truth": truth.fill}
-"""Algorithm -> what fills the visibility of one light for a buffer's points; ``none`` needs nothing."""
+"""Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
 
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
+BAND_PIXELS = 2**21
+"""Pixels of a perspective view that are worked on at a time: about 0.5 GB."""
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A rendered view. Arrays are (rows, cols, ...), row 0 the northern one.
+    """A rendered view. Arrays are (rows, cols, ...), row 0 the upper (in a map the northern) one.
 
-    ``color`` uint8 sRGB; ``visibility`` float32 of the sun in [0, 1], NaN where there is no surface; ``height_m`` float32
-    likewise; ``passes`` what really ran.
+    ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``height_m`` float32
+    likewise; ``position_earth_m`` float64 (rows, cols, 3) of a perspective view, ``None`` in a map; ``passes`` what really ran.
     """
 
-    view: MapView
+    view: MapView | PerspectiveView
     plan: Plan
     color: np.ndarray
-    visibility: np.ndarray
+    visibilities: dict[str, np.ndarray]
     height_m: np.ndarray
+    position_earth_m: np.ndarray | None
     passes: tuple[PassRecord, ...]
     reach: Reach
 
     @property
+    def visibility(self) -> np.ndarray:
+        """Visibility of the first light: the sun, where there is one."""
+        return next(iter(self.visibilities.values()))
+
+    @property
     def there(self) -> np.ndarray:
         """Where there is a surface."""
-        return ~np.isnan(self.visibility)
+        return ~np.isnan(self.height_m)
+
+    @property
+    def opaque(self) -> np.ndarray:
+        """Where the colour means something: the surface, and in perspective the sky."""
+        return self.there if isinstance(self.view, MapView) else np.ones(self.there.shape, bool)
+
+    def under(self, light: str | None) -> Frame:
+        """The same frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
+        if light is None:
+            return self
+        if light not in self.visibilities:
+            raise InputError("light", light, ", ".join(self.visibilities))
+        return replace(self, visibilities={light: self.visibilities[light], **self.visibilities})
 
     @property
     def nbytes(self) -> int:
         """Bytes of the layers."""
-        return self.color.nbytes + self.visibility.nbytes + self.height_m.nbytes
+        arrays = [self.color, self.height_m, *self.visibilities.values()]
+        return sum(array.nbytes for array in arrays) + (0 if self.position_earth_m is None else self.position_earth_m.nbytes)
 
 
-def render_frame(scene: Scene, view: MapView, plan: Plan, on_block: Callable[[int, int], None] | None = None) -> Frame:
+def render_frame(
+    scene: Scene, view: MapView | PerspectiveView, plan: Plan, on_block: Callable[[int, int], None] | None = None
+) -> Frame:
     """Execute a plan; ``on_block(done, total)`` is called after each block.
 
     Raises ``RenderError`` where the work fails or where other passes ran than the plan lists.
     """
     if view.rows * view.cols > MAX_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
-    color = np.zeros((view.rows, view.cols, 3), np.uint8)
-    visibility = np.full((view.rows, view.cols), np.nan, np.float32)
-    height = np.full((view.rows, view.cols), np.nan, np.float32)
+    size = view.rows, view.cols
+    color = np.zeros((*size, 3), np.uint8)
+    visibilities = {light: np.full(size, np.nan, np.float32) for light in plan.lights}
+    height = np.full(size, np.nan, np.float32)
+    position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
     log, reach = PassLog(), Reach(0.0, 0.0, False)
-    blocks = blocks_of(view)
-    for done, (block, row, col) in enumerate(blocks, start=1):
-        *layers, block_reach = _render_block(scene, block, plan, log)
-        reach = _worse(reach, block_reach)
+    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    for done, (part, row, col) in enumerate(parts, start=1):
+        block = _render_block(scene, part, plan, log)
+        reach = _worse(reach, block.reach)
         ours = (
-            slice(max(row, 0), min(row + block.rows, view.rows)),
-            slice(max(col, 0), min(col + block.cols, view.cols)),
+            slice(max(row, 0), min(row + part.rows, view.rows)),
+            slice(max(col, 0), min(col + part.cols, view.cols)),
         )
         theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (row, col), strict=True))
-        for whole, part in zip((color, visibility, height), layers, strict=True):
-            whole[ours] = part[theirs]
+        color[ours], height[ours] = block.color[theirs], block.height_m[theirs]
+        for light, whole in visibilities.items():
+            whole[ours] = block.visibilities[light][theirs]
+        if position is not None and block.position_earth_m is not None:
+            position[ours] = block.position_earth_m[theirs]
         if on_block is not None:
-            on_block(done, len(blocks))
+            on_block(done, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
-    return Frame(view, plan, color, visibility, height, tuple(log.records.values()), reach)
+    return Frame(view, plan, color, visibilities, height, position, tuple(log.records.values()), reach)
 
 
-def _render_block(scene: Scene, block: MapView, plan: Plan, log: PassLog) -> tuple[np.ndarray, np.ndarray, np.ndarray, Reach]:
+def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
+    """A perspective view in bands of whole rows, so that memory stays bounded; each with its first row and column."""
+    rows = max(BAND_PIXELS // view.cols, 1)
+    return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
+
+
+def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
     with log.run(GEOMETRY_PASS):
-        frame = scene.world.frame_near(block.grid.crs, *block.centre)
-        buffer = map_geometry(scene.surface(block.grid), block, frame)
+        own = geometry_of(scene, view)
+        picture = Sampled(own, view.rows, NO_PIXELS) if isinstance(view, MapView) else sampled(scene, view, own)
+        buffer = picture.buffer
     with log.run(CASTERS_PASS):
-        casters = casters_of(scene, buffer)
-    visibility = np.ones(buffer.there.shape, np.float32)
-    for kind, name in plan.algorithm["sun"].items():
-        if name in FILLS:
-            visibility *= FILLS[name](buffer, scene, casters, plan.settings["sun"][kind], log)
+        casters = casters_of(scene, own)
+    visibilities = {light: np.ones(buffer.there.shape, np.float32) for light in plan.lights}
+    for step in plan.steps:
+        if step.algorithm in FILLS:
+            fill = FILLS[step.algorithm]
+            visibilities[step.light] *= fill(buffer, scene, step.light, step.kinds, casters, step.settings, log)
     with log.run(SHADING_PASS):
-        visibility[attached(buffer, scene)] = 0.0
-        color = shade(buffer, scene, visibility)
-        visibility[~buffer.there] = np.nan
-    return color, visibility, buffer.height_m, casters.reach
+        for light, visibility in visibilities.items():
+            visibility[attached(buffer, scene, light)] = 0.0
+        linear = shade(buffer, scene, visibilities)
+        position = None
+        if not isinstance(view, MapView):
+            _put_sky(scene, view, picture, linear)
+            linear = picture.averaged(linear)
+            position = own.position_frame_m @ own.frame.frame_from_earth + own.frame.origin_earth_m
+        for light, visibility in visibilities.items():
+            visibilities[light] = np.where(own.there, visibility[: view.rows], np.float32(np.nan))
+    return Frame(view, plan, encoded(linear), visibilities, own.height_m, position, (), casters.reach)
+
+
+def _put_sky(scene: Scene, view: PerspectiveView, picture: Sampled, linear: np.ndarray) -> None:
+    """Colour the pixels and samples that show nothing."""
+    row, col = (index.astype(np.float64) for index in np.mgrid[: view.rows, : view.cols])
+    places = []
+    for own, of_samples in zip((row, col), picture.pixels, strict=True):
+        below = np.zeros((linear.shape[0] - view.rows) * view.cols)
+        below[: 4 * len(of_samples)] = np.repeat(of_samples, 4)
+        places.append(np.concatenate([own.ravel(), below]).reshape(linear.shape[:2]))
+    empty = ~picture.buffer.there
+    linear[empty] = sky(scene, view, places[0][empty], places[1][empty])
 
 
 def _worse(a: Reach, b: Reach) -> Reach:

@@ -7,22 +7,33 @@ four offsets and at S stratified sub-samples of the pixel all agree; else it is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 
-from shadows.attached import attached, turned_away
+from shadows.attached import attached, lamp_in_frame, turned_away
 from shadows.passes import PassLog
 from shadows.plan import TruthSettings
-from terrain.geometry import GeometryBuffer, map_geometry
+from terrain.camera import PerspectiveView
+from terrain.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
+from terrain.geometry import GeometryBuffer
 from terrain.grid import MapView
-from terrain.rays import RayScene
-from terrain.reach import Casters, caster_sheets, casters_of
+from terrain.level import SUN, CasterKind
+from terrain.light_space import light_bounds
+from terrain.picture import geometry_of
+from terrain.rays import RayScene, trees_as_mesh
+from terrain.reach import Casters, casters_of
+from terrain.resolve import FOREST
 from terrain.scene import Scene
 
-RAYS_PASS = "sun/relief: rays"
-PASSES = (RAYS_PASS,)
+UNLIMITED_TRIANGLES = 2**31
+"""A limit that no ground reaches: its mesh is whole."""
+
+PASSES = ("rays",)
+
+ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
 
 SUN_RADIUS_DEG = 0.265
 """The sun's disc spans 0.53 degrees."""
@@ -47,47 +58,75 @@ class Truth:
         return float(1.0 - self.decidable.sum() / self.there.sum()) if self.there.any() else 0.0
 
 
-def fill(buffer: GeometryBuffer, scene: Scene, casters: Casters, settings: TruthSettings, log: PassLog) -> np.ndarray:
-    """Visibility of the sun (rows, cols), float32 in [0, 1]: the common interface of the algorithms.
+def fill(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: TruthSettings,
+    log: PassLog,
+) -> np.ndarray:
+    """Visibility of a light (rows, cols), float32 in [0, 1]: the common interface of the algorithms.
 
     With ``sun_samples`` over 1 the sun is a disc of that many stratified directions, and visibility their mean.
     """
-    with log.run(RAYS_PASS):
-        rays = ray_scene(buffer, scene, casters)
-        to_sun = buffer.frame.frame_from_earth @ _sun(scene)
-        directions = [to_sun] if settings.sun_samples == 1 else sun_disc(to_sun, settings.sun_samples)
-        visibility = np.zeros(buffer.there.shape, np.float32)
-        for direction in directions:
-            visibility += lit_from(buffer, rays, direction)
-        return visibility / np.float32(len(directions))
+    (rays_pass,) = log.named(light, kinds, PASSES)
+    with log.run(rays_pass):
+        rays = ray_scene(buffer, scene, casters, kinds)
+        if light != SUN or settings.sun_samples == 1:
+            return lit_from(buffer, scene, light, rays).astype(np.float32)
+        return _disc_visibility(buffer, scene, rays, settings.sun_samples)
 
 
-def truth_of(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 4, seed: int = 0) -> Truth:
+def truth_of(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    casters: Casters,
+    samples: int = 4,
+    seed: int = 0,
+    light: str = SUN,
+    kinds: tuple[CasterKind, ...] = ALL_KINDS,
+) -> Truth:
     """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel."""
     dark = np.zeros(buffer.there.shape, bool)
-    turned = attached(buffer, scene) & buffer.there
-    if scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0 or not buffer.there.any():
+    turned = attached(buffer, scene, light) & buffer.there
+    if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
         return Truth(dark, turned, buffer.there.copy(), buffer.there)
-    rays = ray_scene(buffer, scene, casters)
-    to_sun = buffer.frame.frame_from_earth @ _sun(scene)
-    lit = lit_from(buffer, rays, to_sun)
+    rays = ray_scene(buffer, scene, casters, kinds)
+    lit = lit_from(buffer, scene, light, rays)
     decidable = buffer.there.copy()
     for offsets in (2.0, 4.0):
-        decidable &= lit_from(buffer, rays, to_sun, offsets) == lit
+        decidable &= lit_from(buffer, scene, light, rays, offsets) == lit
     for view in sub_views(buffer.view, samples, seed):
-        sample = map_geometry(scene.surface(view.grid), view, buffer.frame)
-        decidable &= sample.there & (lit_from(sample, rays, to_sun) == lit)
+        sample = geometry_of(scene, view, buffer.frame)
+        decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
     return Truth(lit, turned, decidable, buffer.there)
 
 
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
     """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
-    visibility = fill(buffer, scene, casters, TruthSettings(sun_samples=samples), PassLog())
+    visibility = _disc_visibility(buffer, scene, ray_scene(buffer, scene, casters, ALL_KINDS), samples)
     return np.where(buffer.there, visibility, np.nan)
 
 
+def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
+    assert scene.sun is not None
+    visibility = np.zeros(buffer.there.shape, np.float32)
+    for direction in sun_disc(buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, samples):
+        visibility += lit_towards(buffer, rays, direction)
+    return visibility / np.float32(samples)
+
+
 def coverage_truth(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, block_px: int, blocks: int = 256, samples: int = 64, seed: int = 0
+    buffer: GeometryBuffer,
+    scene: Scene,
+    casters: Casters,
+    block_px: int,
+    blocks: int = 256,
+    samples: int = 64,
+    seed: int = 0,
+    light: str = SUN,
 ) -> np.ndarray:
     """True shadow shares of blocks of ``block_px`` pixels: (rows // block_px, cols // block_px), NaN where none was taken.
 
@@ -99,43 +138,34 @@ def coverage_truth(
     has_surface = buffer.there[: shape[0] * block_px, : shape[1] * block_px]
     has_surface = has_surface.reshape(shape[0], block_px, shape[1], block_px).any(axis=(1, 3))
     candidates = np.flatnonzero(has_surface)
-    if not len(candidates) or scene.sun is None:
+    if not len(candidates) or (light == SUN and scene.sun is None):
         return out
     bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(seed)
-    rays = ray_scene(buffer, scene, casters)
-    to_sun = buffer.frame.frame_from_earth @ _sun(scene)
-    surface, view, side = scene.surface(buffer.view.grid), buffer.view, int(round(samples**0.5))
-    dark_everywhere = (scene.highest_sun_deg or 0.0) <= 0.0
+    rays = ray_scene(buffer, scene, casters, ALL_KINDS)
+    dark_everywhere = light == SUN and not scene.sun_is_up
+    side = int(round(samples**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
         i, j = np.unravel_index(candidates[rng.integers(first, last)], shape)
         if dark_everywhere:
             out[i, j] = 1.0
             continue
-        start = (np.arange(side) + 0.5) / side - 0.5
-        fine = replace(
-            view,
-            row0=view.row0 + (i * block_px + start[0]) * view.row_step,
-            col0=view.col0 + (j * block_px + start[0]) * view.col_step,
-            row_step=view.row_step / side,
-            col_step=view.col_step / side,
-            rows=block_px * side,
-            cols=block_px * side,
-        )
-        sample = map_geometry(surface, fine, buffer.frame)
+        fine = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
+        sample = geometry_of(scene, fine, buffer.frame)
         if sample.there.any():
-            out[i, j] = 1.0 - lit_from(sample, rays, to_sun)[sample.there].mean()
+            out[i, j] = 1.0 - lit_from(sample, scene, light, rays)[sample.there].mean()
     return out
 
 
 def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_px: int = 256) -> float:
-    """Simplification: share of pixels whose truth differs between the drawn surface and the full raster's.
+    """Simplification: share of pixels whose truth differs between the drawn ground and the full raster's.
 
-    The full surface is the raster's bilinear one on a grid of half its cells (or half the drawn step, if that is finer).
-    Taken on ``size_px`` pixels a side round the middle of what is there; both truths at the pixels' own points.
+    In a map the full ground is the raster's bilinear one on a grid of half its cells (or half the drawn step, if that is
+    finer); in perspective it is the mesh without decimation. Taken on ``size_px`` pixels a side round the middle of what is
+    there; both truths at the pixels' own points. 0 without a sun.
     """
     view = buffer.view
-    if not buffer.there.any():
+    if not buffer.there.any() or not scene.sun_is_up:
         return 0.0
     rows, cols = min(size_px, view.rows), min(size_px, view.cols)
     middle = [int(np.median(index)) for index in np.nonzero(buffer.there)]
@@ -144,45 +174,91 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
         for m, side, size in zip(middle, (rows, cols), (view.rows, view.cols), strict=True)
     )
     part = view.part(row, col, rows, cols)
-    surface = scene.surface(view.grid)
+    if isinstance(part, MapView):
+        both = geometry_of(scene, part, buffer.frame), geometry_of(scene, _full_detail(scene, part), buffer.frame)
+    elif buffer.ground is None or buffer.ground.tolerance_px == 0.0:
+        return 0.0
+    else:
+        both = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
+    lit = []
+    for its in both:
+        if not its.there.any():
+            return 0.0
+        lit.append(lit_from(its, scene, SUN, ray_scene(its, scene, casters_of(scene, its), ALL_KINDS)))
+    there = both[0].there & both[1].there
+    return float((lit[0] != lit[1])[there].mean()) if there.any() else 0.0
+
+
+def _full_detail(scene: Scene, part: MapView) -> MapView:
+    surface = scene.surface(part.grid)
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     finer = max(int(np.ceil(np.log2(2.0 * surface.step_m / min(cell_m, surface.step_m)))), 1)
-    grid = view.grid.finer(finer)
-    fine = MapView(grid, part.row0 * 2**finer, part.col0 * 2**finer, part.row_step * 2**finer, part.col_step * 2**finer, rows, cols)
-    classes = []
-    for its_view in (part, fine):
-        its = map_geometry(scene.surface(its_view.grid), its_view, buffer.frame)
-        if not its.there.any() or scene.sun is None or (scene.highest_sun_deg or 0.0) <= 0.0:
-            return 0.0
-        rays = ray_scene(its, scene, casters_of(scene, its))
-        classes.append((lit_from(its, rays, its.frame.frame_from_earth @ _sun(scene)), its.there))
-    both = classes[0][1] & classes[1][1]
-    return float((classes[0][0] != classes[1][0])[both].mean()) if both.any() else 0.0
+    scale = 2**finer
+    grid = part.grid.finer(finer)
+    return MapView(grid, part.row0 * scale, part.col0 * scale, part.row_step * scale, part.col_step * scale, part.rows, part.cols)
 
 
 @lru_cache(maxsize=1)
-def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> RayScene:
-    """Everything that can shade a buffer's points, for rays; the last one is kept, since building it costs most."""
-    return RayScene(caster_sheets(scene, buffer, casters))
+def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
+    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
+    trees = caster_trees(buffer, kinds)
+    if trees is not None and scene.light is not None and not scene.lamps:
+        rotation, translation = scene.light.from_frame(buffer.frame)
+        low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
+        pixel_m = 2.0 * pixels_m(buffer)  # sub-samples lie beside the pixels' points
+        trees = trees_in_the_way(trees, rotation, translation, low - pixel_m, high + pixel_m)
+    alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
+    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha)
 
 
-def lit_from(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0) -> np.ndarray:
-    """Where a buffer's points see a direction (3,) of its frame: bool (rows, cols), False off the surface."""
-    facing = buffer.there & ~turned_away(buffer.normal_frame, np.asarray(direction, np.float64))
-    start = buffer.position_frame_m[facing] + offsets * rays.offset_m * buffer.normal_frame[facing]
+def pixels_m(buffer: GeometryBuffer) -> float:
+    """The largest side of a buffer's pixels on a surface that faces the viewer, metres."""
+    if isinstance(buffer.view, PerspectiveView):
+        eye, _ = buffer.view.in_frame(buffer.frame)
+        return float(np.linalg.norm(buffer.position_frame_m[buffer.there] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
+    steps = np.diff(buffer.position_frame_m[:: max(buffer.view.rows - 1, 1)], axis=1)
+    found = np.linalg.norm(steps, axis=-1)
+    return float(np.nanmax(found, initial=0.0))
+
+
+def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, offsets: float = 1.0) -> np.ndarray:
+    """Where a buffer's points see a light: bool (rows, cols), False off the surface."""
+    if light == SUN:
+        assert scene.sun is not None
+        return lit_towards(buffer, rays, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, offsets)
+    facing = buffer.there & ~attached(buffer, scene, light)
+    position, _ = lamp_in_frame(buffer, scene.lamps[light])
+    way = position - buffer.position_frame_m[facing]
+    length = np.linalg.norm(way, axis=-1)
+    way /= length[:, None]
     out = np.zeros(buffer.there.shape, bool)
-    out[facing] = ~rays.blocked(start, direction)
+    out[facing] = ~rays.blocked(_lifted(buffer, facing, way, offsets * rays.offset_m), way, length)
     return out
 
 
-def sub_views(view: MapView, samples: int, seed: int = 0) -> list[MapView]:
+def lit_towards(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0) -> np.ndarray:
+    """Where a buffer's points see a direction (3,) of its frame: bool (rows, cols), False off the surface."""
+    facing = buffer.there & ~turned_away(buffer.normal_frame, buffer.kind == FOREST, np.asarray(direction, np.float64))
+    out = np.zeros(buffer.there.shape, bool)
+    out[facing] = ~rays.blocked(_lifted(buffer, facing, direction, offsets * rays.offset_m), direction)
+    return out
+
+
+def _lifted(buffer: GeometryBuffer, facing: np.ndarray, way: np.ndarray, offset_m: float) -> np.ndarray:
+    """Points lifted off their triangles to the side that a light comes from."""
+    normal = buffer.normal_frame[facing]
+    side = np.where((normal * way).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return buffer.position_frame_m[facing] + offset_m * side * normal
+
+
+def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
     """Views shifted within a pixel: one place in each of ``samples`` (a square number) strata, drawn by a seed."""
     side = int(round(samples**0.5))
     if side * side != samples:
         raise ValueError(f"samples: {samples} is not a square")
     rng = np.random.default_rng(seed)
     places = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
-    return [replace(view, row0=view.row0 + row * view.row_step, col0=view.col0 + col * view.col_step) for row, col in places]
+    return [view.shifted(row, col) for row, col in places]
 
 
 def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
@@ -194,8 +270,3 @@ def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DE
     angle, distance = number * np.pi * (3.0 - 5.0**0.5), np.tan(np.radians(radius_deg)) * np.sqrt((number + 0.5) / samples)
     directions = to_sun + distance[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * aside)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _sun(scene: Scene) -> np.ndarray:
-    assert scene.sun is not None
-    return scene.sun.to_sun_earth

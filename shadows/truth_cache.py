@@ -9,10 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.truth import SUN_RADIUS_DEG, Truth, truth_of
+from shadows.truth import ALL_KINDS, SUN_RADIUS_DEG, Truth, truth_of
+from terrain.camera import PerspectiveView
+from terrain.casting import caster_meshes, caster_sheets, caster_trees
+from terrain.foliage import foliage
 from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import SUN
 from terrain.rays import OFFSET_ULPS
-from terrain.reach import Casters, caster_sheets
+from terrain.reach import Casters
 from terrain.scene import Scene
 
 LIMIT_BYTES = 512 * 2**20
@@ -31,12 +36,13 @@ def cached_truth(
     scene: Scene,
     casters: Casters,
     samples: int,
+    light: str = SUN,
     folder: Path | None = None,
     make: Callable[..., Truth] = truth_of,
 ) -> Truth:
     """``truth_of``, from disk where it has been made before. A folder that cannot be written is no error."""
     folder = folder or cache_folder()
-    path = folder / f"{content_key(buffer, scene, casters, samples)}.npz"
+    path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
     try:
         with np.load(path) as stored:
@@ -45,7 +51,7 @@ def cached_truth(
         return Truth(*arrays)
     except (OSError, ValueError, KeyError, EOFError):  # absent or damaged
         pass
-    truth = make(buffer, scene, casters, samples)
+    truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.npz")
@@ -57,16 +63,29 @@ def cached_truth(
     return truth
 
 
-def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int) -> str:
+def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN) -> str:
     """A digest of all that truth depends on."""
     digest = hashlib.blake2b(digest_size=20)
-    to_sun = np.zeros(3) if scene.sun is None else buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    view = buffer.view
-    steps = (view.row0, view.col0, view.row_step, view.col_step, view.grid.step, samples, OFFSET_ULPS, SUN_RADIUS_DEG)
-    digest.update(repr((steps, scene.highest_sun_deg)).encode())
-    for array in (to_sun, buffer.there, buffer.position_frame_m, *caster_sheets(scene, buffer, casters)):
+    to_light = np.zeros(3)
+    if light != SUN:
+        lamp = scene.lamps[light]
+        to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg])
+    elif scene.sun is not None:
+        to_light = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+    digest.update(repr((_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light)).encode())
+    trees = caster_trees(buffer, ALL_KINDS)
+    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.look, foliage().levels[0]]
+    for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
+        parts += [vertices, triangles]
+    for array in (to_light, buffer.there, buffer.position_frame_m, *parts, *caster_sheets(scene, buffer, casters, ALL_KINDS)):
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
+
+
+def _numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
+    if isinstance(view, PerspectiveView):
+        return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
+    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step
 
 
 def _trim(folder: Path) -> None:

@@ -2,35 +2,64 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from terrain.camera import PerspectiveView
 from terrain.elevation import Elevation
 from terrain.grid import BLOCK_PX, MapView
+from terrain.ground_mesh import ground_mesh
 from terrain.level import CasterKind
+from terrain.light_space import light_bounds
+from terrain.picture import geometry_of
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
 from terrain.surface import step_at_anchor_m
+
+LOOK_PX = 8
+"""Distance of the pixels from which a perspective view is described."""
+
+LOOK_MARGIN = 1.05
+"""What a coarse look may miss at the rims."""
+
+STEP = 2.0**0.25
+"""Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
+
+
+class LampFacts(BaseModel):
+    """A light besides the sun: half angle of its cone (180: an omni light), and the distance that it is meant for."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    kind: Literal["spot", "omni"]
+    cutoff_deg: float
+    reference_m: float
 
 
 class Descriptor(BaseModel):
     """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
 
-    ``receivers_light_m`` is the largest extent of a block's receivers in light space: right, up and along the light,
-    metres; ``None`` without a sun. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level.
+    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen), ``casters`` the kinds
+    there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the largest extent of a block's receivers
+    in light space: right, up and along the light, metres; ``None`` without a sun. ``highest_sun_deg`` is the sun's largest
+    altitude anywhere over the level.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     view: str
-    view_kind: str
+    view_kind: Literal["map", "perspective"]
     flat_world: bool
     pixel_m: float
     node_m: float
     casters: tuple[CasterKind, ...]
+    lamps: tuple[LampFacts, ...] = ()
     relief_m: float
     block_relief_m: float
     sun_azimuth_deg: float | None
@@ -39,18 +68,48 @@ class Descriptor(BaseModel):
     receivers_light_m: tuple[float, float, float] | None
 
 
-def describe(scene: Scene, view: MapView, name: str = "map") -> Descriptor:
-    """The descriptor of a map view of a scene."""
+def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
+    """The descriptor of a view of a scene."""
+    low, high = scene.height_range_m
+    facts = _map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view)
+    lamps = tuple(
+        LampFacts(name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m)
+        for lamp in scene.lamps.values()
+    )
+    return Descriptor(
+        view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
+        sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
+        highest_sun_deg=scene.highest_sun_deg, **facts,
+    )  # fmt: skip
+
+
+def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     node_m = step_at_anchor_m(scene.world, view.grid)
     pixel_m = node_m * float(np.sqrt(view.row_step * view.col_step))
-    low, high = scene.height_range_m
-    block_relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit)
-    return Descriptor(
-        view=name, view_kind="map", flat_world=scene.world.flat, pixel_m=pixel_m, node_m=node_m, casters=("relief",),
-        relief_m=high - low, block_relief_m=block_relief_m,
-        sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
-        highest_sun_deg=scene.highest_sun_deg, receivers_light_m=_receivers_light_m(scene, view, block_relief_m),
-    )  # fmt: skip
+    relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.population.tallest_m
+    return {
+        "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
+        "receivers_light_m": _receivers_light_m(scene, view, relief_m),
+    }  # fmt: skip
+
+
+def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
+    """From a coarse look at the ground: every ``LOOK_PX``-th pixel."""
+    coarse = replace(view, step=view.step * LOOK_PX, rows=-(-view.rows // LOOK_PX), cols=-(-view.cols // LOOK_PX))
+    looked = geometry_of(scene, coarse)
+    points = looked.position_frame_m[looked.there]
+    eye, _ = view.in_frame(looked.frame)
+    away_m = float(np.median(np.linalg.norm(points - eye, axis=-1))) if len(points) else 1.0
+    extent = None
+    if scene.light is not None:
+        low, high = light_bounds(looked.position_frame_m, looked.there, *scene.light.from_frame(looked.frame))
+        seen = np.maximum(high - low, away_m * view.pixel) if len(points) else np.full(3, away_m * view.pixel)
+        extent = tuple(float(v) for v in STEP ** np.ceil(np.log(seen * LOOK_MARGIN) / np.log(STEP)))
+    grid = ground_mesh(scene, view).grid
+    return {
+        "view_kind": "perspective", "pixel_m": away_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
+        "block_relief_m": float(np.ptp(looked.height_m[looked.there])) if len(points) else 0.0, "receivers_light_m": extent,
+    }  # fmt: skip
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:

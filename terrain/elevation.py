@@ -20,13 +20,14 @@ from pyproj.exceptions import CRSError
 from rasterio.enums import MaskFlags, Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
+from rasterio.io import MemoryFile
 from rasterio.windows import Window
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.bundled import BUNDLED
 from terrain.compiled import compiled
 from terrain.errors import SourceError
-from terrain.level import METRES_PER_UNIT, Units
+from terrain.level_parts import METRES_PER_UNIT, Units
 from terrain.world import WGS84
 
 FILL_CELLS = 64
@@ -66,18 +67,25 @@ class Overview:
 class Elevation:
     """An open raster of heights. Not to be shared between threads.
 
-    ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own.
+    ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
+    the place of the file ``source``.
 
     Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
     """
 
     def __init__(
-        self, source: str, units: Units | None = None, exaggeration: float = 1.0, resolution_m: float | None = None
+        self,
+        source: str,
+        units: Units | None = None,
+        exaggeration: float = 1.0,
+        resolution_m: float | None = None,
+        made: MemoryFile | None = None,
     ) -> None:
         self.name = source
         self.resolution_m = resolution_m
         try:
-            self._dataset = BUNDLED[source]().open() if source in BUNDLED else _open(source)
+            held = BUNDLED[source]() if source in BUNDLED else made
+            self._dataset = _open(source) if held is None else held.open()
         except (RasterioError, OSError) as error:
             reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
             raise SourceError(source, reason, "a raster that GDAL reads") from None
@@ -114,6 +122,19 @@ class Elevation:
         """Rows and columns."""
         return self.rows, self.cols
 
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the raster in its own CRS."""
+        x, y = self.xy(np.array([-0.5, -0.5, self.rows - 0.5, self.rows - 0.5]), np.array([-0.5, self.cols - 0.5] * 2))
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+    @property
+    def square_cell(self) -> float | None:
+        """The side of a cell in CRS units; ``None`` where cells are not square or rows do not run from north to south."""
+        gt = self._dataset.transform
+        square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
+        return float(gt.a) if square else None
+
     def close(self) -> None:
         """Close the raster."""
         self._dataset.close()
@@ -138,6 +159,16 @@ class Elevation:
         row, col = self.cell_of(x, y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
         return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
+
+    def ground_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if self.crs.is_geographic:
+            middle = float(self.xy(0, (self.cols - 1) / 2)[0])
+            x = x + 360.0 * np.rint((middle - x) / 360.0)
+        row, col = self.cell_of(x, y)
+        height, there = self.heights_at(0, row.reshape(-1, 1), col.reshape(-1, 1))
+        return np.where(there, height, np.nan).reshape(x.shape).astype(np.float64)
 
     def cell_size_m(self, metres_per_unit: float) -> float:
         """Side of a cell on the ground at the raster's middle, metres: the root of its area."""

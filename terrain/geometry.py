@@ -11,8 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.grid import MapView
+from terrain.ground_mesh import GroundMesh
+from terrain.stand import Stand
 from terrain.surface import Surface, SurfaceWindow
 from terrain.world import LocalFrame
 
@@ -39,13 +42,24 @@ class GeometryBuffer:
     crease
         float32, the largest distance between the triangle's unit normal and those of the triangles round the nearest
         node: 0 on a plane. An algorithm that looks beside the point needs it for its bias.
+    kind
+        uint8, what is seen: ``terrain.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
     triangle
-        int32 (rows, cols, 3): row and column of the quad (grid nodes), and 0 for its NW, 1 for its SE triangle.
+        int32 (rows, cols, 3) of a map's ground: row and column of the quad (grid nodes), and 0 for its NW, 1 for its SE triangle.
     surface
-        The nodes that the buffer was made from; they cast what they show.
+        Of a map: the nodes that the buffer was made from; they cast what they show. ``None`` in perspective.
+    ground
+        In perspective: the ground's triangles, which cast what they show. ``None`` in a map.
+    corners_frame_m
+        float32 (rows, cols, 9), the triangle's three corners: for everything but a map's ground, where it is 0. ``None`` where
+        there is nothing else.
+    albedo
+        float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
+    stand, solids_frame_m
+        The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
     """
 
-    view: MapView
+    view: MapView | PerspectiveView
     frame: LocalFrame
     there: np.ndarray
     position_frame_m: np.ndarray
@@ -53,12 +67,18 @@ class GeometryBuffer:
     normal_frame: np.ndarray
     shading_normal_frame: np.ndarray
     crease: np.ndarray
-    triangle: np.ndarray
-    surface: SurfaceWindow
+    kind: np.ndarray
+    triangle: np.ndarray | None = None
+    surface: SurfaceWindow | None = None
+    ground: GroundMesh | None = None
+    corners_frame_m: np.ndarray | None = None
+    albedo: np.ndarray | None = None
+    stand: Stand | None = None
+    solids_frame_m: np.ndarray | None = None
 
 
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
-    """The geometry buffer of a map view (a block) in a frame."""
+    """The geometry buffer of a map view's bare ground (a block) in a frame."""
     reach = int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step
@@ -73,7 +93,8 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     )
     triangle[..., 0] += row0
     triangle[..., 1] += col0
-    return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, triangle, window)
+    kind = there.astype(np.uint8)
+    return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
 
 
 @compiled

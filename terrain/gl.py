@@ -26,6 +26,8 @@ from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
+_LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
+_TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
 _INDEX_BUFFERS = 2
 _DEPTH_TARGETS = 2
@@ -52,6 +54,8 @@ class Device:
         self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
         self._depth_targets: OrderedDict[tuple[int, int, int], moderngl.Framebuffer] = OrderedDict()
         self._float_target: moderngl.Framebuffer | None = None
+        self._visible_target: moderngl.Framebuffer | None = None
+        self._layers: OrderedDict[int, moderngl.TextureArray] = OrderedDict()
         self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
 
@@ -100,6 +104,12 @@ class Device:
         if len(self._depth_targets) >= _DEPTH_TARGETS:
             _, old = self._depth_targets.popitem(last=False)
             self._release_target(old, old.depth_attachment)
+        target = self.ctx.framebuffer(depth_attachment=self._depth_texture(width, height, bits))
+        self.check("depth_target")
+        self._depth_targets[key] = target
+        return target
+
+    def _depth_texture(self, width: int, height: int, bits: int) -> moderngl.Texture:
         from OpenGL import GL
 
         texture = self.ctx.depth_texture((width, height))
@@ -108,10 +118,7 @@ class Device:
         GL.glBindTexture(_TEXTURE_2D, 0)
         texture.compare_func = ""  # read as numbers; the comparison is the shader's
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
-        target = self.ctx.framebuffer(depth_attachment=texture)
-        self.check("depth_target")
-        self._depth_targets[key] = target
-        return target
+        return texture
 
     def float_target(self, width: int, height: int) -> moderngl.Framebuffer:
         """A one-channel float32 framebuffer; the last one is kept for reuse."""
@@ -136,6 +143,102 @@ class Device:
         finally:
             self.ctx.disable_direct(_DEPTH_CLAMP)
             self.ctx.enable_only(moderngl.NOTHING)
+
+    def visible_target(self, width: int, height: int) -> moderngl.Framebuffer:
+        """A framebuffer of one uint32 (what is seen), one RGBA8 (its albedo) and a float depth; the last one is kept."""
+        self.require_current()
+        if self._visible_target is None or self._visible_target.size != (width, height):
+            if self._visible_target is not None:
+                old = self._visible_target
+                self._release_target(old, *old.color_attachments, old.depth_attachment)
+            colors = [self.ctx.texture((width, height), 1, dtype="u4"), self.ctx.texture((width, height), 4)]
+            self._visible_target = self.ctx.framebuffer(colors, self._depth_texture(width, height, 32))
+            self.check("visible_target")
+        return self._visible_target
+
+    @contextmanager
+    def visible_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
+        """Draw what is nearest to the eye: depth from 1 (near) to 0 (infinitely far), so that float steps stay even."""
+        from OpenGL import GL
+
+        self.require_current()
+        target.use()
+        target.clear(0.0, 0.0, 0.0, 0.0, depth=0.0)
+        self.ctx.enable_only(moderngl.DEPTH_TEST)
+        self.ctx.depth_func = ">"
+        GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
+        try:
+            yield
+        finally:
+            GL.glClipControl(_LOWER_LEFT, _NEGATIVE_ONE_TO_ONE)
+            self.ctx.depth_func = "<="
+            self.ctx.enable_only(moderngl.NOTHING)
+
+    def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
+        """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.
+
+        Textures are kept by the identity of ``levels``, which must live on.
+        """
+        from OpenGL import GL
+
+        self.require_current()
+        key = id(levels)
+        if key not in self._layers:
+            count, side = levels[0].shape[:2]
+            texture = self.ctx.texture_array((side, side, count), 4)
+            GL.glBindTexture(_TEXTURE_2D_ARRAY, texture.glo)
+            GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
+            for level, data in enumerate(levels):
+                size = data.shape[1]
+                GL.glTexImage3D(
+                    _TEXTURE_2D_ARRAY, level, GL.GL_SRGB8_ALPHA8, size, size, count, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE,
+                    np.ascontiguousarray(data),
+                )  # fmt: skip
+            GL.glTexParameteri(_TEXTURE_2D_ARRAY, GL.GL_TEXTURE_MAX_LEVEL, len(levels) - 1)
+            GL.glBindTexture(_TEXTURE_2D_ARRAY, 0)
+            texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
+            texture.repeat_x = texture.repeat_y = False
+            self.check("layers")
+            self._layers[key] = texture
+        return self._layers[key]
+
+    def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
+        """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``); returns their number.
+
+        ``first`` is the primitive number before the first one, for programs that have the uniform.
+        """
+        self.require_current()
+        if not len(triangles):
+            return 0
+        if "first" in program:
+            program["first"] = first
+        count = vertices.shape[1]
+        arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(triangles, np.int32)
+        buffers = [self.ctx.buffer(array) for array in arrays]
+        array = self.ctx.vertex_array(program, [(buffers[0], f"{count}f", "position")], index_buffer=buffers[1])
+        array.render(moderngl.TRIANGLES)
+        for item in (array, *buffers):
+            item.release()
+        return len(triangles)
+
+    def draw_instances(self, program: moderngl.Program, vertices: int, instances: list[tuple[str, np.ndarray]]) -> int:
+        """Draw ``vertices`` vertices (triangles; numbered by ``gl_VertexID``) per instance of attributes (n, k) float32.
+
+        Returns the number of triangles.
+        """
+        self.require_current()
+        count = len(instances[0][1])
+        if not count:
+            return 0
+        held = [self.ctx.buffer(np.ascontiguousarray(data, np.float32)) for _, data in instances]
+        content = [
+            (buffer, f"{data.shape[1]}f/i", name) for buffer, (name, data) in zip(held, instances, strict=True) if name in program
+        ]
+        array = self.ctx.vertex_array(program, content)
+        array.render(moderngl.TRIANGLES, vertices=vertices, instances=count)
+        for item in (array, *held):
+            item.release()
+        return count * vertices // 3
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray) -> int:
         """Draw a sheet of nodes (rows, cols, 3), quads cut SW to NE, leaving out triangles with a NaN corner.
@@ -170,22 +273,24 @@ class Device:
         array.render(moderngl.TRIANGLES, vertices=3)
         array.release()
 
-    def read(self, target: moderngl.Framebuffer, attachment: int = 0) -> np.ndarray:
-        """Read a float framebuffer (or its depth, attachment -1) as float32 (rows, cols); row 0 is the first texel row.
+    def read(self, target: moderngl.Framebuffer, attachment: int = 0, kind: str = "f4", components: int = 1) -> np.ndarray:
+        """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components); row 0 is the first texel row.
 
-        Raises ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
+        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes. Raises ``GraphicsError`` with the wrong context, so
+        that a mistake can never return other memory's bytes.
         """
         self.require_current()
         width, height = target.size
-        out = np.zeros((height, width), np.float32)
-        target.read_into(out, components=1, attachment=attachment, dtype="f4", alignment=4)
+        shape = (height, width) if components == 1 else (height, width, components)
+        out = np.zeros(shape, {"f4": np.float32, "u4": np.uint32, "f1": np.uint8}[kind])
+        target.read_into(out, components=components, attachment=attachment, dtype=kind, alignment=4)
         self.check("read")
         return out
 
-    def _release_target(self, target: moderngl.Framebuffer, texture: moderngl.Texture) -> None:
+    def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture) -> None:
         self._parking.use()  # moderngl would bind a released framebuffer again if it was the current one
-        target.release()
-        texture.release()
+        for item in (target, *textures):
+            item.release()
 
     def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
         key = rows, cols

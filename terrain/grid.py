@@ -11,7 +11,7 @@ two themselves (there the powers are the zooms), from one unit of the CRS and fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from morecantile import TileMatrixSet
@@ -98,6 +98,18 @@ class MapView:
             self.grid, self.row0 + row * self.row_step, self.col0 + col * self.col_step, self.row_step, self.col_step,
             rows, cols,
         )  # fmt: skip
+
+    def shifted(self, rows: float, cols: float) -> MapView:
+        """The view whose pixel centres lie a share of pixels further down and to the right."""
+        return replace(self, row0=self.row0 + rows * self.row_step, col0=self.col0 + cols * self.col_step)
+
+    def finer(self, side: int) -> MapView:
+        """The view with ``side`` x ``side`` pixels regularly inside each of this one's, cut from the same grid."""
+        first = (1.0 / side - 1.0) / 2.0
+        fine = self.shifted(first, first)
+        return replace(
+            fine, row_step=self.row_step / side, col_step=self.col_step / side, rows=self.rows * side, cols=self.cols * side
+        )
 
 
 def map_grid(world: World, crs: CRS, resolution: float) -> Grid:

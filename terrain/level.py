@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
+from terrain.level_parts import ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
 
 AlgorithmName = Literal["shadow_map", "truth", "none"]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
@@ -24,85 +25,18 @@ AlgorithmName = Literal["shadow_map", "truth", "none"]
 EffectName = Literal["cast_shadows"]
 """Effects a level may name; a test holds this equal to ``terrain.effects``."""
 
-CasterKind = Literal["relief"]
-"""What can cast: ``relief`` is the heightfield."""
+CasterKind = Literal["relief", "meshes", "forest"]
+"""What can cast: the heightfield, buildings and models, alpha-tested trees."""
 
-LightName = Literal["sun"]
+SUN = "sun"
+"""The sun's name among the lights."""
 
-Choice = dict[LightName, dict[CasterKind, AlgorithmName]]
+LightName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
+
+Choice = dict[str, dict[CasterKind, AlgorithmName]]
 """An override of the algorithm: light -> caster kind -> name; whatever it leaves out is chosen by the selector."""
 
-Units = Literal["m", "ft", "us-ft"]
-METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_unknown_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key in data:
-                if key not in cls.model_fields:
-                    raise PydanticCustomError("unknown_key", "unknown key", {"key": str(key), "known": ", ".join(cls.model_fields)})
-        return data
-
-
-class Terrain(_Model):
-    """The ground: a raster of heights.
-
-    ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
-    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights.
-    """
-
-    source: str = Field(min_length=1)
-    bounds: tuple[float, float, float, float] | None = None
-    resolution: float | None = Field(default=None, gt=0)
-    units: Units | None = None
-    exaggeration: float = Field(default=1.0, gt=0, le=100)
-
-    @field_validator("bounds")
-    @classmethod
-    def _ordered(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
-        if value is not None:
-            west, south, east, north = value
-            if not (-180 <= west < east <= 540 and -90 <= south < north <= 90):
-                raise PydanticCustomError("bounds", "west < east and -90 <= south < north <= 90, in degrees")
-        return value
-
-
-class SunSpec(_Model):
-    """Where the sun is: an ISO 8601 ``time`` with an offset, or apparent ``azimuth`` and ``altitude`` at the anchor.
-
-    ``azimuth`` is in degrees clockwise from true north (from grid north in a flat world), ``altitude`` in degrees above
-    the horizon.
-    """
-
-    time: datetime | None = None
-    azimuth: float | None = Field(default=None, ge=-360, le=720)
-    altitude: float | None = Field(default=None, ge=-90, le=90)
-
-    @model_validator(mode="after")
-    def _one_way(self) -> SunSpec:
-        angles = (self.azimuth is not None) + (self.altitude is not None)
-        if (self.time is None) == (angles == 0) or angles == 1:
-            raise PydanticCustomError("sun", "either time, or azimuth and altitude")
-        if self.time is not None and self.time.tzinfo is None:
-            raise PydanticCustomError("sun", "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00")
-        return self
-
-
-class MapSpec(_Model):
-    """A map view: orthographic, straight down. ``bounds`` are in ``crs``; what is left out follows from the level."""
-
-    kind: Literal["map"]
-    bounds: tuple[float, float, float, float] | None = None
-    crs: str | None = None
-    size: tuple[Annotated[int, Field(ge=1, le=16384)], Annotated[int, Field(ge=1, le=16384)]] | None = None
-
-
-class Shadows(_Model):
+class Shadows(Model):
     """What is asked of the shadows; ``auto`` leaves a choice to the selector."""
 
     algorithm: Literal["auto"] | AlgorithmName | dict[str, Any] = "auto"
@@ -115,21 +49,44 @@ class Shadows(_Model):
     @field_validator("algorithm")
     @classmethod
     def _known(cls, value: Any) -> Any:
-        algorithm_choice(value)
+        algorithm_choice(value, lights_named(value))  # whether the level has such lights is checked there
         return value
 
 
-class Level(_Model):
+class Level(Model):
     """A whole level file."""
 
     version: Literal[1]
     title: str = ""
     attribution: str = ""
     terrain: Terrain
+    forest: tuple[ForestSpec, ...] = ()
+    meshes: tuple[MeshSpec, ...] = ()
     sun: SunSpec | Literal["none"] = SunSpec(azimuth=315, altitude=45)
-    views: dict[str, MapSpec] = {"map": MapSpec(kind="map")}
+    lights: dict[LightName, LightSpec] = {}
+    seconds: float = 0.0
+    views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: Shadows = Shadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
+
+    @field_validator("lights")
+    @classmethod
+    def _own_names(cls, value: dict[str, LightSpec]) -> dict[str, LightSpec]:
+        taken = (SUN, *get_args(CasterKind), *get_args(AlgorithmName), "auto")
+        for name in value:
+            if name in taken:
+                raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(taken)})
+        return value
+
+    @model_validator(mode="after")
+    def _lights_exist(self) -> Level:
+        algorithm_choice(self.shadows.algorithm, self.light_names)
+        return self
+
+    @property
+    def light_names(self) -> tuple[str, ...]:
+        """The sun (there or not), then the other lights."""
+        return (SUN, *self.lights)
 
 
 class LoadedLevel(BaseModel):
@@ -144,21 +101,37 @@ class LoadedLevel(BaseModel):
 
     @property
     def source(self) -> str:
-        """The raster's path, relative to nothing; a bundled data set's name stays as it is."""
+        """The raster's path, relative to nothing; a bundled data set's name stays as it is, a made ground has none ("")."""
         from terrain.bundled import BUNDLED
 
         source = self.level.terrain.source
-        if source in BUNDLED or "://" in source or source.startswith("/"):
+        return source or "" if source is None or source in BUNDLED else self.resolve(source)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """All files that the level names, relative to nothing."""
+        from terrain.bundled import BUNDLED
+
+        level = self.level
+        named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]
+        for mesh in level.meshes:
+            named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
+        return tuple(self.resolve(name) for name in named if name is not None and name not in BUNDLED)
+
+    def resolve(self, source: str) -> str:
+        """A path of the level file, relative to the file, as one relative to nothing; GDAL's own paths stay as they are."""
+        if "://" in source or source.startswith("/"):
             return source
         return str((self.path.parent / source).resolve())
 
 
-def algorithm_choice(value: str | dict[str, Any]) -> Choice:
+def algorithm_choice(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,)) -> Choice:
     """Spell out an override: a name, ``{kind: name}`` or ``{light: name}`` or ``{light: {kind: name}}``.
 
-    ``auto`` gives an empty choice. Raises ``PydanticCustomError`` with what is allowed.
+    A name alone is for every one of the ``lights``; kinds without a light are the sun's. ``auto`` gives an empty choice.
+    Raises ``PydanticCustomError`` with what is allowed.
     """
-    kinds, lights, names = get_args(CasterKind), get_args(LightName), (*get_args(AlgorithmName), "auto")
+    kinds, names = get_args(CasterKind), (*get_args(AlgorithmName), "auto")
 
     def name_of(item: Any) -> str:
         if item not in names:
@@ -167,10 +140,10 @@ def algorithm_choice(value: str | dict[str, Any]) -> Choice:
 
     choice: dict[str, dict[str, str]] = {}
     if not isinstance(value, dict):
-        value = {"sun": value}
+        value = {light: value for light in lights}
     for key, item in value.items():
         if key in kinds:
-            choice.setdefault("sun", {})[key] = name_of(item)
+            choice.setdefault(SUN, {})[key] = name_of(item)
         elif key in lights:
             per_kind = item if isinstance(item, dict) else {kind: item for kind in kinds}
             for kind, name in per_kind.items():
@@ -187,8 +160,17 @@ def algorithm_choice(value: str | dict[str, Any]) -> Choice:
     return {light: kinds_ for light, kinds_ in automatic.items() if kinds_}  # type: ignore[misc]
 
 
+def lights_named(value: Any) -> tuple[str, ...]:
+    """The keys of an override that can only be lights."""
+    keys = value if isinstance(value, dict) else ()
+    return (SUN, *(key for key in keys if isinstance(key, str) and key not in (SUN, *get_args(CasterKind))))
+
+
 def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, Any]:
-    """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``; raises ``InputError``."""
+    """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``; raises ``InputError``.
+
+    Whether a level has the lights named is for ``algorithm_choice`` to say.
+    """
     text = text.strip()
     value: str | dict[str, Any] = text
     if "=" in text:
@@ -197,7 +179,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, 
             key, _, name = part.partition("=")
             value[key.strip()] = name.strip()
     try:
-        algorithm_choice(value)
+        algorithm_choice(value, lights_named(value))
     except PydanticCustomError as error:
         raise InputError(parameter, text, error.message()) from None
     return value

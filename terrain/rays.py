@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.errors import RenderError
+from terrain.foliage import THRESHOLD, foliage
+from terrain.stand import Stand
 from terrain.surface import known_triangles
 
 OFFSET_ULPS = 16.0
@@ -33,7 +35,8 @@ class AlphaMesh:
     """Two-sided triangles with a mask: opaque where the texture reaches the threshold.
 
     ``vertices_m`` (n, 3) float64, ``triangles`` (m, 3) int, ``uv`` (n, 2) in [0, 1] with v = 0 at the texture's first row,
-    ``alpha`` (h, w) in [0, 1], read bilinearly between texel centres and clamped at the border.
+    ``alpha`` (h, w) or (layers, h, w) in [0, 1], read bilinearly between texel centres and clamped at the border; ``layer``
+    (m,) the layer of each triangle.
     """
 
     vertices_m: np.ndarray
@@ -41,6 +44,7 @@ class AlphaMesh:
     uv: np.ndarray
     alpha: np.ndarray
     threshold: float = 0.5
+    layer: np.ndarray | None = None
 
 
 class RayScene:
@@ -81,28 +85,34 @@ class RayScene:
             mesh_construction.TriangleMesh(scene, local, np.ascontiguousarray(triangles, np.int32))
         return scene
 
-    def blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Whether a ray (n, 3) from a start towards a direction (3,) or (n, 3) meets anything opaque: bool (n,)."""
+    def blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
+        """Whether a ray (n, 3) from a start towards a unit direction (3,) or (n, 3) meets anything opaque: bool (n,).
+
+        ``length_m`` (n,) is how far the rays go: what lies beyond stops none. ``None``: without end.
+        """
         start = (start_m - self._centre).astype(np.float32)
         along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)
         if not len(start):
             return stopped
-        if self._opaque is not None:
+        if self._opaque is not None and length_m is None:
             stopped |= self._opaque.run(start, along, query="OCCLUDED") != -1
+        elif self._opaque is not None:
+            stopped |= self._opaque.run(start, along, dists=length_m.astype(np.float32), query="OCCLUDED") != -1
         for mesh, scene in zip(self._alpha_meshes, self._alpha, strict=True):
             going = np.flatnonzero(~stopped)
-            stopped[going] = self._blocked_by_alpha(mesh, scene, start[going], along[going])
+            length = np.full(len(going), np.inf) if length_m is None else length_m[going]
+            stopped[going] = self._blocked_by_alpha(mesh, scene, start[going], along[going], length)
         return stopped
 
-    def _blocked_by_alpha(self, mesh: AlphaMesh, scene, start: np.ndarray, along: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def _blocked_by_alpha(self, mesh: AlphaMesh, scene, start: np.ndarray, along: np.ndarray, length: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
         stopped = np.zeros(len(start), bool)
-        going, start = np.arange(len(start)), start.copy()
+        going, start, left = np.arange(len(start)), start.copy(), length.astype(np.float64)
         for _ in range(MAX_LAYERS):
             if not len(going):
                 return stopped
             hit = scene.run(start[going], along[going], query="INTERSECT", output=True)
-            met = hit["primID"] != -1
+            met = (hit["primID"] != -1) & (hit["tfar"] < left[going])
             going = going[met]
             u, v, corners = hit["u"][met], hit["v"][met], mesh.triangles[hit["primID"][met]]
             uv = (
@@ -110,23 +120,41 @@ class RayScene:
                 + u[:, None] * mesh.uv[corners[:, 1]]
                 + v[:, None] * mesh.uv[corners[:, 2]]
             )
-            opaque = sample_alpha(mesh.alpha, uv) >= mesh.threshold
+            layer = None if mesh.layer is None else mesh.layer[hit["primID"][met]]
+            opaque = sample_alpha(mesh.alpha, uv, layer) >= mesh.threshold
             stopped[going[opaque]] = True
-            past = (hit["tfar"][met] + self.offset_m)[:, None] * along[going]
-            start[going] += past.astype(np.float32)
+            past = hit["tfar"][met] + self.offset_m
+            start[going] += (past[:, None] * along[going]).astype(np.float32)
+            left[going] -= past
             going = going[~opaque]
         stopped[going] = True
         return stopped
 
 
-def sample_alpha(alpha: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """A texture (h, w) at (n, 2) coordinates in [0, 1], bilinear between texel centres, clamped at the border."""
-    height, width = alpha.shape
+def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:
+    """A texture (h, w), or layers (n,) of one (layers, h, w), at (n, 2) coordinates in [0, 1]: bilinear between texel
+    centres, clamped at the border.
+    """
+    if layer is None:
+        layer = np.zeros(len(uv), np.int64)
+    alpha = alpha if alpha.ndim == 3 else alpha[None]
+    height, width = alpha.shape[1:]
     x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
     y = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
     x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
     x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
     fx, fy = x - x0, y - y0
-    top = alpha[y0, x0] * (1 - fx) + alpha[y0, x1] * fx
-    bottom = alpha[y1, x0] * (1 - fx) + alpha[y1, x1] * fx
+    top = alpha[layer, y0, x0] * (1 - fx) + alpha[layer, y0, x1] * fx
+    bottom = alpha[layer, y1, x0] * (1 - fx) + alpha[layer, y1, x1] * fx
     return top * (1 - fy) + bottom * fy
+
+
+def trees_as_mesh(stand: Stand) -> AlphaMesh:
+    """The trees' quads as alpha-tested triangles, with their full-resolution textures."""
+    count = len(stand)
+    first = np.arange(count * 3, dtype=np.int32)[:, None] * 4
+    triangles = (first[:, None, :] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
+    uv = np.tile(np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]), (count * 3, 1))
+    layer = np.repeat((2 * stand.look[:, None] + np.array([0, 0, 1])).ravel(), 2)
+    alpha = foliage().levels[0][..., 3].astype(np.float32) / 255.0
+    return AlphaMesh(stand.corners().reshape(-1, 3), triangles, uv, alpha, THRESHOLD, layer)

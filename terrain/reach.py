@@ -8,18 +8,18 @@ neighbouring blocks see identical casters), and ever more coarsely from ``FULL_D
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from pyproj import CRS
 
 from terrain.geometry import GeometryBuffer
-from terrain.grid import Grid
+from terrain.grid import Grid, MapView
 from terrain.light_space import LightSpace, light_bounds
 from terrain.scene import Scene
 from terrain.sun import position_at
-from terrain.world import LONGITUDE_LATITUDE, WGS84, transformer
+from terrain.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, transformer
 
 PATCH_QUADS = 256
 """Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""
@@ -29,8 +29,6 @@ FULL_DETAIL_NODES = 4096
 
 UNKNOWN_RELIEF_M = 1500.0
 """What ground beyond the raster is taken to rise to above a block's lowest point, unless the level itself is higher."""
-
-EARTH_RADIUS_M = 6_371_000.0
 
 
 @dataclass(frozen=True)
@@ -77,8 +75,8 @@ NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
 def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
-    """The ground outside a block that can shade it, and the reach."""
-    if scene.light is None or (scene.highest_sun_deg or 0.0) <= 0.0 or not buffer.there.any():
+    """The ground outside a block that can shade it, and the reach. In perspective all ground is in the buffer already."""
+    if scene.light is None or not scene.sun_is_up or not buffer.there.any():
         return NO_CASTERS
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
     light, slack = _overview_in_light(scene)  # a cell's ground lies within its own width of its centre
@@ -86,20 +84,24 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
         (light[..., 0] >= low[0] - slack) & (light[..., 0] <= high[0] + slack)
         & (light[..., 1] >= low[1] - slack) & (light[..., 2] <= high[2] + slack)
     )  # fmt: skip
-    patches, known_m = _patches(scene, buffer, can)
-    limit_m, unknown_m = _data_limit(scene, buffer)
+    if isinstance(buffer.view, MapView):
+        patches, known_m = _patches(scene, buffer, can)
+    else:
+        patches, known_m = (), _towards_m(scene, buffer, can)
+    made = scene.loaded.level.terrain.source is None  # a made ground ends where it ends: nothing is unknown beyond
+    limit_m, unknown_m = (known_m, known_m) if made else _data_limit(scene, buffer)
     if limit_m >= unknown_m:
         return Casters(patches, Reach(known_m, known_m, False))
     return Casters(patches, Reach(limit_m, unknown_m, True))
 
 
-def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters) -> Iterator[np.ndarray]:
-    """All ground that casts on a block: sheets of nodes (rows, cols, 3) in its frame, its own first."""
-    yield buffer.surface.position_frame_m
-    side = PATCH_QUADS + 1
-    for patch in casters.patches:
-        surface = scene.surface(buffer.view.grid.coarser(patch.level))
-        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).position_frame_m
+def _towards_m(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> float:
+    """How far the overview's cells that ``can`` shade a buffer go on towards the sun from its receivers, metres."""
+    assert scene.light is not None
+    if not can.any():
+        return 0.0
+    towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can])
+    return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -174,10 +176,9 @@ def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tup
         [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
     )
     assert scene.light is not None
-    known_m = 0.0
-    if (away > 0).any():
-        towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can])
-        known_m = max(float(towards[away > 0].max()) - _sunward_edge_m(scene.light, buffer), 0.0)
+    outside = can.copy()
+    outside[can] = away > 0
+    known_m = _towards_m(scene, buffer, outside)
     longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
     farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(buffer.view.grid).step_m) + half.max(initial=0.0)
     patches: list[Patch] = []
@@ -254,18 +255,30 @@ def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return i, j
 
 
+def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
+    """Places among a buffer's receivers from which the way to the sun is looked at: CRS, x, y, and the view's middle."""
+    view = buffer.view
+    if isinstance(view, MapView):
+        i, j = _rim(buffer.there)
+        x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
+        return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
+    seen = buffer.position_frame_m[buffer.there]
+    seen = seen[:: max(len(seen) // 256, 1)]
+    points = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
+    x, y, _ = scene.world.map_position(scene.map_crs, points)
+    return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
+
+
 def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
     """How far towards the sun the raster goes on from the block's receivers (the worst of them), and how far it should."""
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
-    i, j = _rim(buffer.there)
-    view = buffer.view
-    x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
+    crs, x, y, middle = _starts(scene, buffer)
     if scene.world.flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:
-        point, up = scene.world.ground(view.grid.crs, *(np.float64(v) for v in view.centre))
+        point, up = scene.world.ground(crs, *(np.float64(v) for v in middle))
         azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
     should_m = min(longest_shadow_m(relief, altitude, curved=not scene.world.flat), 1e6)
     along_m = np.linspace(0.0, should_m, 65)
@@ -274,7 +287,7 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
         x = x[:, None] + along_m * np.sin(np.radians(azimuth)) / unit
         y = y[:, None] + along_m * np.cos(np.radians(azimuth)) / unit
     else:
-        lon, lat = scene.world.lon_lat(view.grid.crs, x, y)
+        lon, lat = scene.world.lon_lat(crs, x, y)
         shape = (lon.size, along_m.size)
         start = [np.broadcast_to(v[:, None], shape).ravel() for v in (lon, lat)]
         lon, lat, _ = WGS84.fwd(*start, np.full(start[0].size, azimuth), np.broadcast_to(along_m, shape).ravel())

@@ -11,11 +11,17 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
+from terrain.camera import PerspectiveView, look_at
 from terrain.elevation import Elevation
 from terrain.errors import InputError, LevelError, SourceError
 from terrain.grid import Grid, MapView, map_view
-from terrain.level import LoadedLevel, MapSpec, SunSpec
+from terrain.level import SUN, LoadedLevel
+from terrain.level_parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.light_space import LightSpace, light_space
+from terrain.lights import Lamp, lamp_of
+from terrain.made_ground import made_ground
+from terrain.place import Place
+from terrain.population import Population
 from terrain.sun import Sun, position_at, sun_of
 from terrain.surface import Surface
 from terrain.world import LONGITUDE_LATITUDE, World, transformer
@@ -23,6 +29,9 @@ from terrain.world import LONGITUDE_LATITUDE, World, transformer
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
 
+
+MAX_PERSPECTIVE_PX = 4096
+"""Longest side of a perspective view."""
 
 UTM_WIDTH_DEG = 18.0
 
@@ -35,6 +44,32 @@ class Scene:
     world: World
     elevation: Elevation
     sun: Sun | None
+    population: Population
+
+    @property
+    def place(self) -> Place:
+        """Finds the level's places."""
+        return Place(self.world, self.elevation)
+
+    @cached_property
+    def lamps(self) -> dict[str, Lamp]:
+        """The lights besides the sun by name."""
+        where = f"{self.loaded.path}: lights"
+        return {name: lamp_of(name, spec, self.place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
+
+    @property
+    def light_names(self) -> tuple[str, ...]:
+        """The lights there are: the sun first, if the level has one."""
+        return (*((SUN,) if self.sun is not None else ()), *self.loaded.level.lights)
+
+    @property
+    def sun_is_up(self) -> bool:
+        """Whether direct sun reaches anything of the level."""
+        return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0
+
+    def at_second(self, seconds: float | None) -> Scene:
+        """The same scene at another time of the clock of moving casters (``None`` keeps the level's)."""
+        return self if seconds is None else replace(self, population=self.population.at_second(seconds))
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""
@@ -60,18 +95,11 @@ class Scene:
         if given is not None:
             return given
         west, south, east, north = transformer(self.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
-            *self.elevation_bounds, densify_pts=21
+            *self.elevation.bounds, densify_pts=21
         )
         if not np.isfinite([west, south, east, north]).all():
             raise SourceError(self.elevation.name, self.elevation.crs.name, "a CRS whose area PROJ can place on earth")
         return west, max(south, -90.0), east + 360.0 if east < west else east, min(north, 90.0)
-
-    @property
-    def elevation_bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the raster in its own CRS."""
-        rows, cols = self.elevation.rows, self.elevation.cols
-        x, y = self.elevation.xy(np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]), np.array([-0.5, cols - 0.5] * 2))
-        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     @cached_property
     def highest_sun_deg(self) -> float | None:
@@ -114,15 +142,38 @@ class Scene:
         bounds: tuple[float, float, float, float] | None = None,
         crs: str | None = None,
         size: tuple[int, int] | None = None,
-    ) -> MapView:
+    ) -> MapView | PerspectiveView:
         """A view of the level; what is given here goes before what the level says. ``size`` is (width, height).
 
-        Raises ``InputError``.
+        ``map`` is there whether the level names it or not. Raises ``InputError``.
         """
-        views = self.loaded.level.views
+        views = {"map": MapSpec(kind="map"), **self.loaded.level.views}
         if name not in views:
             raise InputError("view", name, ", ".join(views))
-        spec: MapSpec = views[name]
+        spec = views[name]
+        if isinstance(spec, MapSpec):
+            return self._map_view(spec, bounds, crs, size)
+        for parameter, value in (("bounds", bounds), ("crs", crs)):
+            if value is not None:
+                raise InputError(parameter, value, f"nothing: '{name}' is a perspective view")
+        return self._perspective_view(name, spec, size)
+
+    def _perspective_view(self, name: str, spec: PerspectiveSpec, size: tuple[int, int] | None) -> PerspectiveView:
+        width, height = size or spec.size
+        if max(width, height) > MAX_PERSPECTIVE_PX:
+            raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_PX} a side in a perspective view")
+        where = f"{self.loaded.path}: views.{name}"
+        eye, up = self.place.above_ground(spec.eye, f"{where}.eye")
+        target, _ = self.place.above_ground(spec.target, f"{where}.target")
+        return look_at(eye, target, up, spec.fov, height, width)
+
+    def _map_view(
+        self,
+        spec: MapSpec,
+        bounds: tuple[float, float, float, float] | None,
+        crs: str | None,
+        size: tuple[int, int] | None,
+    ) -> MapView:
         target = self._crs(crs or spec.crs)
         extent = bounds or (spec.bounds if crs is None else None) or self._default_bounds(target)
         west, south, east, north = extent
@@ -156,7 +207,7 @@ class Scene:
 
     def _default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
         if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
-            west, south, east, north = self.elevation_bounds
+            west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
         if self.bounds_lon_lat[2] > 180.0 and not crs.is_geographic and crs != self.elevation.crs:
@@ -171,12 +222,18 @@ class Scene:
 
 
 def build_scene(loaded: LoadedLevel) -> Scene:
-    """Open a level's elevation and place its anchor and sun. Raises ``LevelError``, ``SourceError`` or ``InputError``."""
+    """Open a level's elevation and place its anchor and sun. Raises ``LevelError``, ``SourceError`` or ``InputError``.
+
+    Trees and meshes are read when they are first needed.
+    """
     terrain = loaded.level.terrain
-    elevation = Elevation(loaded.source, terrain.units, terrain.exaggeration, terrain.resolution)
+    made = None if terrain.source is not None else made_ground(terrain)
+    name = loaded.source or f"{loaded.path}: terrain"
+    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made)
     world = _world(loaded, elevation)
     spec = loaded.level.sun
-    return Scene(loaded, world, elevation, None if spec == "none" else sun_of(spec, world))
+    sun = None if spec == "none" else sun_of(spec, world)
+    return Scene(loaded, world, elevation, sun, Population(loaded, world, elevation, loaded.level.seconds))
 
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:

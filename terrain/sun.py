@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from terrain.errors import InputError
-from terrain.level import SunSpec
+from terrain.level_parts import SunSpec
 from terrain.world import World
 
 YEARS = (1678, 2261)

@@ -22,6 +22,8 @@ LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
 FRAME_PITCH_DEG = 0.25
 """Spacing of frame origins on the globe: a frame's points lie within about 20 km, where a float32 step is 1 to 2 mm."""
 
+EARTH_RADIUS_M = 6_371_000.0
+
 FRAME_PITCH_M = 16384.0
 """Spacing of frame origins in a flat world."""
 
@@ -112,18 +114,62 @@ class World:
         """The frame of the lattice whose origin is nearest to a map coordinate. The lattice is counted from the anchor."""
         if self.flat:
             point, _ = self.ground(crs, np.float64(x), np.float64(y))
-            i, j = (int(np.rint(v / FRAME_PITCH_M)) for v in point[:2])
-            return LocalFrame((i, j), np.array([i * FRAME_PITCH_M, j * FRAME_PITCH_M, 0.0]), np.eye(3))
+            return self._flat_frame(point, FRAME_PITCH_M)
         lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
         if not np.isfinite(lon + lat):
             raise UnsupportedError("view", f"{x}, {y}", f"outside of what '{crs.name}' can transform")
-        pitch_lon = FRAME_PITCH_DEG / max(np.cos(np.radians(self.anchor_lat_deg)), 0.01)
+        return self._globe_frame(lon, lat, FRAME_PITCH_DEG)
+
+    def frame_near_earth(self, point_earth_m: np.ndarray, pitch_share: float = 1.0) -> LocalFrame:
+        """The frame nearest to an earth-fixed point, of a lattice whose pitch is a share of the maps'."""
+        if self.flat:
+            return self._flat_frame(point_earth_m, FRAME_PITCH_M * pitch_share)
+        lon, lat, _ = geodetic(point_earth_m)
+        return self._globe_frame(float(lon), float(lat), FRAME_PITCH_DEG * pitch_share)
+
+    def _flat_frame(self, point_m: np.ndarray, pitch_m: float) -> LocalFrame:
+        return _frame(self, int(np.rint(point_m[0] / pitch_m)), int(np.rint(point_m[1] / pitch_m)), pitch_m)
+
+    def _globe_frame(self, lon: float, lat: float, pitch_deg: float) -> LocalFrame:
         away = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
-        i, j = int(np.rint(away / pitch_lon)), int(np.rint((lat - self.anchor_lat_deg) / FRAME_PITCH_DEG))
-        origin, up = geocentric(
-            np.float64(self.anchor_lon_deg + i * pitch_lon), np.float64(self.anchor_lat_deg + j * FRAME_PITCH_DEG)
-        )
-        return LocalFrame((i, j), origin, self.earth_from_enu(origin, up).T)
+        i, j = away / (pitch_deg / self._narrowing), (lat - self.anchor_lat_deg) / pitch_deg
+        return _frame(self, int(np.rint(i)), int(np.rint(j)), pitch_deg)
+
+    @property
+    def _narrowing(self) -> float:
+        """Length of a degree of longitude at the anchor, in degrees of latitude."""
+        return float(max(np.cos(np.radians(self.anchor_lat_deg)), 0.01))
+
+    def map_position(self, crs: CRS, point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` as ``ground``."""
+        if self.flat:
+            if crs != self.crs:
+                raise UnsupportedError("crs", crs.name, f"the level is in the engineering CRS '{self.crs.name}' alone")
+            scale = 1.0 / self.metres_per_unit
+            return (
+                point_earth_m[..., 0] * scale + self.anchor_x,
+                point_earth_m[..., 1] * scale + self.anchor_y,
+                point_earth_m[..., 2],
+            )
+        lon, lat, height = geodetic(point_earth_m)
+        if crs != LONGITUDE_LATITUDE and crs.to_epsg() != 4326:
+            lon, lat = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
+        return np.asarray(lon), np.asarray(lat), height
+
+    @property
+    def curvature(self) -> float:
+        """How much "up" leans per metre away from a frame's origin: 0 in a flat world."""
+        return 0.0 if self.flat else 1.0 / EARTH_RADIUS_M
+
+
+@lru_cache(maxsize=256)
+def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
+    """A frame of the lattice; kept, so that what is made for a frame can be kept by it."""
+    if world.flat:
+        return LocalFrame((i, j), np.array([i * pitch, j * pitch, 0.0]), np.eye(3))
+    lon = world.anchor_lon_deg + i * pitch / world._narrowing
+    origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * pitch))
+    return LocalFrame((i, j), origin, world.earth_from_enu(origin, up).T)
 
 
 def geocentric(lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,3 +182,17 @@ def geocentric(lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np
     up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
     prime_vertical = WGS84.a / np.sqrt(1.0 - WGS84.es * np.sin(lat) ** 2)
     return up * np.stack([prime_vertical, prime_vertical, prime_vertical * (1.0 - WGS84.es)], axis=-1), up
+
+
+def geodetic(point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Longitude and latitude in degrees and ellipsoidal height in metres of geocentric points (..., 3).
+
+    By PROJ (EPSG Guidance Note 7-2, section 4.1.1).
+    """
+    x, y, z = np.moveaxis(np.asarray(point_earth_m, np.float64), -1, 0)
+    return _geodetic().transform(x, y, z)
+
+
+@lru_cache(maxsize=1)
+def _geodetic() -> Transformer:
+    return Transformer.from_crs("EPSG:4978", "OGC:CRS84h", always_xy=True)

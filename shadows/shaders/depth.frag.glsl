@@ -1,2 +1,1 @@
-#version 430
 void main() {}

@@ -88,8 +88,8 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
     """The mutant: visibility without the depth map's pass."""
     import numpy as np
 
-    def lazy(buffer, scene, casters, settings, log):
-        with log.run(shadow_map.VISIBILITY_PASS):
+    def lazy(buffer, scene, light, kinds, casters, settings, log):
+        with log.run(log.named(light, kinds, shadow_map.PASSES)[1]):
             return np.ones(buffer.there.shape, np.float32)
 
     monkeypatch.setitem(render_module.FILLS, "shadow_map", lazy)

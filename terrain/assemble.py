@@ -1,0 +1,149 @@
+"""A level's meshes set on its ground: buildings, models and generated bodies as one set of triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.body import Body, Placed, moved, srgb_albedo, turn_about_up
+from terrain.buildings import bounds_text, buildings, ground_under
+from terrain.elevation import Elevation
+from terrain.errors import LevelError
+from terrain.level import LoadedLevel
+from terrain.level_parts import MeshSpec, Point
+from terrain.models import is_model, read_model
+from terrain.place import Place
+from terrain.solids import Solids
+from terrain.world import World
+
+MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
+"""Keys of a mesh that footprints, which stand where their file says, have no use for."""
+
+FOOTPRINT_KEYS = ("height", "surface", "ground")
+"""Keys of a mesh that anything but footprints has no use for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins)."""
+
+    seen: tuple[Placed, ...]
+    casting: tuple[Placed, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Spot:
+    """A point on the ground, earth-fixed, and the rotation (3, 3) from east, north, up there to earth-fixed axes."""
+
+    point_earth_m: np.ndarray
+    earth_from_enu: np.ndarray
+
+
+def assemble(loaded: LoadedLevel, world: World, elevation: Elevation, seconds: float) -> Solids | None:
+    """The meshes of a level at a second of its clock; ``None`` if it has none.
+
+    Raises ``LevelError`` for a key that does not fit or a place off the terrain, ``SourceError`` for a file that cannot be used.
+    """
+    return solids(place(loaded, world, elevation), seconds) if loaded.level.meshes else None
+
+
+def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
+    """What stands where, whatever the clock says: the part of ``assemble`` that reads files. Raises as it does."""
+    seen: list[Placed] = []
+    casting: list[Placed] = []
+    for number, spec in enumerate(loaded.level.meshes):
+        where = f"{loaded.path}: meshes.{number}"
+        if spec.source is not None and not is_model(spec.source):
+            _refuse(spec, MODEL_KEYS, where, "no such key for footprints, which stand where their file says")
+            standing = stand_ins = buildings(spec, where, loaded, world, elevation)
+        else:
+            _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
+            spots = [_spot(at, where, world, elevation) for at in spec.places or [None]]
+            standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots)
+            if spec.caster is not None:
+                stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots)
+        seen += standing
+        casting += stand_ins
+    whole = tuple(seen)
+    return Placement(whole, whole if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting))
+
+
+def solids(placement: Placement, seconds: float) -> Solids:
+    """The triangles of placed bodies at a second of the clock."""
+    seen, turned = placement.seen, [_earth_from_body(placed, seconds) for placed in placement.seen]
+    vertices, triangles = _gathered(seen, seconds)
+    same = placement.casting is seen
+    caster_vertices, caster_triangles = (vertices, triangles) if same else _gathered(placement.casting, seconds)
+    counts = [len(placed.body.triangles) for placed in seen]
+    normals = [placed.body.corner_normals() @ axes.T.astype(np.float32) for placed, axes in zip(seen, turned, strict=True)]
+    return Solids(
+        vertices_earth_m=vertices,
+        triangles=triangles,
+        albedo=np.concatenate([np.empty((0, 3), np.float32), *(placed.body.albedo for placed in seen)]),
+        corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
+        body=np.repeat(np.arange(len(seen), dtype=np.int32), counts),
+        closed=tuple(placed.body.closed for placed in seen),
+        caster_vertices_earth_m=caster_vertices,
+        caster_triangles=caster_triangles,
+        moving=any(placed.spin_deg_per_s != 0.0 for placed in (*seen, *placement.casting)),
+    )
+
+
+def _gathered(bodies: Sequence[Placed], seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
+    first = np.cumsum([0, *(len(placed.body.vertices_m) for placed in bodies)])
+    vertices = [placed.origin_earth_m + placed.body.vertices_m @ _earth_from_body(placed, seconds).T for placed in bodies]
+    triangles = [placed.body.triangles + np.int32(at) for placed, at in zip(bodies, first, strict=False)]
+    return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3), np.int32), *triangles])
+
+
+def _earth_from_body(placed: Placed, seconds: float) -> np.ndarray:
+    return placed.earth_from_body @ turn_about_up(placed.spin_deg_per_s * seconds)
+
+
+def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
+    if spec.generate is None:
+        assert spec.source is not None
+        bodies = [read_model(loaded.resolve(spec.source))]
+    else:
+        from terrain.generators import GENERATORS
+
+        bodies = GENERATORS[spec.generate]()
+    if spec.color is None:
+        return bodies
+    return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color)) for body in bodies]
+
+
+def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot]) -> list[Placed]:
+    """The bodies at every spot; one body at several spots is one value."""
+    spin = spec.motion.spin if spec.motion is not None else 0.0
+    turned = [moved(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
+    return [Placed(body, spot.point_earth_m, spot.earth_from_enu, spin) for spot in spots for body in turned]
+
+
+def _spot(at: Point | None, where: str, world: World, elevation: Elevation) -> _Spot:
+    """The ground at a place of a level, without one at the anchor. Raises ``LevelError`` off the terrain."""
+    x, y = (world.anchor_x, world.anchor_y) if at is None else Place(world, elevation).xy(at)
+    height = float(ground_under(elevation, np.array([x]), np.array([y]))[0]) if np.isfinite([x, y]).all() else np.nan
+    if not np.isfinite(height):
+        raise LevelError(
+            f"{where}.at", "nothing" if at is None else at, f"a place on the terrain: within {_extent(world, elevation)}"
+        )
+    point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    return _Spot(point + height * up, world.earth_from_enu(point, up))
+
+
+def _extent(world: World, elevation: Elevation) -> str:
+    """The terrain's bounds in the terms of ``at``."""
+    bounds = np.array(elevation.bounds)
+    if world.flat:
+        bounds = (bounds - np.tile([world.anchor_x, world.anchor_y], 2)) * world.metres_per_unit
+    return bounds_text(bounds, elevation.crs)
+
+
+def _refuse(spec: MeshSpec, keys: tuple[str, ...], where: str, allowed: str) -> None:
+    for key in keys:
+        if key in spec.model_fields_set:
+            raise LevelError(f"{where}.{key}", getattr(spec, key), allowed)

@@ -1,0 +1,204 @@
+"""Bodies: meshes as values, before they stand anywhere, and bodies placed on the earth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import trimesh
+
+from terrain.compiled import compiled
+
+NEUTRAL = (0.6, 0.6, 0.6)
+"""sRGB colour of what has none: light gray."""
+
+CREASE_DEG = 30.0
+"""Largest angle between two faces that are shaded as one curved surface."""
+
+MERGE_SHARE = 1e-8
+"""Vertices closer than about this share of a body's size are one place."""
+
+
+def srgb_albedo(color: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]. Source: IEC 61966-2-1, the inverse transfer function."""
+    value = np.asarray(color, np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A mesh in coordinates of its own. Triangles without an area are dropped when it is made.
+
+    Attributes
+    ----------
+    vertices_m
+        float64 (n, 3): east, north, up from the body's origin (for a ``Placed`` one whatever its axes are).
+    triangles
+        int32 (m, 3), counter-clockwise from outside.
+    albedo
+        float32 (m, 3), linear, in [0, 1]; one colour (3,) is spread over all triangles.
+    """
+
+    vertices_m: np.ndarray
+    triangles: np.ndarray
+    albedo: np.ndarray
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(self.vertices_m, np.float64).reshape(-1, 3)
+        triangles = np.asarray(self.triangles, np.int32).reshape(-1, 3)
+        albedo = np.broadcast_to(np.asarray(self.albedo, np.float32), triangles.shape)
+        whole = _has_area(vertices, triangles)
+        object.__setattr__(self, "vertices_m", vertices)
+        object.__setattr__(self, "triangles", triangles[whole])
+        object.__setattr__(self, "albedo", albedo[whole])
+
+    @cached_property
+    def merged_triangles(self) -> np.ndarray:
+        """The triangles (m, 3) int32 with one index for all vertices in one place."""
+        low, high = self.vertices_m.min(axis=0, initial=np.inf), self.vertices_m.max(axis=0, initial=-np.inf)
+        step = MERGE_SHARE * max(float(np.max(high - low, initial=0.0)), 1e-30)
+        cells = np.rint((self.vertices_m - low) / step).astype(np.int64)
+        _, place = np.unique(cells, axis=0, return_inverse=True)
+        return place.reshape(-1).astype(np.int32)[self.triangles]
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether every directed edge is met exactly once, and once in the other direction; vertices merged by position."""
+        a = self.merged_triangles.astype(np.int64)
+        if not len(a):
+            return False
+        start, end = a.ravel(), np.roll(a, -1, axis=1).ravel()
+        span = int(a.max()) + 1
+        there, back = np.sort(start * span + end), np.sort(end * span + start)
+        return bool((there == back).all() and (np.diff(there) > 0).all())
+
+    @property
+    def volume_m3(self) -> float:
+        """Signed volume: positive where a closed body's triangles face outwards."""
+        a, b, c = np.moveaxis((self.vertices_m - self.vertices_m[:1])[self.triangles], 1, 0)
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+    def corner_normals(self, crease_deg: float = CREASE_DEG) -> np.ndarray:
+        """Unit shading normals (m, 3, 3) float32 at the triangles' corners.
+
+        The mean of the faces round the corner's place whose normals lie within ``crease_deg`` of the triangle's own, weighted by
+        their angles there, so that it does not depend on how a surface is cut into triangles (Thuermer and Wuethrich 1998,
+        "Computing vertex normals from polygonal facets", J. Graphics Tools 3(1):43-46).
+        """
+        return _corner_normals(self, float(crease_deg))
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A body on the earth: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``.
+
+    ``earth_from_body`` is a rotation (3, 3) float64. ``spin_deg_per_s`` turns the body about its own up axis.
+    """
+
+    body: Body
+    origin_earth_m: np.ndarray
+    earth_from_body: np.ndarray
+    spin_deg_per_s: float = 0.0
+
+
+def box(
+    size_m: Sequence[float], centre_m: Sequence[float] = (0.0, 0.0, 0.0), albedo: Sequence[float] | np.ndarray | None = None
+) -> Body:
+    """A box of ``size_m`` (east, north, up) round its centre; ``albedo`` is linear."""
+    return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
+
+
+def cylinder(
+    radius_m: float,
+    height_m: float,
+    centre_m: Sequence[float] = (0.0, 0.0, 0.0),
+    sections: int = 32,
+    albedo: Sequence[float] | np.ndarray | None = None,
+) -> Body:
+    """An upright cylinder round its centre; ``albedo`` is linear."""
+    return _made(trimesh.creation.cylinder(radius_m, height_m, sections=sections), centre_m, albedo)
+
+
+def merged(bodies: Sequence[Body]) -> Body:
+    """Several bodies as one, in the same coordinates."""
+    first = np.cumsum([0, *(len(body.vertices_m) for body in bodies)])
+    return Body(
+        np.concatenate([np.empty((0, 3)), *(body.vertices_m for body in bodies)]),
+        np.concatenate([np.empty((0, 3), np.int32), *(body.triangles + at for body, at in zip(bodies, first, strict=False))]),
+        np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body in bodies)]),
+    )
+
+
+def moved(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
+    """A body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
+    vertices = scale * body.vertices_m @ turn_about_up(turn_deg).T + np.asarray(offset_m, np.float64)
+    return Body(vertices, body.triangles, body.albedo)
+
+
+def turn_about_up(turn_deg: float) -> np.ndarray:
+    """Rotation (3, 3) counter-clockwise about the up axis."""
+    # The remainder first: a clock's degrees grow without end.
+    turn = np.radians(np.remainder(turn_deg, 360.0))
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _made(mesh: trimesh.Trimesh, centre_m: Sequence[float], albedo: Sequence[float] | np.ndarray | None) -> Body:
+    color = srgb_albedo(NEUTRAL) if albedo is None else np.asarray(albedo, np.float32)
+    return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
+
+
+def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Which triangles (m, 3) span an area that float64 can tell from none."""
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
+    return double_area > 1e-12 * longest
+
+
+@lru_cache(maxsize=256)
+def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
+    places = body.merged_triangles
+    count = int(places.max(initial=-1)) + 1
+    corner_of_place = np.argsort(places.ravel(), kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
+    # A hair more than asked, so that faces at the very crease angle do not part by rounding.
+    least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
+    normals = _smoothed(body.vertices_m[body.triangles], corner_of_place, first, least_cos)
+    normals.flags.writeable = False
+    return normals
+
+
+@compiled
+def _smoothed(corners, corner_of_place, first, least_cos):  # type: ignore[no-untyped-def]
+    """Angle-weighted means of face normals round each place, within the crease, per corner (m, 3, 3)."""
+    count = corners.shape[0]
+    normal = np.empty((count, 3))
+    angle = np.empty((count, 3))
+    for t in range(count):
+        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        n = np.cross(b - a, c - a)
+        normal[t] = n / np.sqrt((n * n).sum())
+        for k in range(3):
+            p, q, r = corners[t, k], corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
+            n = np.cross(q - p, r - p)
+            angle[t, k] = np.arctan2(np.sqrt((n * n).sum()), ((q - p) * (r - p)).sum())
+    out = np.empty((count, 3, 3), np.float32)
+    for place in range(first.shape[0] - 1):
+        for i in range(first[place], first[place + 1]):
+            t, k = corner_of_place[i] // 3, corner_of_place[i] % 3
+            x, y, z = 0.0, 0.0, 0.0
+            for j in range(first[place], first[place + 1]):
+                s, w = corner_of_place[j] // 3, angle[corner_of_place[j] // 3, corner_of_place[j] % 3]
+                if normal[t, 0] * normal[s, 0] + normal[t, 1] * normal[s, 1] + normal[t, 2] * normal[s, 2] >= least_cos:
+                    x += w * normal[s, 0]
+                    y += w * normal[s, 1]
+                    z += w * normal[s, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                out[t, k, 0], out[t, k, 1], out[t, k, 2] = x / length, y / length, z / length
+            else:
+                out[t, k, 0], out[t, k, 1], out[t, k, 2] = normal[t, 0], normal[t, 1], normal[t, 2]
+    return out

@@ -1,0 +1,309 @@
+"""Buildings: footprints extruded to closed blocks with flat roofs.
+
+A roof lies level at the mean ground along the footprint's outline plus the building's height. Walls go down to
+``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block.
+"Level" is along the vertical at every corner: a long building follows the earth's curvature.
+"""
+
+from __future__ import annotations
+
+import zlib
+from contextlib import closing
+from dataclasses import dataclass
+
+import mapbox_earcut
+import numpy as np
+import shapely
+from pyproj import CRS
+from pyproj.exceptions import ProjError
+
+from terrain.body import Body, Placed, srgb_albedo
+from terrain.bundled import BUNDLED
+from terrain.elevation import Elevation
+from terrain.errors import LevelError, SourceError
+from terrain.level import LoadedLevel
+from terrain.level_parts import MeshSpec
+from terrain.vectors import Features, attribute_names, numbers, read_features
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+FOOTING_M = 0.5
+"""How far walls reach below the lowest ground of their outline."""
+
+HIGHEST_M = 1000.0
+"""No building is higher; a larger number is a mistake, of the unit perhaps."""
+
+OUTLINE_TOLERANCE_M = 0.001
+"""Corners that the outline passes within this distance without them are left out."""
+
+DEGREE_M = 111_320.0
+
+USUAL_ATTRIBUTES = ("height_m", "height")
+"""Attributes that heights are taken from where the level names none."""
+
+ROOF_PERCENTILE = 90.0
+"""Of surface minus ground in a footprint: below chimneys and overhanging crowns, above light wells and blurred eaves."""
+
+SAMPLES_A_SIDE = 256
+"""Most cells of a surface raster that are read along one side of a footprint."""
+
+BLOCK_CELLS = 1024
+"""Ground heights are read by blocks of this side, so that scattered buildings do not load a whole raster at once."""
+
+_POLYGON = 3  # shapely's type id
+
+WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58, 0.40, 0.32), (0.64, 0.63, 0.60))
+"""sRGB: plaster, whitewash, ochre, brick, concrete."""
+
+ROOF_COLORS = ((0.57, 0.35, 0.27), (0.48, 0.36, 0.30), (0.38, 0.40, 0.43), (0.44, 0.43, 0.42), (0.56, 0.57, 0.57))
+"""sRGB: red and brown tile, slate, felt, zinc."""
+
+SHADES = (0.92, 1.06)
+"""How much darker or lighter a building is than its material."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Footprints, one row a polygon: outlines in the terrain's CRS, heights and the ground they stand on."""
+
+    polygons: np.ndarray
+    color_key: np.ndarray
+    roof_m: np.ndarray
+    base_m: np.ndarray
+
+
+def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[Placed]:
+    """Closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
+
+    Heights are ``spec.height`` (metres, or an attribute's name), else ``spec.surface`` minus ``spec.ground``, else an attribute
+    ``height_m`` or ``height``. A footprint whose height is unknown or not above 0 is left out. ``where`` is the key's path.
+
+    Raises ``SourceError`` for a file that cannot be used, ``LevelError`` where nothing says how high buildings are.
+    """
+    assert spec.source is not None
+    source = loaded.resolve(spec.source)
+    attribute = _attribute(spec, where, source)
+    features = read_features(source, elevation.crs, () if attribute is None else (attribute,))
+    polygons, feature = _outlines(features, world)
+    if attribute is not None:
+        height = numbers(features, attribute)[feature]
+    elif spec.height is not None:
+        height = np.full(len(polygons), float(spec.height))
+    else:
+        height = _surface_heights(polygons, elevation.crs, _raster(loaded, spec.surface), _raster(loaded, spec.ground))
+    for i in np.flatnonzero(height > HIGHEST_M)[:1]:
+        value = f"a height of {height[i]:.6g} m at feature {feature[i] + 1} of {len(features.geometry)}"
+        raise SourceError(source, value, f"heights up to {HIGHEST_M:.0f} m")
+    tall = height > 0.0
+    if not tall.any():
+        origin = f"in the attribute '{attribute}'" if attribute else f"in {spec.surface} minus {spec.ground}"
+        raise SourceError(source, f"no footprint with a height above 0 {origin}", "heights in metres")
+    key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[tall]]
+    mean_m, lowest_m = _ground_along(polygons[tall], elevation)
+    standing = np.isfinite(mean_m)
+    if not standing.any():
+        spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
+        raise SourceError(source, f"footprints within {spans[0]}", f"footprints on the terrain: within {spans[1]}")
+    blocks = _Blocks(
+        polygons[tall][standing], key[standing], (mean_m + height[tall])[standing], (lowest_m - FOOTING_M)[standing]
+    )  # fmt: skip
+    return _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color))
+
+
+def ground_under(elevation: Elevation, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Ground heights in metres, float64 (n,), at coordinates in the raster's CRS; NaN off it.
+
+    Holes are filled, as for casting: ground models often have them just where buildings stand.
+    """
+    if elevation.crs.is_geographic:
+        middle = float(elevation.xy(0, (elevation.cols - 1) / 2)[0])
+        x = x + 360.0 * np.rint((middle - x) / 360.0)
+    row, col = elevation.cell_of(x, y)
+    height = np.full(row.shape, np.nan)
+    near = np.flatnonzero(elevation.covers(x, y))
+    blocks = np.floor(np.column_stack([row[near], col[near]]) / BLOCK_CELLS).astype(np.int64)
+    _, block = np.unique(blocks, axis=0, return_inverse=True)
+    order = np.argsort(block.reshape(-1), kind="stable")
+    for some in np.split(near[order], np.flatnonzero(np.diff(block.reshape(-1)[order])) + 1):
+        height[some] = elevation.heights_at(0, row[None, some], col[None, some])[0][0]
+    return height
+
+
+def _attribute(spec: MeshSpec, where: str, source: str) -> str | None:
+    """The attribute that heights are in; ``None`` where they come from elsewhere."""
+    if spec.surface is not None and spec.height is not None:
+        raise LevelError(f"{where}.height", spec.height, "either height, or surface and ground")
+    if isinstance(spec.height, str):
+        return spec.height
+    if spec.height is not None or spec.surface is not None:
+        return None
+    known = attribute_names(source)
+    for name in USUAL_ATTRIBUTES:
+        if name in known:
+            return name
+    allowed = f"metres, or an attribute of {source} ({', '.join(known) or 'it has none'}); or surface and ground rasters"
+    raise LevelError(f"{where}.height", "nothing", allowed)
+
+
+def _raster(loaded: LoadedLevel, source: str | None) -> Elevation:
+    assert source is not None
+    return Elevation(source if source in BUNDLED else loaded.resolve(source))
+
+
+def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]:
+    """The polygons of all features, tidied: rings counter-clockwise round the building, no needless corner; and whose they are."""
+    parts, feature = shapely.get_parts(features.geometry, return_index=True)
+    parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons of collections
+    area = shapely.get_type_id(parts) == _POLYGON
+    if not area.any():
+        kind = parts[0].geom_type
+        raise SourceError(features.name, f"{kind} geometries", "polygons; or a model: .obj, .ply, .glb, .gltf")
+    parts, feature = parts[area], feature[part[area]]
+    unit_m = DEGREE_M if world.crs.is_geographic else world.metres_per_unit
+    # Normal rings begin at an outermost point, which is a corner: simplifying keeps it.
+    parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
+    solid = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
+    if not solid.any():
+        raise SourceError(features.name, "polygons without area alone", "footprints")
+    return shapely.orient_polygons(parts[solid], exterior_cw=False), feature[solid]
+
+
+def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground: Elevation) -> np.ndarray:
+    """Height of each polygon: ``ROOF_PERCENTILE`` of surface minus ground over its cells, metres; NaN off the rasters.
+
+    Cells whose centres lie at least half a cell inside are taken, in narrow buildings all whose centres do, in tiny ones
+    the surface at a point inside.
+    """
+    with closing(surface), closing(ground):
+        to_surface, to_ground = _transform(crs, surface), _transform(surface.crs, ground)
+        heights = np.full(len(polygons), np.nan)
+        for i, polygon in enumerate(polygons):
+            cells = shapely.transform(polygon, lambda xy: np.column_stack(surface.cell_of(*to_surface(*xy.T))))
+            if not np.isfinite(cells.bounds).all():
+                continue
+            row, col = _cells_inside(cells)
+            high, there = surface.heights_at(0, row[None], col[None])
+            low, _ = ground.heights_at(0, *ground.cell_of(*to_ground(*surface.xy(row[None], col[None]))))
+            above = np.where(there, high - low, np.nan)[np.isfinite(low) & there]
+            if above.size:
+                heights[i] = np.percentile(above, ROOF_PERCENTILE)
+    return heights
+
+
+def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns (n,) of cells that stand for a polygon in (row, col) coordinates."""
+    low, high = np.ceil(polygon.bounds[:2]), np.floor(polygon.bounds[2:])
+    step = np.maximum(np.ceil((high - low + 1) / SAMPLES_A_SIDE), 1)
+    row, col = (v.ravel() for v in np.meshgrid(*(np.arange(*ends) for ends in zip(low, high + 1, step, strict=True))))
+    for area in (polygon.buffer(-0.5), polygon):
+        inside = shapely.contains_xy(area, row, col)
+        if inside.any():
+            return row[inside], col[inside]
+    point = polygon.representative_point()
+    return np.array([point.x]), np.array([point.y])
+
+
+def _transform(crs: CRS, raster: Elevation):  # type: ignore[no-untyped-def]
+    """The function from coordinates in ``crs`` to the raster's. Raises ``SourceError`` if there is none."""
+    if raster.crs == crs or (raster.crs.is_engineering and crs.is_engineering):
+        return lambda x, y: (x, y)
+    try:
+        return transformer(crs, raster.crs).transform
+    except ProjError:
+        raise SourceError(raster.name, f"its CRS '{raster.crs.name}'", f"a CRS that '{crs.name}' can be transformed into") from None
+
+
+def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and lowest ground along each polygon's outer ring, metres; NaN where none of it lies on the terrain."""
+    corner, beside = elevation.xy(0, 0), elevation.xy(0, 1)
+    cell = float(np.hypot(corner[0] - beside[0], corner[1] - beside[1]))
+    outer = shapely.segmentize(shapely.get_exterior_ring(polygons), cell)
+    xy, ring = shapely.get_coordinates(outer, return_index=True)
+    ground = ground_under(elevation, xy[:, 0], xy[:, 1])
+    middle, length = (ground[1:] + ground[:-1]) / 2, np.hypot(*np.diff(xy, axis=0).T)
+    known = (ring[1:] == ring[:-1]) & np.isfinite(middle)
+    total, whole = (np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length))
+    mean = np.divide(total, whole, out=np.full(len(polygons), np.nan), where=whole > 0)
+    return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
+
+
+def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None) -> list[Placed]:
+    rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
+    xy, ring = shapely.get_coordinates(rings, return_index=True)
+    kept = np.append(ring[1:] == ring[:-1], False)  # a ring's last point is its first
+    xy, ring = xy[kept], ring[kept]
+    ground, up = world.ground(crs, xy[:, 0], xy[:, 1])
+    ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
+    start, first_ring, placed = 0, 0, []
+    for i, (roof_m, base_m) in enumerate(zip(blocks.roof_m, blocks.base_m, strict=True)):
+        last_ring = int(np.searchsorted(polygon, i, side="right"))
+        ends = ring_ends[first_ring:last_ring]
+        here = slice(start, int(ends[-1]))
+        roof = _roof_triangles(blocks.polygons[i], xy[here] - xy[start], ends - start)
+        triangles, is_roof = _block_triangles(roof, ends - start)
+        origin = ground[start] + base_m * up[start]
+        vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
+        wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
+        placed.append(Placed(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3)))
+        start, first_ring = here.stop, last_ring
+    return placed
+
+
+def _block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roof, walls and floor of a block (m, 3) over n corners, and which triangles are roof.
+
+    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings keep the building on their left.
+    """
+    count = int(ring_ends[-1])
+    here = np.arange(count)
+    following = here + 1
+    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
+    walls = np.concatenate([
+        np.column_stack([here + count, following + count, following]), np.column_stack([here + count, following, here])
+    ])  # fmt: skip
+    triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
+    return triangles, np.arange(len(triangles)) < len(roof)
+
+
+def _roof_triangles(polygon: shapely.Polygon, xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
+    """Counter-clockwise triangles (m, 3) of a polygon's corners ``xy`` (n, 2), counted from its first one.
+
+    Every edge of every ring is the edge of one triangle. Ear clipping skips corners that become collinear on the way, which
+    would leave a gap between roof and wall; such polygons are cut by constrained Delaunay triangulation.
+    """
+    count = len(xy) + 2 * (len(ring_ends) - 1) - 2  # triangles of n corners and h holes: n + 2 h - 2
+    clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
+    clipped = _facing_up(clipped.astype(np.int32), xy)
+    if len(clipped) == count:
+        return clipped
+    corners = shapely.get_coordinates(polygon)
+    origin = corners[0]
+    index = {tuple(point - origin): i for i, point in reversed(list(enumerate(xy + origin)))}
+    pieces = shapely.get_coordinates(shapely.constrained_delaunay_triangles(polygon)).reshape(-1, 4, 2)[:, :3] - origin
+    cut = np.array([[index.get(tuple(point), -1) for point in piece] for piece in pieces], np.int32).reshape(-1, 3)
+    cut = _facing_up(cut, xy) if (cut >= 0).all() else cut[:0]
+    return cut if len(cut) == count else clipped
+
+
+def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Triangles with an area, counter-clockwise."""
+    a, b, c = np.moveaxis(xy[triangles], 1, 0)
+    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    turned = np.where(twice[:, None] < 0, triangles[:, ::-1], triangles)
+    longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
+    return turned[np.abs(twice) > 1e-12 * longest]
+
+
+def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
+    """Wall and roof albedo, linear, of the building round a place: always the same there."""
+    step = 1e-6 if crs.is_geographic else 0.1
+    bits = zlib.crc32(np.rint(centre / step).astype("<i8").tobytes())
+    wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]
+    shade = SHADES[0] + (SHADES[1] - SHADES[0]) * (bits >> 16) / 0xFFFF
+    return srgb_albedo(np.array(wall) * shade), srgb_albedo(np.array(roof) * shade)
+
+
+def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:
+    """West, south, east, north for a person: degrees where there are any."""
+    if not crs.is_engineering:
+        bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*bounds, densify_pts=21)
+    return ", ".join(f"{v:.5f}" if not crs.is_engineering else f"{v:.2f}" for v in bounds)

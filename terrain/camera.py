@@ -1,0 +1,101 @@
+"""Perspective views: a pinhole camera on the earth, its pixels' rays, and views cut from or laid between its pixels.
+
+Camera axes are right, down and forward. The ray of pixel (i, j) has the direction ``((col0 + j * step) / focal_px,
+(row0 + i * step) / focal_px, 1)``, so that a part of a picture, a shift by pixels and a finer picture are the same camera
+with other numbers: rays that two of them share are the same rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from terrain.errors import InputError
+from terrain.world import LocalFrame, World
+
+FRAME_SHARE = 1 / 16
+"""Pitch of the frames of perspective views as a share of the maps': what is near the eye keeps float32 steps under 0.1 mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class PerspectiveView:
+    """A perspective view in pixels.
+
+    Attributes
+    ----------
+    eye_earth_m
+        float64 (3,).
+    earth_from_camera
+        float64 (3, 3), columns right, down and forward.
+    focal_px
+        Pixels per unit of tangent, for a step of one.
+    row0, col0
+        Offset of the first pixel's centre from the principal point, in pixels.
+    step
+        Distance of neighbouring pixels; 1 but for finer views.
+    """
+
+    eye_earth_m: np.ndarray
+    earth_from_camera: np.ndarray
+    focal_px: float
+    row0: float
+    col0: float
+    step: float
+    rows: int
+    cols: int
+
+    @property
+    def pixel(self) -> float:
+        """A pixel's side as a tangent, at the middle of the picture."""
+        return self.step / self.focal_px
+
+    def part(self, row: int, col: int, rows: int, cols: int) -> PerspectiveView:
+        """The view of some of the pixels; the offsets may be negative."""
+        return replace(self, row0=self.row0 + row * self.step, col0=self.col0 + col * self.step, rows=rows, cols=cols)
+
+    def shifted(self, rows: float, cols: float) -> PerspectiveView:
+        """The view whose pixel centres lie a share of pixels further down and to the right."""
+        return replace(self, row0=self.row0 + rows * self.step, col0=self.col0 + cols * self.step)
+
+    def finer(self, side: int) -> PerspectiveView:
+        """The view with ``side`` x ``side`` pixels regularly inside each of this one's."""
+        first = (1.0 / side - 1.0) / 2.0
+        fine = self.shifted(first, first)
+        return replace(fine, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
+
+    def in_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+        """The eye (3,) in a frame and the rotation (3, 3) from the frame to the camera."""
+        return (
+            frame.frame_from_earth @ (self.eye_earth_m - frame.origin_earth_m),
+            self.earth_from_camera.T @ frame.frame_from_earth.T,
+        )
+
+    def frame(self, world: World) -> LocalFrame:
+        """The frame of the lattice near the eye."""
+        return world.frame_near_earth(self.eye_earth_m, FRAME_SHARE)
+
+
+def look_at(
+    eye_earth_m: np.ndarray, target_earth_m: np.ndarray, up_earth: np.ndarray, fov_deg: float, rows: int, cols: int
+) -> PerspectiveView:
+    """The camera at an eye that looks at a target, upright; ``fov_deg`` is the vertical field of view.
+
+    Looking straight up or down, the picture's top is towards earth-fixed north (the y axis of a flat world).
+    Raises ``InputError`` if eye and target are one point.
+    """
+    forward = target_earth_m - eye_earth_m
+    distance = float(np.linalg.norm(forward))
+    if not distance > 1e-6:
+        raise InputError("target", "the eye itself", "a point apart from the eye")
+    forward = forward / distance
+    right = np.cross(forward, up_earth)
+    if np.linalg.norm(right) < 1e-9:
+        pole = np.array([0.0, 1.0, 0.0]) if abs(up_earth[2]) > 0.999999 else np.array([0.0, 0.0, 1.0])
+        right = np.cross(forward, pole)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    focal_px = rows / 2.0 / np.tan(np.radians(fov_deg) / 2.0)
+    return PerspectiveView(
+        eye_earth_m, np.column_stack([right, down, forward]), float(focal_px), -(rows - 1) / 2.0, -(cols - 1) / 2.0, 1.0, rows, cols
+    )

@@ -1,0 +1,323 @@
+"""Trees from a raster of canopy heights: single tops where its cells are fine enough to show them, else a scattered stand.
+
+A top is the highest cell of a round window whose radius grows with its height (S. C. Popescu, R. H. Wynne: Seeing the trees
+in the forest, Photogrammetric Engineering & Remote Sensing 70, 2004; the linear radius is that of ForestTools' ``vwf``, A.
+Plowright). Equal heights are told apart by a hash, so that a flat canopy bears trees a window apart.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import rasterio
+import shapely
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+from scipy.spatial import cKDTree
+
+from terrain.compiled import compiled
+from terrain.elevation import _UNIT_WORDS
+from terrain.errors import SourceError
+from terrain.level_parts import METRES_PER_UNIT
+from terrain.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
+from terrain.vectors import same_coordinates
+from terrain.world import transformer
+
+LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
+"""Canopy below is no tree, and above no canopy."""
+
+COARSE_CELL_M = 2.5
+"""Cells wider than this show no single trees."""
+
+WINDOW_M = (0.8, 0.05)
+"""Radius of a top's window: metres, and metres per metre of height. Never less than the eight neighbours."""
+
+NEIGHBOURS = 3
+"""Tops whose mean distance is the room that a crown has."""
+
+DENSEST = 1.2
+"""Largest crown's diameter, in mean distances to those neighbours."""
+
+PACKING = 2.0 / np.sqrt(3.0)
+"""Crowns per squared diameter where they touch on all sides (hexagonal packing)."""
+
+_BLOCK = 1024
+"""Cells a side that are searched for tops at a time."""
+
+_SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
+"""Side of the squares that a coarse canopy is scattered in: the larger of both."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crowns:
+    """Trees of a canopy: their places in the CRS asked for and float64 (n,) heights."""
+
+    places: Places
+    height_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class CellWindow:
+    """Cells [row0, row1) x [col0, col1) of a raster."""
+
+    row0: int
+    col0: int
+    row1: int
+    col1: int
+
+
+class Canopy:
+    """An open raster of heights above ground. Not to be shared between threads.
+
+    Raises ``SourceError`` if it is no raster, broken or without a CRS.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.name = source
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
+                self._dataset = dataset = rasterio.open(source)
+            self.crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
+        except (RasterioError, CRSError) as error:
+            raise SourceError(source, str(error).replace(source, "the file"), "a raster with a CRS that GDAL reads") from None
+        if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
+            raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of canopy heights")
+        if self.crs is None:
+            raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
+        if dataset.transform.determinant == 0:
+            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
+        unit = METRES_PER_UNIT[_UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
+        self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
+        self.rows, self.cols = dataset.height, dataset.width
+
+    def heights_m(self, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
+        """Heights float32 (rows, cols) of a window that may reach beyond the raster; 0 where there is no tree."""
+        out = np.zeros((rows, cols), np.float32)
+        top, left = max(row0, 0), max(col0, 0)
+        bottom, right = min(row0 + rows, self.rows), min(col0 + cols, self.cols)
+        if top >= bottom or left >= right:
+            return out
+        window = Window(left, top, right - left, bottom - top)  # type: ignore[call-arg]
+        try:
+            data = self._dataset.read(1, window=window, masked=True)
+        except RasterioError:
+            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+        values = data.filled(0).astype(np.float64) * self._scale + self._offset
+        with np.errstate(invalid="ignore"):
+            tree = ~np.ma.getmaskarray(data) & (values >= LEAST_HEIGHT_M) & (values <= MOST_HEIGHT_M)
+        out[top - row0 : bottom - row0, left - col0 : right - col0] = np.where(tree, values, 0.0)
+        return out
+
+    def xy(self, crs: CRS, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates in ``crs`` of (fractional) cells, whole numbers at their centres; infinite where it has none."""
+        gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
+        x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
+        return (x, y) if same_coordinates(self.crs, crs) else transformer(self.crs, crs).transform(x, y)
+
+    def cell_of(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(Fractional) row and column of coordinates in ``crs``; infinite where the raster's CRS has none."""
+        if not same_coordinates(self.crs, crs):
+            x, y = transformer(crs, self.crs).transform(x, y)
+        gt, inverse = self._dataset.transform, ~self._dataset.transform
+        if self.crs.is_geographic:
+            middle = gt.c + 0.5 * (gt.a * self.cols + gt.b * self.rows)
+            x = x + 360.0 * np.rint((middle - x) / 360.0)
+        x, y = np.asarray(x) - gt.c, np.asarray(y) - gt.f
+        return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
+
+    def outline(self, crs: CRS) -> np.ndarray:
+        """Points (n, 2) of the raster's border in ``crs``."""
+        return np.column_stack(self.xy(crs, *border_cells(self.rows, self.cols)))
+
+    def window(self, crs: CRS, area: shapely.Polygon | None) -> CellWindow | None:
+        """The cells that may lie in an area of ``crs`` (``None``: all); ``None`` if there are none."""
+        if area is None:
+            return CellWindow(0, 0, self.rows, self.cols)
+        border = shapely.get_coordinates(area)
+        row, col = self.cell_of(crs, border[:, 0], border[:, 1])
+        if not (np.isfinite(row).all() and np.isfinite(col).all()):
+            return CellWindow(0, 0, self.rows, self.cols)
+        row0, col0 = max(int(row.min()) - 1, 0), max(int(col.min()) - 1, 0)
+        row1, col1 = min(int(row.max()) + 3, self.rows), min(int(col.max()) + 3, self.cols)
+        return CellWindow(row0, col0, row1, col1) if row0 < row1 and col0 < col1 else None
+
+    def trees(
+        self, crs: CRS, unit_m: float, window: CellWindow, crown_of: Callable[[np.ndarray], np.ndarray], seed: int
+    ) -> Iterator[Crowns]:
+        """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
+
+        ``crown_of`` gives the usual crown's diameter in metres for a height: a coarse canopy is scattered as dense as such
+        crowns close it. Raises ``SourceError`` where the raster is not to be read or has no place in ``crs``.
+        """
+        to_m = self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
+        cell_m = np.sqrt(abs(np.linalg.det(to_m)))
+        if not np.isfinite(cell_m) or cell_m == 0:
+            raise SourceError(self.name, f"its CRS '{self.crs.name}'", f"a CRS that can be transformed into '{crs.name}'")
+        if cell_m > COARSE_CELL_M:
+            side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
+            for square in self._squares(crs, window, side):
+                yield from self._scattered(crs, unit_m, square, crown_of, seed)
+            return
+        for row, col, height_m in self.tops(to_m, window):
+            x, y = self.xy(crs, row, col)
+            there = np.isfinite(x) & np.isfinite(y)
+            places = Places(x[there], y[there], point_keys(seed, x[there] * unit_m, y[there] * unit_m))
+            yield Crowns(places, height_m[there])
+
+    def tops(
+        self,
+        metres_from_cells: np.ndarray,
+        window: CellWindow,
+        window_m: tuple[float, float] = WINDOW_M,
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Rows, columns and heights in metres of the tops in a window, block by block.
+
+        ``metres_from_cells`` (2, 2) takes a step of columns and rows to one on the ground.
+        """
+        steps, distance_m = _steps(metres_from_cells, window_m[0] + window_m[1] * MOST_HEIGHT_M)
+        halo = int(np.abs(steps).max())
+        for top in range(window.row0, window.row1, _BLOCK):
+            for left in range(window.col0, window.col1, _BLOCK):
+                rows, cols = min(_BLOCK, window.row1 - top), min(_BLOCK, window.col1 - left)
+                heights = self.heights_m(top - halo, left - halo, rows + 2 * halo, cols + 2 * halo)
+                is_top = _are_tops(heights, halo, top - halo, left - halo, steps, distance_m, *window_m)
+                row, col = np.nonzero(is_top)
+                yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
+
+    def any_known(self) -> bool:
+        """Whether any cell has a height at all, be it 0 (large rasters: looked at every few cells)."""
+        shape = min(self.rows, _BLOCK), min(self.cols, _BLOCK)
+        data = self._dataset.read(1, out_shape=shape, masked=True)
+        return bool(np.isfinite(data.astype(np.float64).filled(np.nan)).any())
+
+    def close(self) -> None:
+        """Close the raster."""
+        self._dataset.close()
+
+    def _jacobian(self, crs: CRS, row: float, col: float) -> np.ndarray:
+        """(2, 2): x, y in ``crs`` for a step of a column and one of a row."""
+        x, y = self.xy(crs, row + np.array([0.0, 0.0, -0.5, 0.5]), col + np.array([-0.5, 0.5, 0.0, 0.0]))
+        return np.array([[x[1] - x[0], x[3] - x[2]], [y[1] - y[0], y[3] - y[2]]])
+
+    def _squares(self, crs: CRS, window: CellWindow, side: float) -> Iterator[shapely.Polygon]:
+        """Squares of ``crs``, counted from its origin, that a window of cells may reach."""
+        t = np.linspace(0.0, 1.0, 33)
+        row, col = np.meshgrid(
+            window.row0 - 0.5 + t * (window.row1 - window.row0), window.col0 - 0.5 + t * (window.col1 - window.col0)
+        )
+        x, y = self.xy(crs, row, col)
+        there = np.isfinite(x) & np.isfinite(y)
+        west, east = np.floor(np.array([x[there].min(), x[there].max()]) / side).astype(int).tolist()
+        south, north = np.floor(np.array([y[there].min(), y[there].max()]) / side).astype(int).tolist()
+        for j in range(south, north + 1):
+            for i in range(west, east + 1):
+                yield shapely.box(i * side, j * side, (i + 1) * side, (j + 1) * side)
+
+    def _scattered(
+        self, crs: CRS, unit_m: float, square: shapely.Polygon, crown_of: Callable[[np.ndarray], np.ndarray], seed: int
+    ) -> Iterator[Crowns]:
+        """Trees of a coarse canopy in a square: a lattice for each class of heights, as dense as its crowns close."""
+        west, south, _, _ = square.bounds
+        origin, step, heights = self._straightened(crs, square)
+        edges_m = _height_classes(crown_of)
+        present = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
+        for number in present.tolist():
+            least, most = edges_m[number : number + 2]
+            crown_m = crown_of(np.sqrt([least * most]))[0]
+            p = scatter(square, PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
+            row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
+            inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
+            height = np.where(inside, heights[np.where(inside, row, 0), np.where(inside, col, 0)], 0.0)
+            kept = (height >= least) & (height < most)
+            yield Crowns(Places(p.x[kept], p.y[kept], p.key[kept]), height[kept])
+
+    def _straightened(self, crs: CRS, square: shapely.Polygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Row and column of a square's south-west corner, the steps (2, 2) of both for one of x and y (straight within a
+        square), and the heights of the window that they are counted in.
+        """
+        west, south, east, north = square.bounds
+        cell = np.stack(self.cell_of(crs, np.array([west, east, west, east]), np.array([south, south, north, north])))
+        if not np.isfinite(cell).all():
+            return np.zeros(2), np.zeros((2, 2)), np.zeros((1, 1), np.float32)
+        corners = cell.reshape(2, 2, 2)  # row or column, south or north, west or east
+        along_x, along_y = np.diff(corners, axis=2).mean(axis=1)[:, 0], np.diff(corners, axis=1).mean(axis=2)[:, 0]
+        step = np.column_stack([along_x / (east - west), along_y / (north - south)])
+        first, last = np.floor(cell.min(axis=1)).astype(int) - 1, np.ceil(cell.max(axis=1)).astype(int) + 2
+        heights = self.heights_m(first[0], first[1], *(last - first))
+        return cell.mean(axis=1) - (along_x + along_y) / 2 - first, step, heights
+
+
+def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """(Fractional) rows and columns (n,) of points round a raster's border."""
+    t = np.linspace(0.0, 1.0, 65)
+    row, col = np.concatenate([t * 0, t, t * 0 + 1, 1 - t]), np.concatenate([t, t * 0 + 1, 1 - t, t * 0])
+    return row * rows - 0.5, col * cols - 0.5
+
+
+def is_raster(source: str) -> bool:
+    """Whether GDAL reads a file as a raster."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with rasterio.open(source) as dataset:
+                return dataset.count > 0
+    except RasterioError:
+        return False
+
+
+def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
+    """Mean distance float64 (n,) of each place to its ``NEIGHBOURS`` nearest, metres; infinite where there are not so many."""
+    if len(x) <= NEIGHBOURS:
+        return np.full(len(x), np.inf)
+    points = np.column_stack([x, y])
+    return cKDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
+
+
+def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Edges of height classes, metres, in each of which crowns grow by no more than the root of two."""
+    heights = np.geomspace(LEAST_HEIGHT_M, MOST_HEIGHT_M, 1000)
+    octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
+    first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
+    return np.append(heights[first], np.nextafter(MOST_HEIGHT_M, np.inf))
+
+
+def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (n, 2) of rows and columns within a distance, nearest first, and their lengths; 0 for the eight neighbours."""
+    reach = np.ceil(most_m * np.linalg.norm(np.linalg.inv(metres_from_cells), axis=1)).astype(int) + 1
+    col, row = (v.ravel() for v in np.meshgrid(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1)))
+    distance = np.linalg.norm(metres_from_cells @ np.stack([col, row]), axis=0)
+    distance[np.maximum(np.abs(row), np.abs(col)) == 1] = 0.0
+    order = np.argsort(distance, kind="stable")
+    order = order[(distance[order] <= most_m) & ((row[order] != 0) | (col[order] != 0))]
+    return np.column_stack([row, col])[order], distance[order]
+
+
+@compiled
+def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per_m):  # type: ignore[no-untyped-def]
+    """Which cells inside a halo are the highest of their windows; row0, col0 number the halo's first cell in the raster."""
+    rows, cols = heights.shape[0] - 2 * halo, heights.shape[1] - 2 * halo
+    out = np.zeros((rows, cols), np.bool_)
+    for i in range(rows):
+        for j in range(cols):
+            r, c = i + halo, j + halo
+            height = heights[r, c]
+            if height <= 0.0:
+                continue
+            reach = radius_m + radius_per_m * height
+            top = True
+            for n in range(steps.shape[0]):
+                if distance_m[n] > reach:
+                    break
+                m, k = r + steps[n, 0], c + steps[n, 1]
+                other = heights[m, k]
+                if other > height or (other == height and pair_key(0, row0 + m, col0 + k) > pair_key(0, row0 + r, col0 + c)):
+                    top = False
+                    break
+            out[i, j] = top
+    return out

@@ -1,0 +1,61 @@
+"""What casts on a buffer's points, kind by kind: the same geometry for shadow maps and for rays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.geometry import GeometryBuffer
+from terrain.level import CasterKind
+from terrain.population import Population
+from terrain.reach import PATCH_QUADS, Casters
+from terrain.scene import Scene
+from terrain.stand import Stand
+from terrain.world import LocalFrame
+
+Mesh = tuple[np.ndarray, np.ndarray]
+"""Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""
+
+
+def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[np.ndarray]:
+    """The ground that casts on a map's block: sheets of nodes (rows, cols, 3) in its frame, its own first."""
+    if buffer.surface is None or "relief" not in kinds:
+        return
+    yield buffer.surface.position_frame_m
+    side = PATCH_QUADS + 1
+    for patch in casters.patches:
+        surface = scene.surface(buffer.view.grid.coarser(patch.level))  # type: ignore[union-attr]
+        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).position_frame_m
+
+
+def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:
+    """The triangles that cast: a perspective view's ground, and what stands for the meshes."""
+    meshes: list[Mesh] = []
+    if buffer.ground is not None and "relief" in kinds:
+        meshes.append((buffer.ground.position_frame_m, buffer.ground.triangles))
+    if "meshes" in kinds and scene.population.solids is not None:
+        meshes.append(_solid_casters(scene.population, buffer.frame))
+    return meshes
+
+
+def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> Stand | None:
+    """The trees that cast, if there are any."""
+    return buffer.stand if "forest" in kinds else None
+
+
+def trees_in_the_way(stand: Stand, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> Stand:
+    """Those trees that reach into light-space bounds (3,) or lie before them, towards the sun."""
+    middle = stand.base_frame_m + np.array([0.0, 0.0, 0.5]) * stand.shape[:, 2:3]
+    radius = np.hypot(stand.shape[:, :2].max(axis=1) * 1.5, 0.5 * stand.shape[:, 2])[:, None]
+    at = middle @ rotation.T + translation
+    can = (at[:, :2] + radius >= low[:2]) & (at[:, :2] - radius <= high[:2])
+    return stand.some(np.flatnonzero(can.all(axis=1) & (at[:, 2] - radius[:, 0] <= high[2])))
+
+
+@lru_cache(maxsize=4)
+def _solid_casters(population: Population, frame: LocalFrame) -> Mesh:
+    solids = population.solids
+    assert solids is not None
+    return (solids.caster_vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T, solids.caster_triangles

@@ -1,0 +1,345 @@
+"""Fewer triangles for a grid of heights, by what an eye can see of it: a restricted right-triangulated irregular network.
+
+Two right triangles cover a square of 2**k cells a side; each is halved at the middle of its hypotenuse, and so on down to
+half cells (W. Evans, D. Kirkpatrick, G. Townsend 2001, "Right-triangulated irregular networks"). So every node bisects one
+hypotenuse, and with it at most two triangles, one on each side. With ``step`` running over 1, 2, 4, ..., a node at odd
+multiples of the step in row and column (a centre) bisects the diagonal of a square, one at an odd and an even multiple (a
+side's middle) bisects a side of it. A node needs the two apexes opposite to it, its parents; where all active nodes have
+active parents there are no T-junctions, hence no cracks (P. Lindstrom, V. Pascucci 2002, "Terrain simplification
+simplified", IEEE TVCG 8(3)).
+
+The square is virtual: nodes beyond the grid exist nowhere. Triangles that reach beyond it are always halved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.errors import InputError
+from terrain.world import EARTH_RADIUS_M
+
+_PRESENT, _ABSENT, _BOTH = 1, 2, 3
+"""What the smallest triangles within a triangle are, as bits; both: it crosses the outline of the data."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What each node of a surface is worth, whoever looks at it.
+
+    Attributes
+    ----------
+    height_m
+        float32 (rows, cols); nodes that are not finite are absent.
+    spacing_m
+        Distance between neighbouring nodes.
+    error_m
+        float32 (rows, cols): how far a node lies, vertically, from the middle of the hypotenuse it bisects. Infinite where
+        the outline of the data needs the node, 0 where there is nothing to draw.
+    bisected
+        uint8 (rows, cols): how many triangles without an absent part a node bisects, 0 to 2.
+    triangles
+        How many triangles there are with all nodes: halves of cells with three present corners.
+    """
+
+    height_m: np.ndarray
+    spacing_m: float
+    error_m: np.ndarray
+    bisected: np.ndarray
+    triangles: int
+
+
+@dataclass(frozen=True, eq=False)
+class Decimated:
+    """A conforming triangulation of some nodes of a grid.
+
+    Attributes
+    ----------
+    nodes
+        int32 (n, 2), row and column of the nodes used.
+    triangles
+        int32 (m, 3), indices into ``nodes``, counter-clockwise from above where columns run east and rows south.
+    tolerance
+        Nodes whose error is above this share of their distance to the eye are all there.
+    """
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+    tolerance: float
+
+
+def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> Errors:
+    """The errors of all nodes of a grid of heights (rows, cols), NaN where there is no surface.
+
+    ``sagitta`` adds how far the earth bulges above a hypotenuse, length**2 / (8 R) with the earth's mean radius R. Raises
+    ``InputError`` for heights that are no grid and a spacing that is not positive.
+    """
+    height = np.ascontiguousarray(heights_m, np.float32)
+    if height.ndim != 2:
+        raise InputError("heights_m", height.shape, "an array of rows and columns")
+    if not 0.0 < spacing_m < np.inf:
+        raise InputError("spacing_m", spacing_m, "a positive number of metres")
+    bulge_per_m2 = 1.0 / (8.0 * EARTH_RADIUS_M) if sagitta else 0.0
+    error, bisected = _node_errors(height, bulge_per_m2 * spacing_m**2)
+    return Errors(height, float(spacing_m), error, bisected, int(_smallest_triangles(height)))
+
+
+def decimate(
+    errors: Errors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
+) -> Decimated:
+    """The nodes that an eye at (row, col, height in metres) can tell from those left out, and their triangles.
+
+    A node is active if its error is above ``tolerance`` (radians) times its distance to the eye, taken as ``near_m`` at
+    least; so is one whose error bends the ground nearest to the eye by that much there. With more than ``max_triangles``
+    triangles, the tolerance becomes the smallest that needs no more; the outline of the data is kept even if it alone needs
+    more. Raises ``InputError`` for arguments that are not finite or not positive (the tolerance may be 0).
+    """
+    if not np.isfinite(eye_row_col_m).all():
+        raise InputError("eye_row_col_m", eye_row_col_m, "finite row, column and height")
+    if not 0.0 <= tolerance < np.inf:
+        raise InputError("tolerance", tolerance, "a finite angle of 0 or more, in radians")
+    if max_triangles < 1:
+        raise InputError("max_triangles", max_triangles, "1 or more")
+    if not 0.0 < near_m < np.inf:
+        raise InputError("near_m", near_m, "a positive number of metres")
+    if errors.triangles == 0:
+        return Decimated(np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int32), float(tolerance))
+    row, col, up = (float(v) for v in eye_row_col_m)
+    limit, nearest_m = _own_limits(errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m))
+    _bend_near_eye(limit, errors.error_m, row, col, nearest_m)
+    _propagate(limit)
+    tolerance = float(tolerance)
+    triangles = errors.triangles - _saved(limit, errors.bisected, tolerance)
+    if triangles > max_triangles:
+        raised = _tolerance_that_saves(limit, errors.bisected, errors.triangles - max_triangles)
+        tolerance = max(tolerance, float(raised))
+        triangles = errors.triangles - _saved(limit, errors.bisected, tolerance)
+    nodes, corners = _bisect(limit, errors.height_m, tolerance, triangles)
+    return Decimated(nodes, corners, tolerance)
+
+
+@compiled
+def _node_errors(height, bulge_m):  # type: ignore[no-untyped-def]
+    """Error (rows, cols) of each node and how many wholly present triangles it bisects; ``bulge_m`` for a length of 1."""
+    rows, cols = height.shape
+    error = np.zeros((rows, cols), np.float32)
+    parts = np.zeros((rows, cols), np.uint8)
+    step = 1
+    while step < max(rows, cols) - 1:
+        _fill(height, bulge_m, error, parts, 0, step, 2 * step, 0, step)
+        _fill(height, bulge_m, error, parts, step, 0, 2 * step, step, 0)
+        for row in (step, 3 * step):
+            for col in (step, 3 * step):
+                # The diagonal runs through the centre of the square twice as large.
+                _fill(height, bulge_m, error, parts, row, col, 4 * step, step, step if row == col else -step)
+        step *= 2
+    for row in range(rows):
+        for col in range(cols):
+            p = parts[row, col]
+            parts[row, col] = (p & 3 == _PRESENT) + (p >> 2 == _PRESENT)
+    return error, parts
+
+
+@compiled
+def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):  # type: ignore[no-untyped-def]
+    """Fill in nodes whose hypotenuses end at (down, right) from them and opposite; those within their triangles are there.
+
+    ``parts`` holds two bits for the triangle whose apex comes before the node in reading order, and above them two for the
+    one whose apex comes after it.
+    """
+    rows, cols = height.shape
+    bulge_m *= 4.0 * (down * down + right * right)
+    for row in range(first_row, rows, stride):
+        for col in range(first_col, cols, stride):
+            if row + down >= rows or col + abs(right) >= cols:
+                error[row, col], parts[row, col] = np.inf, _BOTH | _BOTH << 2
+                continue
+            ends_there = np.isfinite(height[row - down, col - right]) and np.isfinite(height[row + down, col + right])
+            found, needed = 0, False
+            for side in range(2):
+                turn = 2 * side - 1 if right > 0 else 1 - 2 * side
+                apex_row, apex_col = row + turn * right, col - turn * down
+                if 0 <= apex_row < rows and 0 <= apex_col < cols:
+                    part = _halves(height, parts, row, col, down, right, apex_row, apex_col)
+                    # A triangle with three present corners is drawn: it must not be where all its parts are absent.
+                    needed |= part == _ABSENT and ends_there and np.isfinite(height[apex_row, apex_col])
+                elif apex_row < 0 or apex_col < 0 or (row == rows - 1 if down == 0 else col == cols - 1):
+                    part = _ABSENT
+                else:
+                    part = _BOTH
+                needed |= part == _BOTH
+                found |= part << 2 * side
+            parts[row, col] = found
+            if needed:
+                error[row, col] = np.inf
+            elif (found | found >> 2) & _PRESENT:
+                ends = np.float64(height[row - down, col - right]) + np.float64(height[row + down, col + right])
+                error[row, col] = abs(height[row, col] - 0.5 * ends) + bulge_m
+
+
+@compiled
+def _halves(height, parts, row, col, down, right, apex_row, apex_col):  # type: ignore[no-untyped-def]
+    """Parts of both halves of a triangle, each bounded by its bisecting node, its apex and an end of its hypotenuse."""
+    found = 0
+    for end in (-1, 1):
+        half_down, half_right = apex_row - row + end * down, apex_col - col + end * right
+        if half_down & 1:
+            there = np.isfinite(height[row, col]) and np.isfinite(height[apex_row, apex_col])
+            there = there and np.isfinite(height[row + end * down, col + end * right])
+            found |= _PRESENT if there else _ABSENT
+        else:
+            # The half's apex, which is this node, comes before the node that bisects it, or after it.
+            before = half_down > 0 or (half_down == 0 and half_right > 0)
+            found |= parts[row + (half_down >> 1), col + (half_right >> 1)] >> (0 if before else 2) & 3
+    return found
+
+
+@compiled
+def _smallest_triangles(height):  # type: ignore[no-untyped-def]
+    """How many half cells have three present corners; the diagonals meet in the nodes of even row and column."""
+    count = 0
+    for row in range(height.shape[0] - 1):
+        for col in range(height.shape[1] - 1):
+            falling = (row + col) % 2 == 0
+            left, right = (0, 1) if falling else (1, 0)
+            if np.isfinite(height[row, col + left]) and np.isfinite(height[row + 1, col + right]):
+                count += np.isfinite(height[row, col + right])
+                count += np.isfinite(height[row + 1, col + left])
+    return count
+
+
+@compiled
+def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):  # type: ignore[no-untyped-def]
+    """The tolerances below which nodes are needed for their own sake, float32; and the distance of the nearest node."""
+    rows, cols = height.shape
+    limit = np.empty((rows, cols), np.float32)
+    nearest = np.inf
+    for row in range(rows):
+        south2 = ((row - eye_row) * spacing_m) ** 2
+        for col in range(cols):
+            east, up = (col - eye_col) * spacing_m, height[row, col] - eye_m
+            distance2 = south2 + east * east + (up * up if np.isfinite(up) else 0.0)
+            distance2 = max(distance2, near_m * near_m)
+            nearest = min(nearest, distance2)
+            limit[row, col] = error[row, col] / np.sqrt(distance2)
+    return limit, np.sqrt(nearest)
+
+
+@compiled
+def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):  # type: ignore[no-untyped-def]
+    """Raise limits of nodes that bend the ground nearest to the eye, which may be far nearer than they are.
+
+    A node's error bends the triangles it bisects like a tent, down to nothing at their other edges. Outside of the tent no
+    point sees it larger than the node itself does; within it, the ground at the eye does.
+    """
+    rows, cols = limit.shape
+    eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
+    step = 1
+    while step < max(rows, cols) - 1:
+        middle_row = int(eye_row) // (2 * step) * 2 * step + step
+        middle_col = int(eye_col) // (2 * step) * 2 * step + step
+        for down, right in ((0, 0), (-step, 0), (step, 0), (0, -step), (0, step)):
+            row, col = middle_row + down, middle_col + right
+            if row < rows and col < cols:
+                south, east = abs(eye_row - row), abs(eye_col - col)
+                tent = 1.0 - (south + east if down or right else max(south, east)) / step
+                if tent > 0.0:
+                    limit[row, col] = max(limit[row, col], np.float32(error[row, col] * tent / nearest_m))
+        step *= 2
+
+
+@compiled
+def _propagate(limit):  # type: ignore[no-untyped-def]
+    """Raise each node's limit to those of the nodes that need it, from the smallest triangles upwards."""
+    rows, cols = limit.shape
+    step = 1
+    while step < max(rows, cols) - 1:
+        half = step // 2
+        for row in range(0, rows if half else 0, step):
+            for col in range(step * (1 - row // step % 2), cols, 2 * step):
+                north = max(_at(limit, row - half, col - half), _at(limit, row - half, col + half))
+                south = max(_at(limit, row + half, col - half), _at(limit, row + half, col + half))
+                limit[row, col] = max(limit[row, col], north, south)
+        for row in range(step, rows, 2 * step):
+            for col in range(step, cols, 2 * step):
+                north_south = max(limit[row - step, col], _at(limit, row + step, col))
+                west_east = max(limit[row, col - step], _at(limit, row, col + step))
+                limit[row, col] = max(limit[row, col], north_south, west_east)
+        step *= 2
+
+
+@compiled
+def _at(limit, row, col):  # type: ignore[no-untyped-def]
+    inside = 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]
+    return limit[row, col] if inside else np.float32(0.0)
+
+
+@compiled
+def _saved(limit, bisected, tolerance):  # type: ignore[no-untyped-def]
+    """How many triangles a tolerance saves: each wholly present triangle that is not bisected saves one."""
+    saved = 0
+    for row in range(limit.shape[0]):
+        for col in range(limit.shape[1]):
+            saved += bisected[row, col] if limit[row, col] <= tolerance else 0
+    return saved
+
+
+@compiled
+def _tolerance_that_saves(limit, bisected, triangles):  # type: ignore[no-untyped-def]
+    """The smallest tolerance that saves so many triangles, or the one that saves most.
+
+    By counting: first by the upper, then by the lower halves of the limits' bits, which order as the limits do.
+    """
+    half, mask = np.uint32(16), np.uint32(0xFFFF)
+    bits, bisected = limit.ravel().view(np.uint32), bisected.ravel()
+    counts = np.zeros(1 << 16, np.int64)
+    for n in range(bits.size):
+        counts[bits[n] >> half] += bisected[n]
+    saved = np.cumsum(counts[:0x7F80])  # from there on limits are infinite
+    triangles = min(triangles, saved[-1])
+    upper = np.searchsorted(saved, triangles)
+    counts[:] = 0
+    for n in range(bits.size):
+        if bits[n] >> half == upper:
+            counts[bits[n] & mask] += bisected[n]
+    lower = np.searchsorted(np.cumsum(counts), triangles - (saved[upper - 1] if upper > 0 else 0))
+    return np.array([upper << 16 | lower], np.uint32).view(np.float32)[0]
+
+
+@compiled
+def _bisect(limit, height, tolerance, count):  # type: ignore[no-untyped-def]
+    """Nodes (n, 2) and triangles (count, 3): depth first from the two of the whole square, halved where a node is active."""
+    rows, cols = height.shape
+    side = 1
+    while side < max(rows, cols) - 1:
+        side *= 2
+    triangles = np.empty((count, 3), np.int32)
+    nodes = np.empty((min(3 * count, rows * cols), 2), np.int32)
+    index = np.zeros((rows, cols), np.int32)  # one more than the node's, so that untouched memory says "not yet"
+    made, used = 0, 0
+    # Row and column of apex, then of the hypotenuse's ends, counter-clockwise. Each level leaves one triangle waiting.
+    waiting = np.empty((128, 6), np.int64)
+    waiting[0], waiting[1] = (0, side, 0, 0, side, side), (side, 0, side, side, 0, 0)
+    top = 2
+    while top > 0:
+        top -= 1
+        ar, ac, br, bc, cr, cc = waiting[top]
+        beyond = max(ar, br, cr) >= rows or max(ac, bc, cc) >= cols
+        if beyond and (min(ar, br, cr) >= rows - 1 or min(ac, bc, cc) >= cols - 1):
+            continue
+        smallest = (br + cr) % 2 == 1 or (bc + cc) % 2 == 1
+        mr, mc = (br + cr) // 2, (bc + cc) // 2
+        if not smallest and (beyond or limit[mr, mc] > tolerance):
+            waiting[top], waiting[top + 1] = (mr, mc, ar, ac, br, bc), (mr, mc, cr, cc, ar, ac)
+            top += 2
+        elif not beyond and np.isfinite(height[ar, ac]) and np.isfinite(height[br, bc]) and np.isfinite(height[cr, cc]):
+            for corner, (row, col) in enumerate(((ar, ac), (br, bc), (cr, cc))):
+                if index[row, col] == 0:
+                    nodes[used] = row, col
+                    used += 1
+                    index[row, col] = used
+                triangles[made, corner] = index[row, col] - 1
+            made += 1
+    return nodes[:used].copy(), triangles[:made]

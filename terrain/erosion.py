@@ -1,0 +1,138 @@
+"""Valleys cut by rivers: uplift against stream-power incision until the ground is drained everywhere.
+
+The rule is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and
+S. D. Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
+180-181:170-179. The tree comes from a priority flood from the rim, so that nothing ends in a pit: R. Barnes et al. (2014),
+"Priority-flood", Computers & Geosciences 62:117-127. A constant is added to A, below which slopes are those of hillsides.
+
+Main valleys find their way on a coarse grid, their tributaries on finer ones. Each refinement shifts the ground sideways by
+noise: rivers that could run in eight directions alone come to wind.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.noise import fractal_at
+
+STEPS = (40, 20, 12, 8, 6)
+"""Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""
+
+TIME_STEP = 0.25
+"""Of the time in which uplift of 1 raises ground by its own longest side (K is 1)."""
+
+HILLSIDE_AREA = 1e-3
+"""Share of the ground's squared side that drains through a channel's head."""
+
+CREEP = 0.1
+"""Share of the way to its neighbours' mean that a cell moves in a step: soil creep, which rounds crests."""
+
+LAST_CREEP = 6
+"""Steps of creep alone at the end: what has been cut along eight directions loses its straight edges."""
+
+SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
+"""How far, and by noise of which wavelength, the ground is shifted when it is refined; in cells of the coarser grid."""
+
+
+def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
+    """Ground (rows, cols) float64 that rivers have cut, in units of its longest side.
+
+    Starts from ``start``, is lifted by ``uplift`` (both on the coarsest grid, two nodes a side at least), and is refined
+    ``halvings`` times: n nodes a side become 2 n - 1. The rim stays where it is: rivers leave the ground there.
+    """
+    height, side = start.copy(), max(start.shape) - 1.0
+    for level in range(halvings + 1):
+        if level:
+            height, uplift = _refined(height, SHIFT_CELLS, seed + 2 * level), _refined(uplift, 0.0, 0)
+            side *= 2.0
+        for _ in range(STEPS[min(level, len(STEPS) - 1)]):
+            _cut(height, uplift, *drainage(height), 1.0 / side)
+            _creep(height)
+    for _ in range(LAST_CREEP):
+        _creep(height)
+    return height
+
+
+@compiled
+def drainage(height):  # type: ignore[no-untyped-def]
+    """Cells from the outlets up (n,), and for each cell (flat index) the one that it drains into (n,); the rim into itself."""
+    rows, cols = height.shape
+    order = np.empty(rows * cols, np.int64)
+    receiver = np.full(rows * cols, -1, np.int64)
+    done = np.zeros((rows, cols), np.bool_)
+    waiting = [(height[0, 0], 0)]
+    receiver[0] = 0
+    for i in range(rows):
+        for j in range(cols):
+            if (i == 0 or j == 0 or i == rows - 1 or j == cols - 1) and i + j > 0:
+                heapq.heappush(waiting, (height[i, j], i * cols + j))
+                receiver[i * cols + j] = i * cols + j
+    count = 0
+    while len(waiting) > 0:
+        level, cell = heapq.heappop(waiting)
+        i, j = cell // cols, cell % cols
+        done[i, j] = True
+        order[count] = cell
+        count += 1
+        steepest = 0.0
+        for a in range(max(i - 1, 0), min(i + 2, rows)):
+            for b in range(max(j - 1, 0), min(j + 2, cols)):
+                near = a * cols + b
+                if receiver[near] < 0:
+                    receiver[near] = cell
+                    heapq.heappush(waiting, (max(height[a, b], level), near))
+                elif done[a, b] and near != cell and receiver[cell] != cell:
+                    drop = (height[i, j] - height[a, b]) / np.sqrt(float((a - i) ** 2 + (b - j) ** 2))
+                    if drop > steepest:
+                        steepest, receiver[cell] = drop, near
+    return order, receiver
+
+
+@compiled
+def _cut(height, uplift, order, receiver, cell):  # type: ignore[no-untyped-def]
+    """One step of uplift and incision, in place; ``cell`` is a cell's side."""
+    flat, lift, cols = height.ravel(), uplift.ravel(), height.shape[1]
+    area = np.full(flat.shape[0], cell * cell)
+    for k in range(order.shape[0] - 1, -1, -1):
+        if receiver[order[k]] != order[k]:
+            area[receiver[order[k]]] += area[order[k]]
+    for k in range(order.shape[0]):
+        c, r = order[k], receiver[order[k]]
+        if r != c:
+            away = cell * np.sqrt(float((c // cols - r // cols) ** 2 + (c % cols - r % cols) ** 2))
+            incision = TIME_STEP * np.sqrt(area[c] + HILLSIDE_AREA) / away
+            flat[c] = (flat[c] + TIME_STEP * lift[c] + incision * flat[r]) / (1.0 + incision)
+
+
+@compiled
+def _creep(height):  # type: ignore[no-untyped-def]
+    rows, cols = height.shape
+    before = height.copy()
+    for i in range(1, rows - 1):
+        for j in range(1, cols - 1):
+            mean = 0.25 * (before[i - 1, j] + before[i + 1, j] + before[i, j - 1] + before[i, j + 1])
+            height[i, j] += CREEP * (mean - before[i, j])
+
+
+@compiled
+def _refined(coarse, shift, seed):  # type: ignore[no-untyped-def]
+    """A grid of (2 m - 1, 2 n - 1) nodes, bilinear between the (m, n) given at places shifted by noise, the rim unshifted."""
+    rows, cols = coarse.shape
+    fine = np.empty((2 * rows - 1, 2 * cols - 1))
+    for i in range(2 * rows - 1):
+        for j in range(2 * cols - 1):
+            y, x = 0.5 * i, 0.5 * j
+            if shift > 0.0:
+                u, v = x / SHIFT_WAVE_CELLS, y / SHIFT_WAVE_CELLS
+                here = shift * min(1.0, 0.25 * min(min(x, y), min(cols - 1 - x, rows - 1 - y)))
+                x += here * fractal_at(u, v, 2, seed)
+                y += here * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
+            x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
+            a, c = min(int(y), rows - 2), min(int(x), cols - 2)
+            north = coarse[a, c] + (x - c) * (coarse[a, c + 1] - coarse[a, c])
+            south = coarse[a + 1, c] + (x - c) * (coarse[a + 1, c + 1] - coarse[a + 1, c])
+            fine[i, j] = north + (y - a) * (south - north)
+    return fine

@@ -1,0 +1,70 @@
+"""Normals of triangle meshes, and how much a mesh bends round each of its triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+
+@compiled
+def face_normals(position, triangles):  # type: ignore[no-untyped-def]
+    """Unit normals (m, 3) float32 of triangles; 0 where one has no area."""
+    out = np.zeros((len(triangles), 3), np.float32)
+    for t in range(len(triangles)):
+        o, a, b = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
+        ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
+        bx, by, bz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0.0:
+            out[t, 0], out[t, 1], out[t, 2] = x / length, y / length, z / length
+    return out
+
+
+@compiled
+def smooth_normals(faces, triangles, nodes):  # type: ignore[no-untyped-def]
+    """Unit normals (n, 3) float32 at nodes: the mean of the faces round each."""
+    out = np.zeros((nodes, 3), np.float32)
+    for t in range(len(triangles)):
+        for k in range(3):
+            for c in range(3):
+                out[triangles[t, k], c] += faces[t, c]
+    for n in range(nodes):
+        length = np.sqrt(out[n, 0] ** 2 + out[n, 1] ** 2 + out[n, 2] ** 2)
+        if length > 0.0:
+            for c in range(3):
+                out[n, c] /= length
+    return out
+
+
+@compiled
+def creases(faces, triangles, nodes, limit):  # type: ignore[no-untyped-def]
+    """Largest distance (m,) float32, below ``limit``, between a face's normal and those of faces that share a node with it."""
+    start = np.zeros(nodes + 1, np.int64)
+    for t in range(len(triangles)):
+        for k in range(3):
+            start[triangles[t, k] + 1] += 1
+    for n in range(nodes):
+        start[n + 1] += start[n]
+    around = np.empty(3 * len(triangles), np.int32)
+    filled = start[:-1].copy()
+    for t in range(len(triangles)):
+        for k in range(3):
+            n = triangles[t, k]
+            around[filled[n]] = t
+            filled[n] += 1
+    out = np.zeros(len(triangles), np.float32)
+    for t in range(len(triangles)):
+        worst = 0.0
+        for k in range(3):
+            n = triangles[t, k]
+            for i in range(start[n], start[n + 1]):
+                u = around[i]
+                d = (
+                    (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
+                )
+                if d > worst and d < limit * limit:
+                    worst = d
+        out[t] = np.sqrt(worst)
+    return out

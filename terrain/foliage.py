@@ -1,0 +1,366 @@
+"""The pictures on a tree's crossed quads: how it looks from the side and from above, at every distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.errors import InputError
+from terrain.foliage_paint import Clumped, Whorled, paint
+
+THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
+SIZE = 256
+SMALLEST = 4
+SUBGRID = 4  # sampling points a texel and axis, where coverage is measured
+DITHERS = (0.0, 0.125, 0.5, 2.0)  # tried in turn, relative to alpha
+CLOSE = 0.004  # coverage this near to the wanted is not improved
+
+
+@dataclass(frozen=True)
+class Look:
+    """A kind of tree: ``species`` is "conifer" or "broadleaf", ``crown_height`` the share of the tree's height at which the
+    level crown quad lies, ``crown_to_height`` the crown's diameter over the height for which the pictures are painted.
+    """
+
+    name: str
+    species: str
+    crown_height: float
+    crown_to_height: float
+
+
+@dataclass(frozen=True, eq=False)
+class Foliage:
+    """The pictures of all looks.
+
+    Attributes
+    ----------
+    levels
+        Mip levels, each uint8 (2 * looks, s, s, 4) with s = 256, 128 ... 4: sRGB albedo and alpha, not premultiplied. Layer
+        2 * look is the view from the side: row 0 at the tree's top, the stem's foot in the middle of the last row. Layer
+        2 * look + 1 is the view from above. Clamp to the edge when sampling.
+    """
+
+    levels: tuple[np.ndarray, ...]
+
+
+_KINDS = (
+    (
+        Look("spruce", "conifer", 0.2, 0.3),
+        Whorled(
+            radius=0.15,
+            crown_base=0.07,
+            whorls=40,
+            branches=8,
+            slope_low=-0.1,
+            slope_high=0.7,
+            sag=0.5,
+            upturn=0.35,
+            hang=0.9,
+            gaps=0.12,
+            fullness=0.95,
+            twig=0.036,
+            spacing=0.0055,
+            thickness=0.0021,
+            stem=0.009,
+            needle_albedo=(0.06, 0.098, 0.044),
+            bark_albedo=(0.11, 0.085, 0.065),
+        ),
+    ),
+    (
+        Look("fir", "conifer", 0.2, 0.36),
+        Whorled(
+            radius=0.18,
+            crown_base=0.04,
+            whorls=36,
+            branches=9,
+            slope_low=0.0,
+            slope_high=0.45,
+            sag=0.15,
+            upturn=0.12,
+            hang=0.1,
+            gaps=0.06,
+            fullness=0.75,
+            twig=0.042,
+            spacing=0.0055,
+            thickness=0.0026,
+            stem=0.0105,
+            needle_albedo=(0.056, 0.097, 0.052),
+            bark_albedo=(0.13, 0.12, 0.105),
+        ),
+    ),
+    (
+        Look("larch", "conifer", 0.25, 0.34),
+        Whorled(
+            radius=0.17,
+            crown_base=0.14,
+            whorls=28,
+            branches=6,
+            slope_low=0.1,
+            slope_high=0.6,
+            sag=0.5,
+            upturn=0.4,
+            hang=0.9,
+            gaps=0.2,
+            fullness=0.75,
+            twig=0.034,
+            spacing=0.007,
+            thickness=0.0019,
+            stem=0.0095,
+            needle_albedo=(0.08, 0.118, 0.045),
+            bark_albedo=(0.13, 0.095, 0.075),
+        ),
+    ),
+    (
+        Look("pine", "conifer", 0.7, 0.4),
+        Clumped(
+            radius=0.2,
+            crown_base=0.5,
+            widest=0.45,
+            squareness=2.0,
+            clumps=34,
+            clump_radius=0.06,
+            inside=0.3,
+            flat=0.5,
+            droop=0.0,
+            sprigs=20,
+            leaves=22,
+            leaf=(0.013, 0.0012),
+            fork=0.5,
+            stem=0.011,
+            leaf_albedo=(0.068, 0.106, 0.051),
+            bark_albedo=(0.14, 0.1, 0.075),
+            limb_albedo=(0.22, 0.115, 0.065),
+        ),
+    ),
+    (
+        Look("oak", "broadleaf", 0.5, 0.9),
+        Clumped(
+            radius=0.45,
+            crown_base=0.16,
+            widest=0.42,
+            squareness=2.3,
+            clumps=75,
+            clump_radius=0.115,
+            inside=0.25,
+            flat=0.7,
+            droop=0.1,
+            sprigs=24,
+            leaves=19,
+            leaf=(0.011, 0.0034),
+            fork=0.17,
+            stem=0.026,
+            leaf_albedo=(0.073, 0.112, 0.04),
+            bark_albedo=(0.12, 0.1, 0.08),
+            limb_albedo=(0.09, 0.075, 0.06),
+        ),
+    ),
+    (
+        Look("beech", "broadleaf", 0.5, 0.62),
+        Clumped(
+            radius=0.31,
+            crown_base=0.12,
+            widest=0.45,
+            squareness=2.0,
+            clumps=80,
+            clump_radius=0.095,
+            inside=0.2,
+            flat=0.6,
+            droop=0.15,
+            sprigs=24,
+            leaves=14,
+            leaf=(0.009, 0.003),
+            fork=0.16,
+            stem=0.019,
+            leaf_albedo=(0.07, 0.115, 0.04),
+            bark_albedo=(0.17, 0.165, 0.15),
+            limb_albedo=(0.13, 0.125, 0.11),
+        ),
+    ),
+    (
+        Look("birch", "broadleaf", 0.5, 0.42),
+        Clumped(
+            radius=0.21,
+            crown_base=0.16,
+            widest=0.38,
+            squareness=1.8,
+            clumps=80,
+            clump_radius=0.06,
+            inside=0.2,
+            flat=0.9,
+            droop=0.9,
+            sprigs=20,
+            leaves=12,
+            leaf=(0.0075, 0.0022),
+            fork=0.22,
+            stem=0.011,
+            leaf_albedo=(0.08, 0.12, 0.042),
+            bark_albedo=(0.5, 0.48, 0.44),
+            limb_albedo=(0.2, 0.17, 0.15),
+        ),
+    ),
+    (
+        Look("maple", "broadleaf", 0.5, 0.72),
+        Clumped(
+            radius=0.36,
+            crown_base=0.2,
+            widest=0.45,
+            squareness=2.1,
+            clumps=70,
+            clump_radius=0.1,
+            inside=0.2,
+            flat=0.8,
+            droop=0.05,
+            sprigs=24,
+            leaves=13,
+            leaf=(0.011, 0.004),
+            fork=0.2,
+            stem=0.018,
+            leaf_albedo=(0.077, 0.116, 0.038),
+            bark_albedo=(0.12, 0.105, 0.09),
+            limb_albedo=(0.09, 0.08, 0.07),
+        ),
+    ),
+)
+LOOKS: tuple[Look, ...] = tuple(look for look, _ in _KINDS)
+
+
+@lru_cache(maxsize=1)
+def foliage() -> Foliage:
+    """The pictures of ``LOOKS``, painted once in a process and the same on every machine."""
+    layers = [
+        coverage_mips(_texture(view, stands), THRESHOLD)
+        for seed, (_, model) in enumerate(_KINDS)
+        for view, stands in zip(paint(model, seed, SIZE), (True, False), strict=True)
+    ]
+    return Foliage(levels=tuple(np.stack(level) for level in zip(*layers, strict=True)))
+
+
+def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
+    """Mip levels of a cut-out picture, each of which covers the same share of the picture as the first.
+
+    A mean of alpha makes a cut-out thin out or close up with distance. Here each level's alpha is scaled until the share of
+    points at or above the threshold is level 0's (I. Castano, "Computing alpha mipmaps", 2010), the points being those of a
+    4 x 4 grid in each texel, sampled bilinearly and clamped to the edge as a graphics card does. Where the mean is so even
+    that a scale gives all or nothing, as for a fine regular pattern, a fixed dither breaks the tie.
+
+    Colours are means in linear light weighted by alpha; texels without any alpha take the colour of their surroundings.
+
+    Parameters
+    ----------
+    rgba
+        uint8 (h, w, 4), sRGB colour and alpha, not premultiplied; sides are powers of two of at least 4.
+    threshold
+        Share of full alpha from which a point counts as covered, in (0, 1).
+
+    Returns
+    -------
+    uint8 (h, w, 4), (h/2, w/2, 4) ... down to a shorter side of 4. Level 0 has the given alpha.
+
+    Raises
+    ------
+    InputError
+        Where the picture or the threshold is not as above.
+    """
+    rgba = np.asarray(rgba)
+    sides = rgba.shape[:2]
+    if rgba.dtype != np.uint8 or rgba.ndim != 3 or rgba.shape[2] != 4 or any(n < SMALLEST or n & (n - 1) for n in sides):
+        raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4) with powers of two of at least 4 as h and w")
+    if not 0.0 < threshold < 1.0:
+        raise InputError("threshold", threshold, "a number above 0 and below 1")
+
+    alpha = [rgba[..., 3] / 255.0]
+    light = [_linear(rgba[..., :3] / 255.0) * alpha[0][..., None]]
+    while min(alpha[-1].shape) > SMALLEST:
+        alpha.append(_halved(alpha[-1]))
+        light.append(_halved(light[-1]))
+    wanted = _coverage(rgba[..., 3], threshold * 255.0)
+    kept = [rgba[..., 3]] + [_covering(level, wanted, threshold) for level in alpha[1:]]
+    return tuple(np.dstack([_bytes(_srgb(colour)), level]) for colour, level in zip(_filled(light, alpha), kept, strict=True))
+
+
+def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
+    """A painted view as bytes, its outermost texels cleared but for a stem that ``stands`` on the last row."""
+    alpha = view[..., 3].copy()
+    foot = alpha[-1].copy()
+    alpha[[0, -1]] = 0.0
+    alpha[:, [0, -1]] = 0.0
+    if stands:
+        alpha[-1, 1:-1] = foot[1:-1]
+    return np.dstack([_bytes(_srgb(view[..., :3])), _bytes(alpha)])
+
+
+def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
+    """Alpha in bytes, scaled and if need be dithered, whose coverage is the nearest to ``wanted``."""
+    best, error = _bytes(alpha), np.inf
+    row, column = np.indices(alpha.shape)
+    # The R2 sequence (M. Roberts, 2018): an ordered dither that fits any size.
+    order = (0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0 - 0.5
+    for dither in DITHERS:
+        uneven = alpha * np.maximum(1.0 + dither * order, 0.0)
+        low, high = -10.0, 10.0  # octaves of the scale
+        for _ in range(18):
+            middle = 0.5 * (low + high)
+            scaled = _bytes(np.minimum(uneven * 2.0**middle, 1.0))
+            share = _coverage(scaled, threshold * 255.0)
+            if abs(share - wanted) < error:
+                best, error = scaled, abs(share - wanted)
+            low, high = (middle, high) if share < wanted else (low, middle)
+        if error <= CLOSE:
+            break
+    return best
+
+
+@compiled
+def _coverage(alpha, least):
+    """Share of the points of a SUBGRID x SUBGRID grid in each texel at which bilinear alpha is at least ``least``."""
+    height, width = alpha.shape
+    covered = 0
+    for i in range(height * SUBGRID):
+        y = (i + 0.5) / SUBGRID - 0.5
+        i0 = int(np.floor(y))
+        v = y - i0
+        above, below = alpha[max(i0, 0)], alpha[min(i0 + 1, height - 1)]
+        for j in range(width):
+            for k in range(SUBGRID):
+                x = (k + 0.5) / SUBGRID - 0.5
+                j0 = j - 1 if x < 0.0 else j
+                u = x - (j0 - j)
+                a, b = max(j0, 0), min(j0 + 1, width - 1)
+                upper = above[a] + u * (float(above[b]) - above[a])
+                lower = below[a] + u * (float(below[b]) - below[a])
+                covered += upper + v * (lower - upper) >= least
+    return covered / (height * width * SUBGRID * SUBGRID)
+
+
+def _filled(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[np.ndarray]:
+    """Linear colour of each level, taken from the next coarser one where a texel has no alpha, coarsest last."""
+    weight = alpha[-1].sum()
+    coarser = np.broadcast_to(light[-1].sum(axis=(0, 1)) / weight if weight else np.zeros(3), light[-1].shape)
+    colours = []
+    for level, (premultiplied, share) in enumerate(zip(light[::-1], alpha[::-1], strict=True)):
+        surroundings = coarser if level == 0 else np.repeat(np.repeat(coarser, 2, axis=0), 2, axis=1)
+        bare = share[..., None] == 0.0
+        coarser = np.where(bare, surroundings, premultiplied / np.where(bare, 1.0, share[..., None]))
+        colours.append(coarser)
+    return colours[::-1]
+
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    return 0.25 * (values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2])
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.round(values * 255.0).astype(np.uint8)
+
+
+def _linear(srgb: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1."""
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055)

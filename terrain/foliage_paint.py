@@ -1,0 +1,393 @@
+"""Grows model trees out of strokes and paints them: what a tree's pictures show from the side and from straight above.
+
+A model tree stands in units of its own height: its foot at the origin, its tip at z = 1, its crown within ``radius`` of the
+stem. It is made of strokes, straight pieces with a thickness: stem, limbs, twigs, leaves, tufts of needles. Both pictures are
+orthographic views of the same strokes, so the silhouette from the side and the one from above belong to one tree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from terrain.compiled import compiled
+
+SUPERSAMPLING = 3  # samples a texel and axis
+SNAP = 2.0**-20  # heights of the tree; strokes are snapped so that the last bits of a machine's sines cannot change a picture
+OUTLIERS = (0.01, 0.001)  # share of the strokes' ends at the rim and at the top that may lie beyond the picture
+
+
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """Straight pieces with round ends: (n, 3) ends, (n, 2) radii there, (n, 3) linear albedo, all in heights of the tree."""
+
+    start: np.ndarray
+    end: np.ndarray
+    radius: np.ndarray
+    albedo: np.ndarray
+
+
+@dataclass(frozen=True)
+class Whorled:
+    """A conifer whose branches leave a straight stem in whorls; lengths in heights of the tree, slopes as rise over run.
+
+    ``slope_low`` and ``slope_high`` are the branches' slopes at the stem in the lowest and the highest whorl, ``sag`` how much
+    they droop towards the tip and ``upturn`` how much the tip rises again, ``hang`` how far twigs hang, ``gaps`` the share of
+    branches that are missing, ``fullness`` below 1 makes the outline bulge. ``twig`` is the longest twig, ``spacing`` the way
+    from one to the next and ``thickness`` half its width in needles, ``stem`` half the stem's width.
+    """
+
+    radius: float
+    crown_base: float
+    whorls: int
+    branches: int
+    slope_low: float
+    slope_high: float
+    sag: float
+    upturn: float
+    hang: float
+    gaps: float
+    fullness: float
+    twig: float
+    spacing: float
+    thickness: float
+    stem: float
+    needle_albedo: tuple[float, float, float]
+    bark_albedo: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Clumped:
+    """A tree whose limbs end in clumps of leaves or needles; lengths in heights of the tree.
+
+    ``widest`` is the share of the crown's depth, from below, at which it is widest, ``squareness`` the exponent of its
+    outline (2: an ellipse), ``inside`` how near to the stem clumps stand, ``droop`` how far sprigs hang, ``flat`` the
+    clumps' height over width, ``fork`` the height of the lowest limb, ``leaf`` a leaf's length and half its width,
+    ``stem`` half the stem's width. A clump has as many ``sprigs`` as given, a sprig as many ``leaves``.
+    """
+
+    radius: float
+    crown_base: float
+    widest: float
+    squareness: float
+    clumps: int
+    clump_radius: float
+    inside: float
+    flat: float
+    droop: float
+    sprigs: int
+    leaves: int
+    leaf: tuple[float, float]
+    fork: float
+    stem: float
+    leaf_albedo: tuple[float, float, float]
+    bark_albedo: tuple[float, float, float]
+    limb_albedo: tuple[float, float, float]
+
+
+def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The side view and the view from above of a model tree.
+
+    Returns
+    -------
+    Two float64 (size, size, 4): mean linear albedo of what is seen in a texel (0 where there is nothing) and the share of the
+    texel that it covers. The side view spans the crown's width and the tree's height, north of the tree behind it; the view
+    from above has east to the right and north up.
+    """
+    rng = np.random.default_rng(seed)
+    grown = _whorled(model, rng) if isinstance(model, Whorled) else _clumped(model, rng)
+    tree = _shaded(_fitted(grown, model.radius, size), model.radius)
+    side = _view(tree, (0, 2), (1, -1.0), (-model.radius, 0.0), (model.radius, 1.0), size)
+    above = _view(tree, (0, 1), (2, 1.0), (-model.radius, -model.radius), (model.radius, model.radius), size)
+    return side, above
+
+
+@dataclass(frozen=True, eq=False)
+class _Branches:
+    """The branches of a whorled tree: feet on the stem and level directions (n, 3), the rest (n,).
+
+    ``low`` is how low in the crown a branch stands: 1 at its base, 0 at its top.
+    """
+
+    foot: np.ndarray
+    ahead: np.ndarray
+    length: np.ndarray
+    slope: np.ndarray
+    low: np.ndarray
+
+
+def _whorled(model: Whorled, rng: np.random.Generator) -> Strokes:
+    branches = _branches(model, rng)
+    boughs, twigs = _boughs(model, branches), _twigs(model, branches, rng)
+    shoots = rng.normal(0.0, 0.003, (7, 3)) + (0.0, 0.0, 0.03)
+    leader = _needled(np.tile((0.0, 0.0, 0.965), (7, 1)), shoots, np.ones(7), model, rng)
+    return _joined(_stem(model.stem, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader)
+
+
+def _branches(model: Whorled, rng: np.random.Generator) -> _Branches:
+    whorl = np.repeat(np.arange(model.whorls), model.branches)
+    whorl = whorl[rng.random(len(whorl)) >= model.gaps]
+    n = len(whorl)
+    high = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorls, 0.0, 0.985)
+    # Each whorl is turned against the last by the golden angle, as shoots are.
+    azimuth = 2.0 * np.pi * (whorl * 0.382 + (np.arange(n) + rng.normal(0.0, 0.22, n)) / model.branches)
+    # The lowest branches of a crown are shaded, old and a little shorter than those above them.
+    outline = (1.0 - high) ** model.fullness * np.clip(0.78 + 3.0 * high, 0.0, 1.0)
+    return _Branches(
+        foot=np.outer(model.crown_base + (1.0 - model.crown_base) * high, (0.0, 0.0, 1.0)),
+        ahead=np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(n)]),
+        length=model.radius * (outline * rng.uniform(0.8, 1.05, n) + 0.012),
+        slope=model.slope_low + (model.slope_high - model.slope_low) * high + rng.normal(0.0, 0.06, n),
+        low=1.0 - high,
+    )
+
+
+def _along(model: Whorled, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Points (n, 3) at the shares ``t`` of the lengths of branches ``i``."""
+    rise = branches.slope[i] * t + branches.low[i] * (model.upturn * t**4 - model.sag * t**1.6)
+    level = branches.ahead[i] * t[:, None]
+    return branches.foot[i] + branches.length[i, None] * (level + np.outer(rise, (0.0, 0.0, 1.0)))
+
+
+def _boughs(model: Whorled, branches: _Branches) -> Strokes:
+    pieces = 6
+    i, piece = np.divmod(np.arange(len(branches.length) * pieces), pieces)
+    t0, t1 = piece / pieces, (piece + 1) / pieces
+    radius = (0.012 * branches.length[i] + 0.0006)[:, None] * (1.2 - np.column_stack([t0, t1]))
+    return _strokes(_along(model, branches, i, t0), _along(model, branches, i, t1), radius, model.bark_albedo)
+
+
+def _twigs(model: Whorled, branches: _Branches, rng: np.random.Generator) -> Strokes:
+    """Twigs to both sides of every branch: together a frond, whose longest twigs grow near the stem and whose tip is a point."""
+    pairs = np.maximum((branches.length / model.spacing).astype(int), 2)
+    i = np.repeat(np.arange(len(pairs)), 2 * pairs)
+    nth = np.arange(len(i)) - np.repeat(np.cumsum(2 * pairs) - 2 * pairs, 2 * pairs)
+    t = np.clip((nth // 2 + rng.random(len(i))) / pairs[i], 0.06, 1.0)
+    left = np.where(nth % 2 == 0, 1.0, -1.0) * rng.uniform(0.35, 1.0, len(i))
+    aside = branches.ahead[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
+    reach = np.minimum(model.twig, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
+    twig = _unit(0.75 * branches.ahead[i] + left[:, None] * aside) * reach[:, None]
+    twig[:, 2] -= reach * model.hang * rng.uniform(0.1, 1.0, len(i)) * branches.low[i]
+    # Needles near the stem are old and dull, those of the last years at the tip are fresh.
+    fresh = (0.4 + 0.8 * t) * rng.uniform(0.9, 1.1, len(pairs))[i]
+    return _needled(_along(model, branches, i, t), twig, fresh, model, rng)
+
+
+def _needled(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whorled, rng: np.random.Generator) -> Strokes:
+    """Twigs in their needles: each a tapering stroke with three side shoots, which makes its edge ragged."""
+    n, reach = len(start), np.linalg.norm(twig, axis=1, keepdims=True)
+    thick = model.thickness * rng.uniform(0.7, 1.2, n)
+    tint = _tinted(model.needle_albedo, n, rng) * fresh[:, None]
+    parts = [_strokes(start, start + twig, np.column_stack([thick, 0.55 * thick]), tint)]
+    for at in (0.3, 0.55, 0.8):
+        root = start + at * twig
+        shoot = 0.38 * twig + 0.3 * reach * rng.normal(0.0, 1.0, (n, 3)) * (1.0, 1.0, 0.6)
+        parts.append(_strokes(root, root + shoot, np.column_stack([0.75 * thick, 0.4 * thick]), tint))
+    return _joined(*parts)
+
+
+def _clumped(model: Clumped, rng: np.random.Generator) -> Strokes:
+    centre, size = _clump_centres(model, rng)
+    stem = _stem(model.stem, 0.8, 0.2 * model.stem, model.bark_albedo, model.limb_albedo, rng)
+    return _joined(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
+
+
+def _leaves(model: Clumped, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
+    # A clump is a dome of sprigs, a sprig a bunch of leaves: three scales of raggedness.
+    clump = np.repeat(np.arange(len(centre)), model.sprigs)
+    way = _unit(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
+    outward = way * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.flat)
+    sprig = centre[clump] + outward
+    sprig[:, 2] -= model.droop * np.hypot(outward[:, 0], outward[:, 1])
+    # What faces down in a clump is in its own shade.
+    shade = (0.74 + 0.52 * way[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
+    tint = _tinted(model.leaf_albedo, len(centre), rng)[clump] * shade
+
+    leaf = np.repeat(np.arange(len(clump)), model.leaves)
+    scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.droop)
+    base = sprig[leaf] + rng.normal(0.0, 1.0, (len(leaf), 3)) * scatter
+    blade = _unit(rng.normal(0.0, 0.6, (len(leaf), 3)) + way[leaf] + (0.0, 0.0, -0.9 * model.droop))
+    long, wide = np.outer(rng.uniform(0.6, 1.25, len(leaf)), model.leaf).T
+    albedo = tint[leaf] * rng.uniform(0.87, 1.13, (len(leaf), 1))
+    return _strokes(base, base + blade * long[:, None], np.column_stack([wide, 0.5 * wide]), albedo)
+
+
+def _clump_centres(model: Clumped, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (n, 3) and radii (n,) of clumps, spread evenly through the crown by Mitchell's best candidate (1991)."""
+    centre = np.empty((model.clumps, 3))
+    size = model.clump_radius * rng.uniform(0.7, 1.25, model.clumps)
+    for i in range(model.clumps):
+        tries = 14
+        share = rng.random(tries)
+        off = (share - model.widest) / np.where(share < model.widest, model.widest, 1.0 - model.widest)
+        outline = (1.0 - np.abs(off) ** model.squareness) ** (1.0 / model.squareness)
+        away = rng.uniform(model.inside, 1.0, tries) ** 0.6 * np.maximum(model.radius * outline - 0.85 * size[i], 0.0)
+        azimuth = rng.uniform(0.0, 2.0 * np.pi, tries)
+        low, high = model.crown_base + 0.6 * size[i] * model.flat, 1.0 - 0.95 * size[i] * model.flat
+        tried = np.column_stack([away * np.cos(azimuth), away * np.sin(azimuth), low + (high - low) * share])
+        apart = np.linalg.norm(tried[:, None] - centre[None, :i], axis=2).min(axis=1, initial=np.inf)
+        centre[i] = tried[np.argmax(np.where(np.isinf(apart), tried[:, 2], apart))]
+    return centre, size
+
+
+def _limbs(model: Clumped, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
+    """Limbs from the stem to every clump: each clump, the inner ones first, joins the wood that is the least way off."""
+    height = np.linspace(model.fork, 0.8, 24)
+    nodes = np.column_stack([np.zeros((24, 2)), height])
+    thick = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
+    start, end, radius = [], [], []
+    for clump in centre[np.argsort(np.linalg.norm(centre[:, :2], axis=1))]:
+        away = clump - nodes
+        run = np.hypot(away[:, 0], away[:, 1])
+        cost = np.linalg.norm(away, axis=1) + 1.5 * np.maximum(0.7 * run - away[:, 2], 0.0)  # limbs rise
+        parent = np.argmin(cost)
+        t = np.linspace(0.0, 1.0, 7)[:, None]
+        bend = nodes[parent] + 0.5 * away[parent] + (0.12 * rng.normal(0.0, 1.0, 3) + (0.0, 0.0, -0.12)) * cost[parent]
+        path = (1 - t) ** 2 * nodes[parent] + 2 * t * (1 - t) * bend + t**2 * clump
+        taper = min(0.8 * thick[parent], 0.05 * cost[parent] + 0.002) * (1.0 - 0.75 * t[:, 0])
+        start.append(path[:-1])
+        end.append(path[1:])
+        radius.append(np.column_stack([taper[:-1], taper[1:]]))
+        nodes, thick = np.vstack([nodes, path[2:6]]), np.append(thick, taper[2:6])
+    return _strokes(np.vstack(start), np.vstack(end), np.vstack(radius), model.limb_albedo)
+
+
+def _stem(radius: float, top: float, top_radius: float, low_albedo: tuple, high_albedo: tuple, rng: np.random.Generator) -> Strokes:
+    """A stem in short pieces of mottled bark, flared at the foot and nearly straight above it."""
+    pieces = 80
+    z = np.linspace(-0.02, top, pieces + 1)
+    share = np.clip(z / top, 0.0, 1.0)
+    sway = np.cumsum(rng.normal(0.0, 0.05 * radius, (pieces + 1, 2)), axis=0) * np.sin(np.pi * share)[:, None]
+    path = np.column_stack([sway, z])
+    thick = top_radius + (radius - top_radius) * (1.0 - share) + 0.3 * radius * np.exp(-np.maximum(z, 0.0) / 0.04)
+    bark = np.array(low_albedo) + np.clip(2.0 * share - 0.6, 0.0, 1.0)[:, None] * (np.array(high_albedo) - np.array(low_albedo))
+    core = _strokes(path[:-1], path[1:], np.column_stack([thick[:-1], thick[1:]]), bark[:-1])
+    # Furrows and plates: short strokes up the bark's surface.
+    at, turn = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
+    foot = path[at] + np.column_stack([np.cos(turn), np.sin(turn), np.zeros(900)]) * (0.97 * thick[at])[:, None]
+    plate = np.outer(rng.uniform(0.003, 0.012, 900), (0.0, 0.0, 1.0))
+    shade = bark[at] * rng.uniform(0.5, 1.25, (900, 1))
+    return _joined(core, _strokes(foot, foot + plate, np.outer(0.09 * thick[at], (1.0, 1.0)), shade))
+
+
+def _tinted(albedo: tuple[float, float, float], n: int, rng: np.random.Generator) -> np.ndarray:
+    """``n`` variants of a green: lighter or darker, yellower or bluer."""
+    warm = rng.normal(0.0, 0.035, n)
+    return np.array(albedo) * np.column_stack([1.0 + warm, np.ones(n), 1.0 - warm]) * rng.uniform(0.82, 1.18, (n, 1))
+
+
+def _shaded(tree: Strokes, radius: float) -> Strokes:
+    """The strokes' albedo darkened where little sky reaches into the crown, by Beer's law through the strokes' own density.
+
+    Light that bounces between leaves is lost to a renderer that lights one flat picture; without this a crown has no depth.
+    """
+    cells = 48  # an axis of the box
+    middle = 0.5 * (tree.start + tree.end)
+    shape = np.array([2.0 * radius, 2.0 * radius, 1.0])
+    cell = np.clip(((middle / shape + (0.5, 0.5, 0.0)) * cells).astype(int), 0, cells - 1)
+    silhouette = 2.0 * tree.radius.mean(axis=1) * np.linalg.norm(tree.end - tree.start, axis=1)
+    flat = np.ravel_multi_index(tuple(cell.T), (cells,) * 3)
+    area = np.bincount(flat, silhouette, cells**3).reshape((cells,) * 3)
+    ways = [(2, True, shape[0] * shape[1], 0.36)] + [(axis, back, shape[0], 0.16) for axis in (0, 1) for back in (True, False)]
+    light = np.zeros_like(area)
+    for axis, back, face, weight in ways:
+        path = np.flip(np.cumsum(np.flip(area, axis), axis), axis) if back else np.cumsum(area, axis)
+        light += weight * np.exp(-0.9 * gaussian_filter(path - 0.5 * area, 0.7, mode="nearest") * cells**2 / face)
+    open_sky = light[tuple(cell.T)][:, None]
+    # Leaves in the open are also a little yellower than those that grow in the shade.
+    return replace(tree, albedo=tree.albedo * (0.36 + 1.15 * open_sky) * (1.0 + (open_sky - 0.5) * (0.14, 0.0, -0.14)))
+
+
+def _fitted(tree: Strokes, radius: float, size: int) -> Strokes:
+    """The tree scaled about its stem so that it fills its box, but for the outermost texels.
+
+    The few strokes that reach beyond the bulk of the others are left out.
+    """
+    ends, thick = np.stack([tree.start, tree.end]), tree.radius.T
+    reach = np.hypot(ends[..., 0], ends[..., 1])
+    rim = radius * (1.0 - 1.2 / size)
+    top = 1.0 - 0.6 / size
+    outer, upper = reach > 0.5 * radius, ends[..., 2] > 0.9
+    wide = np.quantile((rim - thick[outer]) / reach[outer], OUTLIERS[0])
+    tall = np.quantile((top - thick[upper]) / ends[upper, 2], OUTLIERS[1])
+    start, end = np.round(ends * (wide, wide, tall) / SNAP) * SNAP
+    kept = ((wide * reach + thick <= rim) & (tall * ends[..., 2] + thick <= top)).all(axis=0)
+    return Strokes(start[kept], end[kept], np.round(tree.radius[kept] / SNAP) * SNAP, tree.albedo[kept])
+
+
+def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: tuple, high: tuple, size: int) -> np.ndarray:
+    """An orthographic picture: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
+    across, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
+    start, end = tree.start[:, across] * sign, tree.end[:, across] * sign
+    step = (np.array(high) - np.array(low)) / (size * SUPERSAMPLING)
+    thick = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # nothing is thinner than a texel is narrow
+    front = np.maximum(start[:, 2], end[:, 2]) + thick.max(axis=1)
+    order = np.argsort(-front, kind="stable")  # from the front, so that most of what is hidden is passed over
+    seen = _nearest(start[order], end[order], thick[order], front[order], *low, *step, size * SUPERSAMPLING)
+    return _texels(seen, tree.albedo[order], SUPERSAMPLING)
+
+
+@compiled
+def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
+    """(size, size) index of the stroke nearest to the viewer in each sample, -1 where there is none; row 0 at the top."""
+    seen = np.full((size, size), -1, dtype=np.int32)
+    nearest = np.full((size, size), -np.inf)
+    for k in range(len(start)):
+        ax, ay, az = start[k]
+        dx, dy, dz = end[k] - start[k]
+        r0, r1 = radius[k]
+        widest = max(r0, r1)
+        per_square = 1.0 / max(dx * dx + dy * dy, 1e-18)
+        j0 = max(int((min(ax, ax + dx) - widest - left) / step_x), 0)
+        j1 = min(int((max(ax, ax + dx) + widest - left) / step_x) + 1, size)
+        i0 = max(size - 1 - int((max(ay, ay + dy) + widest - bottom) / step_y), 0)
+        i1 = min(size - int((min(ay, ay + dy) - widest - bottom) / step_y), size)
+        for i in range(i0, i1):
+            y = bottom + (size - i - 0.5) * step_y - ay
+            for j in range(j0, j1):
+                if nearest[i, j] >= front[k]:
+                    continue
+                x = left + (j + 0.5) * step_x - ax
+                t = min(max((x * dx + y * dy) * per_square, 0.0), 1.0)
+                r = r0 + t * (r1 - r0)
+                off_x, off_y = x - t * dx, y - t * dy
+                bulge = r * r - off_x * off_x - off_y * off_y
+                if bulge >= 0.0:
+                    depth = az + t * dz + np.sqrt(bulge)
+                    if depth > nearest[i, j]:
+                        nearest[i, j] = depth
+                        seen[i, j] = k
+    return seen
+
+
+@compiled
+def _texels(seen, albedo, samples):
+    """Mean albedo of what is seen in each texel of ``samples`` x ``samples``, and its share of the texel."""
+    size = len(seen) // samples
+    rgba = np.zeros((size, size, 4))
+    for i in range(size * samples):
+        for j in range(size * samples):
+            if seen[i, j] >= 0:
+                texel = rgba[i // samples, j // samples]
+                for c in range(3):
+                    texel[c] += albedo[seen[i, j], c]
+                texel[3] += 1.0
+    for row in rgba:
+        for texel in row:
+            texel[:3] /= max(texel[3], 1.0)
+            texel[3] /= samples * samples
+    return rgba
+
+
+def _strokes(start: np.ndarray, end: np.ndarray, radius: np.ndarray, albedo) -> Strokes:
+    return Strokes(start, end, radius, np.broadcast_to(np.asarray(albedo, dtype=np.float64), start.shape))
+
+
+def _joined(*parts: Strokes) -> Strokes:
+    return Strokes(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("start", "end", "radius", "albedo")))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

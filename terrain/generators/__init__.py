@@ -1,0 +1,28 @@
+"""Meshes that are made, not read: test scenes for shadows, each a list of closed bodies in metres east, north and up.
+
+Five scenes follow the descriptions, not the models, of J. Sindholt, *A comparison of Shadow Algorithms* (DTU 2005,
+section 7), with its numbers of triangles; ``tetrahedra`` and ``wood_hill`` belong to a landscape as in the GIS of that time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from terrain.body import Body
+from terrain.generators.boxgrid import boxgrid
+from terrain.generators.landmarks import tetrahedra, wood_hill
+from terrain.generators.rocks import rocks
+from terrain.generators.room import room
+from terrain.generators.street import street
+from terrain.generators.water_tower import water_tower
+
+GENERATORS: dict[str, Callable[[], list[Body]]] = {
+    "boxgrid": boxgrid,
+    "rocks": rocks,
+    "street": street,
+    "room": room,
+    "water_tower": water_tower,
+    "tetrahedra": tetrahedra,
+    "wood_hill": wood_hill,
+}
+"""Scene name -> its bodies; the same ones at every call. Heights count from the ground it stands on."""

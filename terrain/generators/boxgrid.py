@@ -1,0 +1,27 @@
+"""A cube of a thousand hovering boxes: as many silhouettes, and shadows upon shadows, as 12,000 triangles can give."""
+
+from __future__ import annotations
+
+from itertools import product
+
+from terrain.body import Body
+from terrain.generators.shapes import cuboid
+
+COUNT = 10
+PITCH_M = 3.0
+SIDE_M = 0.9
+LOWEST_M = 12.0
+
+LOW_COLOR, HIGH_COLOR = (0.62, 0.33, 0.22), (0.90, 0.80, 0.66)
+
+
+def boxgrid() -> list[Body]:
+    """10 x 10 x 10 boxes, 12 triangles each: terracotta at the bottom to sand at the top."""
+    first = -PITCH_M * (COUNT - 1) / 2
+    bodies = []
+    for layer, row, col in product(range(COUNT), repeat=3):
+        low = (first + col * PITCH_M - SIDE_M / 2, first + row * PITCH_M - SIDE_M / 2, LOWEST_M + layer * PITCH_M)
+        share = layer / (COUNT - 1)
+        color = tuple(a + (b - a) * share for a, b in zip(LOW_COLOR, HIGH_COLOR, strict=True))
+        bodies.append(cuboid(low, tuple(v + SIDE_M for v in low), color))  # type: ignore[arg-type]
+    return bodies

@@ -1,0 +1,41 @@
+"""Two landmarks of a landscape: a turning figure, and the body of a wood for trees to be planted round and in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.body import Body
+from terrain.generators.shapes import hull
+
+FIGURE_M = 30.0
+HOVER_M = 3.0
+TOUCH_M = 1.5
+"""How far the figure's tips run into each other."""
+
+WOOD_M = (170.0, 110.0)
+WOOD_HEIGHT_M, WOOD_FOOTING_M = 13.0, 15.0
+"""Above the ground, and below it, so that no gap opens on a slope."""
+
+WOOD_CORNERS = 11
+
+
+def tetrahedra() -> list[Body]:
+    """Two regular tetrahedra tip to tip, 30 m high, hovering: the upper one is the lower upside down."""
+    height = FIGURE_M / 2 + TOUCH_M / 2
+    radius = height / np.sqrt(2)  # from a face's middle to its corners
+    turn = np.radians([90, 210, 330])
+    foot = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(3)])
+    lower = np.vstack([foot, [0, 0, height]])
+    upper = [0, 0, FIGURE_M] - lower
+    return [hull(lower + [0, 0, HOVER_M], (0.72, 0.30, 0.22)), hull(upper + [0, 0, HOVER_M], (0.25, 0.42, 0.62))]
+
+
+def wood_hill() -> list[Body]:
+    """A wood as one convex body, 170 m long and 13 m high: eleven uneven sides that lean in, and a vaulted top."""
+    rng = np.random.default_rng(7)
+    turn = 2 * np.pi * (np.arange(WOOD_CORNERS) + rng.uniform(-0.2, 0.2, WOOD_CORNERS)) / WOOD_CORNERS
+    rim = np.column_stack([np.cos(turn), np.sin(turn)]) * np.array(WOOD_M) / 2
+    top = WOOD_HEIGHT_M
+    rings = [(1.0, -WOOD_FOOTING_M), (1.0, 0.0), (0.93, 0.72 * top), (0.55, 0.96 * top)]
+    points = [np.column_stack([rim * share, np.full(WOOD_CORNERS, up)]) for share, up in rings]
+    return [hull(np.vstack([*points, [[0, 0, top]]]), (0.24, 0.33, 0.17))]

@@ -1,0 +1,124 @@
+"""A living room half under a lattice: light falls in through slats, a window and an open front."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from terrain.body import Body, moved
+from terrain.generators import furniture as made
+from terrain.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
+from terrain.generators.shapes import cuboid, loft, tube, wall
+
+HALF_EAST_M, HALF_NORTH_M, HIGH_M = 4.0, 3.0, 3.0
+WALL_M = 0.25
+LATTICE_NORTH_M = 1.5
+"""North of this line the ceiling is solid."""
+
+WINDOW_M, DOOR_M = (1.7, 0.8, 4.1, 2.4), (1.0, 0.0, 1.9, 2.15)
+"""From, sill, to and head: the window counts from the west wall's south end, the door from the north wall's west end."""
+
+BEAMS_M = (-1.9, 0.2, 2.3)
+TABLE_AT_M = (0.2, -0.75)
+
+PLASTER, RUG = (0.88, 0.85, 0.79), (0.60, 0.38, 0.32)
+
+
+def room() -> list[Body]:
+    """Walls, lattice and furniture: some 19,000 triangles."""
+    return [*_walls(), *_ceiling(), *_window(), *_curtains(), *_furniture()]
+
+
+def _walls() -> list[Body]:
+    """West with a window, north with a door, east closed, south open between slender posts."""
+    e, n, t = HALF_EAST_M, HALF_NORTH_M, WALL_M
+    past = t + 0.02  # the side walls end a little beyond the north wall, which runs into them
+    west = _pierced(2 * n + past, WINDOW_M)
+    north = _pierced(2 * e + 0.2, DOOR_M)
+    posts = [cuboid((x - 0.06, -n + 0.02, 0.0), (x + 0.06, -n + 0.14, 2.75), OAK) for x in (-1.35, 1.35)]
+    return [
+        wall(west, (-e, -n), (-e, n + past), t, PLASTER),
+        wall(north, (-e - 0.1, n), (e + 0.1, n), t, PLASTER),
+        cuboid((e, -n, 0.0), (e + t, n + past, HIGH_M), PLASTER),
+        *posts,
+    ]
+
+
+def _pierced(length_m: float, opening: tuple[float, float, float, float]) -> shapely.Polygon:
+    """A wall's elevation with a rectangular opening (from, sill, to, head)."""
+    return shapely.difference(shapely.box(0.0, 0.0, length_m, HIGH_M), shapely.box(*opening))
+
+
+def _ceiling() -> list[Body]:
+    """A slab in the north; beams, slats across them and laths across these in the south."""
+    e, n, edge = HALF_EAST_M, HALF_NORTH_M, LATTICE_NORTH_M
+    slab = cuboid((-e - 0.35, edge, HIGH_M - 0.02), (e + 0.35, n + 0.4, HIGH_M + 0.2), PLASTER)
+    front = cuboid((-e - 0.1, -n, HIGH_M - 0.3), (e + 0.1, -n + 0.16, HIGH_M - 0.08), OAK)
+    beams = [cuboid((x - 0.05, -n - 0.4, HIGH_M - 0.12), (x + 0.05, edge + 0.1, HIGH_M + 0.06), OAK) for x in BEAMS_M]
+    slats = [cuboid((-e - 0.3, y, HIGH_M + 0.04), (e + 0.3, y + 0.05, HIGH_M + 0.16), OAK) for y in np.arange(-n - 0.3, edge, 0.25)]
+    laths = [cuboid((x, -n - 0.35, HIGH_M + 0.14), (x + 0.035, edge + 0.02, HIGH_M + 0.18), OAK) for x in np.arange(-e, e, 0.25)]
+    return [slab, front, *beams, *slats, *laths]
+
+
+def _window() -> list[Body]:
+    """Frame and glazing bars of the west window, and its sill."""
+    first, low, last, high = WINDOW_M
+    south, north, east = first - HALF_NORTH_M, last - HALF_NORTH_M, -HALF_EAST_M - 0.1
+    bars = [
+        cuboid((east - 0.06, y - 0.03, low), (east, y + 0.03, high), PAINT)
+        for y in (south + 0.02, (south + north) / 2, north - 0.02)
+    ]
+    thin = [cuboid((east - 0.045, y - 0.012, low), (east - 0.015, y + 0.012, high), PAINT) for y in (south + 0.6, north - 0.6)]
+    rails = [cuboid((east - 0.06, south, up - 0.03), (east, north, up + 0.03), PAINT) for up in (low + 0.02, high - 0.02)]
+    cross = [cuboid((east - 0.045, south, up - 0.012), (east - 0.015, north, up + 0.012), PAINT) for up in (low + 0.55, low + 1.07)]
+    sill = cuboid((east - 0.02, south - 0.05, low - 0.03), (-HALF_EAST_M + 0.08, north + 0.05, low + 0.01), OAK)
+    return [*bars, *thin, *rails, *cross, sill]
+
+
+def _curtains() -> list[Body]:
+    """A curtain in folds on either side of the window, on a rod."""
+    y = np.linspace(0.0, 0.55, 36)
+    fold = 0.04 * np.sin(y * 2 * np.pi / 0.11)
+    section = [(-0.006, 0.06), (-0.006, 2.62), (0.006, 2.62), (0.006, 0.06)]
+    curtain = loft(np.stack([np.column_stack([fold + out, y, np.full(len(y), up)]) for out, up in section], axis=1), LINEN)
+    first, _, last, _ = WINDOW_M
+    ends = (first - HALF_NORTH_M - 0.5, last - HALF_NORTH_M - 0.05)
+    hung = [moved(curtain, (-HALF_EAST_M + 0.1, y, 0.0)) for y in ends]
+    return [*hung, tube([(-HALF_EAST_M + 0.1, ends[0] - 0.1, 2.62), (-HALF_EAST_M + 0.1, ends[1] + 0.65, 2.62)], 0.018, 10, BRASS)]
+
+
+def _furniture() -> list[Body]:
+    """The dining place on its rug, the sofa, the shelf, a bench with vases, pictures and plants."""
+    x, y = TABLE_AT_M
+    pile = 0.012
+    chairs = [(-0.5, 0.62, 4), (0.52, 0.66, -7), (-0.48, -0.64, 176), (0.5, -0.72, 190), (1.32, 0.02, -92), (-1.36, -0.04, 81)]
+    groups = [
+        _at(made.dining_table(), x, y, pile),
+        _at(made.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_M),
+        _at([made.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_M),
+        _at(made.pendant(HIGH_M - 1.72), x, y, 1.65),
+        *(_at(made.chair(), x + east, y + north, pile, turn) for east, north, turn in chairs),
+        _at(made.bookshelf(), 1.7, HALF_NORTH_M - 0.32),
+        _at(made.sofa(), HALF_EAST_M - 0.5, -0.5, turn=-90.0),
+        _at(made.plant(26, 1.5, 3), 3.4, 1.5),
+        _at(made.plant(20, 1.15, 4), -3.45, -2.3),
+        _at([made.vase(0.5, GLAZE)], -3.78, -0.5, 0.5),
+        _at([made.vase(0.36, PAINT)], -3.8, 0.1, 0.5),
+        _at([made.vase(0.62, CLAY)], -3.76, 0.65, 0.5),
+    ]
+    rug = cuboid((x - 1.75, y - 1.25, 0.0), (x + 1.75, y + 1.25, pile), RUG)
+    bench = [cuboid((-3.98, -1.0, 0.44), (-3.58, 1.0, 0.5), OAK)]
+    bench += [cuboid((-3.96, north - 0.03, 0.0), (-3.6, north + 0.03, 0.45), OAK) for north in (-0.85, 0.85)]
+    pictures = []
+    for east, low, wide, tall, color in (
+        (-1.75, 1.25, 0.7, 0.9, GLAZE),
+        (-0.85, 1.4, 0.5, 0.65, CLAY),
+        (-0.2, 1.3, 0.45, 0.8, LINEN),
+    ):
+        pictures.append(cuboid((east, 2.965, low), (east + wide, 3.01, low + tall), WALNUT))
+        pictures.append(cuboid((east + 0.04, 2.955, low + 0.04), (east + wide - 0.04, 2.97, low + tall - 0.04), color))
+    return [rug, *bench, *pictures, *(body for group in groups for body in group)]
+
+
+def _at(bodies: list[Body], east: float, north: float, up: float = 0.0, turn: float = 0.0) -> list[Body]:
+    return [moved(body, (east, north, up), turn) for body in bodies]

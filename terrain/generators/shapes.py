@@ -1,0 +1,185 @@
+"""Closed shapes that the test scenes are put together from. Metres; every triangle is counter-clockwise from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+import trimesh
+from scipy.spatial import ConvexHull
+
+from terrain.body import Body, box, srgb_albedo
+
+Vector = tuple[float, float, float]
+Colour = tuple[float, float, float]
+
+
+def solid(vertices_m: np.ndarray, triangles: np.ndarray, color: Colour) -> Body:
+    """A body of one sRGB colour from (n, 3) vertices and (m, 3) triangles."""
+    return Body(vertices_m, triangles, srgb_albedo(color))
+
+
+def cuboid(low: Vector, high: Vector, color: Colour) -> Body:
+    """A box from its lowest to its highest corner: 12 triangles."""
+    return box(np.subtract(high, low), np.add(low, high) / 2, srgb_albedo(color))
+
+
+def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
+    """The convex hull of n points that are all its corners: 2 n - 4 triangles."""
+    points = np.asarray(points_m, np.float64)
+    found = ConvexHull(points, qhull_options="Qt")
+    triangles = found.simplices.copy()
+    corner = points[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    inward = np.einsum("ij,ij->i", normal, found.equations[:, :3]) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return solid(points, triangles, color)
+
+
+def gable(low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, color: Colour) -> Body:
+    """A roof over a rectangle, its ridge along the longer side: a prism of 8 triangles."""
+    (x0, y0), (x1, y1) = low, high
+    corners = [(x, y, eaves) for x in (x0, x1) for y in (y0, y1)]
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    ends = [(x, y0, ridge), (x, y1, ridge)] if y1 - y0 > x1 - x0 else [(x0, y, ridge), (x1, y, ridge)]
+    return hull(corners + ends, color)
+
+
+def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides: int, color: Colour) -> Body:
+    """A round bar along an open path of k points, its ends flat: 2 k ``sides`` triangles.
+
+    ``radius_m`` is one for all points or one for each. The cross-sections are turned as little as possible from one to
+    the next.
+    """
+    path = np.asarray(path_m, np.float64)
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    radius = np.broadcast_to(np.asarray(radius_m, np.float64), len(path))
+    turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    across = np.eye(3)[np.argmin(np.abs(along[0]))]
+    loops = []
+    for point, tangent, r in zip(path, along, radius, strict=True):
+        across = across - tangent * (across @ tangent)
+        across /= np.linalg.norm(across)
+        other = np.cross(tangent, across)
+        loops.append(point + r * (np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * other))
+    return solid(*_lofted(np.array(loops), path[0], path[-1]), color)
+
+
+def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour, centre: Vector = (0, 0, 0)) -> Body:
+    """A solid of revolution about the up axis through ``centre``: 2 (k - 2) ``sides`` triangles for a profile of k points.
+
+    The profile (radius, height) starts and ends on the axis and has the outside at its right hand.
+    """
+    profile = np.asarray(profile_m, np.float64)
+    ends = np.array([[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]])
+    vertices, triangles = _lofted(_turned(profile[1:-1], sides), *ends)
+    return solid(vertices + np.asarray(centre), triangles, color)
+
+
+def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour, centre: Vector = (0, 0, 0)) -> Body:
+    """A ring about the up axis through ``centre``: 2 k ``sides`` triangles for a section (radius, height) of k points,
+    counter-clockwise and off the axis."""
+    loops = _turned(np.asarray(section_m, np.float64), sides)
+    k = len(loops)
+    here, there = np.arange(k), np.roll(np.arange(k), -1)
+    return solid(loops.reshape(-1, 3) + np.asarray(centre), _walls(here, there, sides), color)
+
+
+def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> Body:
+    """A flat slab over an outline (east, north) that may have holes, from one height to another."""
+    slab = trimesh.creation.extrude_polygon(outline, high - low, engine="earcut")
+    return solid(slab.vertices + [0, 0, low], slab.faces, color)
+
+
+def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thick: float, color: Colour) -> Body:
+    """An upright slab: its elevation (metres along from ``start``, metres up), holes and all, to the left of start -> end."""
+    slab = plate(elevation, 0.0, thick, color)
+    along = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
+    # along, up, and outwards of the elevation's face: right-handed, so that triangles stay counter-clockwise
+    axes = np.array([[along[0], along[1], 0], [0, 0, 1], [along[1], -along[0], 0]])
+    left = np.array([-along[1], along[0], 0]) * thick
+    return solid(slab.vertices_m @ axes + [start[0], start[1], 0] + left, slab.triangles, color)
+
+
+def block(size_m: Vector, cells: tuple[int, int, int], color: Colour, power: float = 8.0) -> Body:
+    """A rounded box with its middle at the origin: 4 (a b + b c + c a) triangles for a x b x c ``cells``.
+
+    A superellipsoid of exponent ``power``: the higher, the sharper the edges.
+    """
+    points, triangles = cell_box(cells)
+    return solid(rounded(points, power) * np.asarray(size_m) / 2, triangles, color)
+
+
+def rounded(points: np.ndarray, power: float) -> np.ndarray:
+    """Points (n, 3) of cubes about the origin moved onto superellipsoids of an exponent, towards the middle."""
+    longest = np.abs(points).max(axis=1, keepdims=True)
+    length = (np.abs(points) ** power).sum(axis=1, keepdims=True) ** (1 / power)
+    return points * longest / np.maximum(length, 1e-12)
+
+
+def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The surface of the cube [-1, 1]^3 cut into cells: vertices (n, 3), each once, and triangles (m, 3)."""
+    steps = np.asarray(cells)
+    quads = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        i, j = (grid.ravel() for grid in np.meshgrid(np.arange(steps[u]), np.arange(steps[v]), indexing="ij"))
+        for side in (0, steps[axis]):
+            square = np.empty((len(i), 4, 3), int)
+            square[..., axis] = side
+            square[..., u] = np.stack([i, i + 1, i + 1, i], axis=1)
+            square[..., v] = np.stack([j, j, j + 1, j + 1], axis=1)
+            quads.append(square if side else square[:, ::-1])
+    square = np.concatenate(quads)
+    nodes, index = np.unique(square.reshape(-1, 3), axis=0, return_inverse=True)
+    index = index.reshape(-1, 4)
+    return 2.0 * nodes / steps - 1.0, np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])
+
+
+def loft(loops_m: np.ndarray, color: Colour) -> Body:
+    """A skin over closed loops (k, sides, 3), each counter-clockwise seen from the next: 2 k ``sides`` triangles."""
+    loops = np.asarray(loops_m, np.float64)
+    return solid(*_lofted(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
+
+
+def arc(centre: Vector, radius: float, first_deg: float, last_deg: float, points: int) -> np.ndarray:
+    """Points (n, 3) on a level circle, counter-clockwise from east."""
+    turn = np.radians(np.linspace(first_deg, last_deg, points))
+    return np.asarray(centre) + radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=1)
+
+
+def circle(centre: tuple[float, float], radius: float, points: int) -> list[tuple[float, float]]:
+    """A closed section (radius, height) for ``ring``, counter-clockwise."""
+    turn = 2 * np.pi * np.arange(points) / points
+    return [(centre[0] + radius * np.cos(t), centre[1] + radius * np.sin(t)) for t in turn]
+
+
+def _turned(profile: np.ndarray, sides: int) -> np.ndarray:
+    """Loops (k, sides, 3) of profile points (k, 2) about the up axis."""
+    turn = 2 * np.pi * np.arange(sides) / sides
+    around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    flat = profile[:, None, :1] * around
+    return np.concatenate([flat, np.broadcast_to(profile[:, None, 1:], (*flat.shape[:2], 1))], axis=2)
+
+
+def _lofted(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of loops (k, sides, 3), one after the other, closed by fans about a first and a last point."""
+    k, sides = loops.shape[:2]
+    j = np.arange(sides)
+    on = (j + 1) % sides
+    bottom, top = k * sides, k * sides + 1
+    fans = [
+        np.stack([np.full(sides, bottom), on, j], axis=1),
+        np.stack([np.full(sides, top), bottom - sides + j, bottom - sides + on], axis=1),
+    ]
+    walls = _walls(np.arange(k - 1), np.arange(1, k), sides)
+    return np.concatenate([loops.reshape(-1, 3), [first, last]]), np.concatenate([walls, *fans])
+
+
+def _walls(here: np.ndarray, there: np.ndarray, sides: int) -> np.ndarray:
+    """Triangles between loops ``here`` and ``there``, two per side."""
+    j = np.arange(sides)
+    on = (j + 1) % sides
+    a, b = here[:, None] * sides + j, here[:, None] * sides + on
+    c, d = there[:, None] * sides + on, there[:, None] * sides + j
+    return np.concatenate([np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)])

@@ -1,0 +1,82 @@
+"""A village street of 400 triangles: gabled houses on either side, a church at the end."""
+
+from __future__ import annotations
+
+from terrain.body import Body, moved
+from terrain.generators.shapes import Colour, cuboid, gable, hull
+
+PLASTER = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.52, 0.42), (0.88, 0.86, 0.80))
+TILES, SLATE, BRICK = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)
+STONE, WOOD, HEDGE, IRON = (0.70, 0.68, 0.63), (0.46, 0.35, 0.24), (0.28, 0.38, 0.20), (0.25, 0.26, 0.27)
+
+EAVES_M = 0.45
+"""How far roofs reach beyond walls."""
+
+FRONT_M = 5.5
+"""From the middle of the street to the houses."""
+
+# Side of the street (1: east), place along it, set back, width along the street, depth, eaves, ridge, a chimney or none.
+HOUSES = (
+    (-1, -34.0, 0.0, 10.0, 8.0, 5.6, 9.4, True),
+    (-1, -21.5, 1.5, 8.0, 9.5, 3.4, 7.9, True),
+    (-1, -9.0, 0.0, 11.5, 8.0, 6.0, 9.8, True),
+    (-1, 5.5, 0.8, 9.0, 8.5, 3.6, 7.6, False),
+    (-1, 19.0, 0.0, 12.0, 8.5, 5.8, 9.6, True),
+    (1, -35.0, 1.2, 9.0, 9.0, 3.5, 7.6, False),
+    (1, -22.0, 0.0, 11.0, 8.0, 5.9, 9.6, True),
+    (1, -8.5, 2.0, 8.5, 10.0, 3.3, 8.0, True),
+    (1, 4.5, 0.0, 11.0, 8.0, 6.2, 10.0, True),
+    (1, 18.0, 0.6, 9.0, 9.0, 3.8, 7.8, False),
+)
+
+
+def street() -> list[Body]:
+    """Ten houses, seven chimneys, a church and things that stand about: 400 triangles."""
+    bodies = []
+    for number, (side, along, back, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
+        near = FRONT_M + back
+        low, high = sorted((side * near, side * (near + depth)))
+        roof = TILES if number % 3 else SLATE
+        bodies += _house((low, along - width / 2), (high, along + width / 2), eaves, ridge, PLASTER[number % len(PLASTER)], roof)
+        if chimney:
+            east, north = (low + high) / 2 - side * 0.9, along + (number % 2 - 0.5) * width * 0.55
+            bodies.append(cuboid((east - 0.45, north - 0.35, eaves), (east + 0.45, north + 0.35, ridge + 1.0), BRICK))
+    return bodies + _church() + _furniture()
+
+
+def _house(
+    low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, walls: Colour, roof: Colour
+) -> list[Body]:
+    """Walls and, over them, a gabled roof whose eaves stand out: 20 triangles."""
+    out = EAVES_M
+    return [
+        cuboid((*low, 0.0), (*high, eaves + 0.1), walls),
+        gable((low[0] - out, low[1] - out), (high[0] + out, high[1] + out), eaves, ridge, roof),
+    ]
+
+
+def _church() -> list[Body]:
+    """Nave, tower and spire across the street's end: 38 triangles."""
+    nave = _house((-5.0, 42.0), (5.0, 60.0), 7.0, 13.0, PLASTER[4], SLATE)
+    tower = cuboid((-2.6, 37.6, 0.0), (2.6, 42.8, 16.0), PLASTER[4])
+    return [*nave, tower, _pyramid((0.0, 40.2), 3.0, 15.8, 27.0, SLATE)]
+
+
+def _furniture() -> list[Body]:
+    """A well house, lamps, a hedge and a bench: 78 triangles."""
+    lamp = cuboid((-0.09, -0.09, 0.0), (0.09, 0.09, 4.6), IRON)
+    bench = cuboid((-0.3, -1.1, 0.0), (0.3, 1.1, 0.5), WOOD)
+    return [
+        cuboid((-1.1, 29.4, 0.0), (1.1, 31.6, 2.3), STONE),
+        _pyramid((0.0, 30.5), 1.6, 2.25, 4.0, TILES),
+        moved(lamp, (-4.2, -15.0, 0.0)),
+        moved(lamp, (4.2, -1.5, 0.0)),
+        cuboid((4.6, -31.0, 0.0), (5.4, -28.2, 1.3), HEDGE),
+        moved(bench, (-4.6, 9.4, 0.0)),
+        moved(lamp, (-4.2, 12.0, 0.0)),
+    ]
+
+
+def _pyramid(middle: tuple[float, float], half: float, foot: float, top: float, color: Colour) -> Body:
+    corners = [(middle[0] + i * half, middle[1] + j * half, foot) for i in (-1, 1) for j in (-1, 1)]
+    return hull([*corners, (*middle, top)], color)

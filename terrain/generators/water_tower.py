@@ -1,0 +1,119 @@
+"""A water tower on six braced legs: a large round shadow beside very fine ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.body import Body, moved
+from terrain.generators.shapes import arc, circle, hull, lathe, ring, tube
+
+LEGS = 6
+FOOT_RADIUS_M, HEAD_RADIUS_M = 8.0, 5.75
+TANK_RADIUS_M = 6.0
+GALLERY_M = 24.0
+"""Height of the gallery, where the tank's wall begins and the legs end."""
+
+TIERS_M = (0.9, 8.6, 16.3, 23.2)
+"""Heights of the joints of the braces: the lowest on the footings."""
+
+RUNG_M = 0.36
+CAGE_FROM_M, CAGE_RADIUS_M = 2.6, 0.4
+
+STEEL, PAINT, ROOF, CONCRETE = (0.42, 0.47, 0.49), (0.80, 0.83, 0.82), (0.55, 0.31, 0.26), (0.68, 0.67, 0.64)
+
+
+def water_tower() -> list[Body]:
+    """Tank, gallery, legs, braces and ladder, 37 m high: some 12,500 triangles."""
+    return [*_tank(), *_gallery(), *_legs(), *_braces(), *_ladder()]
+
+
+def _tank() -> list[Body]:
+    """A bowl and a wall under a conical roof; the riser pipe comes up in the middle."""
+    fall = np.radians(np.linspace(0, 90, 13))
+    bowl = [(TANK_RADIUS_M * np.sin(t), GALLERY_M - 4.2 * np.cos(t)) for t in fall]
+    wall_top = GALLERY_M + 6.4
+    eaves = TANK_RADIUS_M + 0.45
+    roof = [(0.0, wall_top - 0.1), (eaves - 0.1, wall_top - 0.1), (eaves, wall_top), (eaves, wall_top + 0.12)]
+    cone = [(eaves * (1 - s) + 0.5 * s, wall_top + 0.12 + 3.6 * s) for s in (0.25, 0.5, 0.75, 1.0)]
+    cap = [
+        (0.5, wall_top + 4.3),
+        (0.62, wall_top + 4.35),
+        (0.3, wall_top + 4.8),
+        (0.06, wall_top + 5.0),
+        (0.05, wall_top + 6.6),
+        (0.0, wall_top + 6.6),
+    ]
+    return [
+        lathe([*bowl, (TANK_RADIUS_M, wall_top), (0.0, wall_top)], 64, PAINT),
+        lathe([*roof, *cone, *cap], 64, ROOF),
+        lathe([(0.0, 0.0), (1.1, 0.0), (1.1, 0.5), (0.55, 0.7), (0.55, GALLERY_M - 4.0), (0.0, GALLERY_M - 4.0)], 24, PAINT),
+    ]
+
+
+def _gallery() -> list[Body]:
+    """A walkway round the tank with a railing of three bars."""
+    inner, outer = TANK_RADIUS_M - 0.1, TANK_RADIUS_M + 1.1
+    floor = [(inner, GALLERY_M - 0.07), (outer, GALLERY_M - 0.07), (outer, GALLERY_M + 0.07), (inner, GALLERY_M + 0.07)]
+    bars = [ring(circle((outer - 0.08, GALLERY_M + up), 0.03, 6), 64, STEEL) for up in (0.42, 0.77, 1.12)]
+    posts = [
+        tube([(*_at(outer - 0.08, turn), GALLERY_M), (*_at(outer - 0.08, turn), GALLERY_M + 1.13)], 0.04, 6, STEEL)
+        for turn in range(0, 360, 10)
+    ]
+    return [ring(floor, 64, STEEL), *bars, *posts]
+
+
+def _legs() -> list[Body]:
+    """Legs that lean in, each on a footing and against the tank's wall."""
+    foot = np.array([(i * s, j * s, up) for s, up in ((0.95, 0.0), (0.6, 0.9)) for i in (-1, 1) for j in (-1, 1)])
+    bodies = []
+    for turn in _turns():
+        bodies.append(moved(moved(hull(foot, CONCRETE), (FOOT_RADIUS_M, 0.0, 0.0)), turn_deg=turn))
+        bodies.append(tube([_on_leg(0.5, turn), _on_leg(GALLERY_M + 1.0, turn)], [0.34, 0.26], 16, STEEL))
+    return bodies
+
+
+def _braces() -> list[Body]:
+    """Struts round each tier, and two rods crossed in each panel."""
+    bodies = []
+    for turn, on in zip(_turns(), np.roll(_turns(), -1), strict=True):
+        bodies += [tube([_on_leg(up, turn), _on_leg(up, on)], 0.13, 8, STEEL) for up in TIERS_M[1:]]
+        for low, high in zip(TIERS_M[:-1], TIERS_M[1:], strict=True):
+            bodies += [tube([_on_leg(low, a), _on_leg(high, b)], 0.055, 6, STEEL) for a, b in ((turn, on), (on, turn))]
+    return bodies
+
+
+def _ladder() -> list[Body]:
+    """A caged ladder up to the gallery, stayed to the struts, and a plain one on to the roof."""
+    out, half, gallery = TANK_RADIUS_M + 1.35, 0.24, GALLERY_M + 1.1
+    eaves, roof = TANK_RADIUS_M + 0.6, GALLERY_M + 6.9
+    bodies = []
+    for side in (-half, half):
+        bodies.append(tube([(out, side, 0.0), (out, side, gallery)], 0.035, 6, STEEL))
+        bodies.append(tube([(eaves, side, GALLERY_M), (eaves, side, roof), (eaves - 1.2, side, roof + 0.5)], 0.035, 6, STEEL))
+        for up in TIERS_M[1:]:
+            strut = _on_leg(up, _turns()[0])[0]
+            bodies.append(tube([(strut, side, up), (out, side, up)], 0.04, 6, STEEL))
+    for east, first, last in ((out, 0.4, GALLERY_M), (eaves, GALLERY_M + 0.4, roof)):
+        for up in np.arange(first, last, RUNG_M):
+            bodies.append(tube([(east, -half, up), (east, half, up)], 0.022, 5, STEEL))
+    hoops = np.linspace(CAGE_FROM_M, gallery - 0.1, 16)
+    for up in hoops:
+        bodies.append(tube(arc((out + 0.22, 0.0, up), CAGE_RADIUS_M, -145, 145, 9), 0.02, 5, STEEL))
+    for turn in (-90, -30, 30, 90):
+        east, north = _at(CAGE_RADIUS_M, turn)
+        bodies.append(tube([(out + 0.22 + east, north, hoops[0]), (out + 0.22 + east, north, hoops[-1])], 0.02, 5, STEEL))
+    return bodies
+
+
+def _turns() -> np.ndarray:
+    return 30.0 + np.arange(LEGS) * 360.0 / LEGS
+
+
+def _at(radius_m: float, turn_deg: float) -> tuple[float, float]:
+    return radius_m * np.cos(np.radians(turn_deg)), radius_m * np.sin(np.radians(turn_deg))
+
+
+def _on_leg(up_m: float, turn_deg: float) -> tuple[float, float, float]:
+    """The point of a leg's axis at a height."""
+    radius = FOOT_RADIUS_M + (HEAD_RADIUS_M - FOOT_RADIUS_M) * up_m / GALLERY_M
+    return (*_at(radius, turn_deg), up_m)

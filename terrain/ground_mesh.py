@@ -1,0 +1,145 @@
+"""The ground of a perspective view: a conforming mesh of the level's nodes, decimated by what an eye can see of it.
+
+The nodes are the raster's own cells where they are square and its CRS can be drawn in, else those of the level's map grid.
+A ground of up to ``MAX_TRIANGLES`` is drawn whole; a larger one is decimated with the distance from the eye, never with
+the direction of view, so that turning the camera changes no triangle. What is drawn casts, in front of the eye and behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pyproj import CRS
+
+from terrain.camera import FRAME_SHARE, PerspectiveView
+from terrain.decimation import Errors, decimate, errors_m
+from terrain.elevation import Elevation
+from terrain.facets import creases, face_normals, smooth_normals
+from terrain.grid import Grid, map_grid
+from terrain.scene import Scene
+from terrain.surface import Surface, known_triangles, step_at_anchor_m
+from terrain.world import World, transformer
+
+MAX_TRIANGLES = 2_000_000
+"""Most triangles of a perspective view's ground."""
+
+MAX_SIDE_NODES = 4096
+"""Most nodes along a side before decimation; a larger level is read at 2, 4, ... nodes' average."""
+
+TOLERANCE_PX = 0.25
+"""How far, in pixels, a decimated ground may differ in height from the nodes it leaves out, where the budget allows it."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMesh:
+    """Triangles of the ground in a frame.
+
+    Attributes
+    ----------
+    position_frame_m
+        float64 (n, 3).
+    height_m
+        float32 (n,).
+    normal_frame
+        float32 (n, 3), smooth unit normals.
+    triangles
+        int32 (m, 3), counter-clockwise from above.
+    crease
+        float32 (m,), largest distance between a triangle's unit normal and those of the triangles that share a node with it.
+    x, y
+        float64 (n,), map coordinates in the grid's CRS.
+    grid, tolerance_px
+        The grid whose nodes these are, and the tolerance that the mesh keeps (0: every node is there).
+    """
+
+    position_frame_m: np.ndarray
+    height_m: np.ndarray
+    normal_frame: np.ndarray
+    triangles: np.ndarray
+    crease: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    grid: Grid
+    tolerance_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """All nodes of a level's ground: heights (rows, cols), NaN where there is none, and their decimation errors."""
+
+    surface: Surface
+    row0: int
+    col0: int
+    height_m: np.ndarray
+    errors: Errors | None
+
+
+def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_TRIANGLES) -> GroundMesh:
+    """The ground as an eye sees it, in the eye's frame; the last ones are kept. A view's parts and shifts share one."""
+    return _ground_mesh(scene.world, scene.elevation, scene.map_crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
+
+
+@lru_cache(maxsize=3)
+def _ground_mesh(
+    world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
+) -> GroundMesh:
+    nodes = _nodes(world, elevation, crs, max_triangles)
+    grid, tolerance = nodes.surface.grid, 0.0
+    if nodes.errors is None:
+        row, col, triangles = _whole(nodes.height_m)
+    else:
+        x, y, height = world.map_position(grid.crs, np.array(eye_earth_m))
+        at = (float((grid.y0 - y) / grid.step) - nodes.row0, float((x - grid.x0) / grid.step) - nodes.col0, float(height))
+        found = decimate(nodes.errors, at, TOLERANCE_PX / focal_px, max_triangles)
+        row, col = found.nodes[:, 0], found.nodes[:, 1]
+        triangles, tolerance = found.triangles, found.tolerance * focal_px
+    height = nodes.height_m[row, col]
+    frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_SHARE)
+    position = nodes.surface.positions(row + nodes.row0, col + nodes.col0, height, frame)
+    faces = face_normals(position, triangles)
+    return GroundMesh(
+        position, height, smooth_normals(faces, triangles, len(position)), triangles, creases(faces, triangles, len(position), 2.0),
+        np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> _Nodes:
+    grid, row0, col0, rows, cols = _window(world, elevation, crs)
+    surface = Surface(world, elevation, grid)
+    height, there = surface.heights(row0, col0, rows, cols)
+    height = np.where(there, height, np.float32(np.nan))
+    whole = 2 * (rows - 1) * (cols - 1) <= max_triangles
+    return _Nodes(surface, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
+
+
+def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
+    """The grid, and first row, first column, rows and columns of its nodes that lie on the raster."""
+    cell = elevation.square_cell
+    if elevation.crs == crs and cell is not None and elevation.resolution_m is None:
+        left, top = (float(v) for v in elevation.xy(0, 0))
+        grid = Grid(crs, left, top, cell)
+        first, last = (0, 0), (elevation.rows - 1, elevation.cols - 1)
+    else:
+        west, south, east, north = elevation.bounds
+        if elevation.crs != crs:
+            west, south, east, north = transformer(elevation.crs, crs).transform_bounds(west, south, east, north, densify_pts=21)
+        detail_m = max(elevation.cell_size_m(world.metres_per_unit), elevation.resolution_m or 0.0)
+        probe = map_grid(world, crs, max(east - west, north - south) / 64)
+        grid = map_grid(world, crs, 1.01 * probe.step * detail_m / step_at_anchor_m(world, probe))
+        first = int(np.ceil((grid.y0 - north) / grid.step)), int(np.ceil((west - grid.x0) / grid.step))
+        last = int(np.floor((grid.y0 - south) / grid.step)), int(np.floor((east - grid.x0) / grid.step))
+    level = max(int(np.ceil(np.log2(max(last[0] - first[0], last[1] - first[1], 1) / MAX_SIDE_NODES))), 0)
+    (row0, col0), (row1, col1) = (-(-v // 2**level) for v in first), (v // 2**level for v in last)
+    return grid.coarser(level), row0, col0, max(row1 - row0 + 1, 1), max(col1 - col0 + 1, 1)
+
+
+def _whole(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All nodes and triangles of a grid (rows, cols): row, col, and the triangles with three known corners."""
+    rows, cols = height.shape
+    row, col = (v.ravel() for v in np.mgrid[:rows, :cols])
+    if min(rows, cols) < 2:
+        return row, col, np.zeros((0, 3), np.int32)
+    return row, col, known_triangles(np.repeat(height[..., None], 3, axis=2))

@@ -1,0 +1,115 @@
+"""Ground imagery: an RGB raster draped over the ground as its albedo."""
+
+from __future__ import annotations
+
+import numpy as np
+import rasterio
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+
+from terrain.compiled import compiled
+from terrain.errors import SourceError
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+MAX_SIDE = 4096
+"""Longest side that imagery is read at: 48 MiB of colours; larger rasters are averaged down to it."""
+
+
+class Imagery:
+    """An RGB raster in memory, with its averages of 2, 4, 8 ... cells. Raises ``SourceError``."""
+
+    def __init__(self, source: str) -> None:
+        self.name = source
+        try:
+            with rasterio.open(source) as dataset:
+                if dataset.count < 3 or dataset.crs is None:
+                    had = f"{dataset.count} bands" if dataset.count < 3 else "no coordinate reference system"
+                    raise SourceError(source, had, "a raster with a CRS and red, green and blue as its first bands")
+                factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE)), 1)
+                shape = max(dataset.height // factor, 1), max(dataset.width // factor, 1)
+                data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)
+                valid = dataset.dataset_mask(out_shape=shape) > 0
+                self.crs = CRS.from_user_input(dataset.crs.to_wkt())
+                self._cell_from_crs = ~(dataset.transform * dataset.transform.scale(dataset.width / shape[1], dataset.height / shape[0]))
+        except (RasterioError, CRSError, OSError) as error:
+            reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
+            raise SourceError(source, reason, "an RGB raster that GDAL reads") from None
+        self._levels = _averages(_linear(data, source), valid)
+
+    def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(Fractional) rows and columns (n, 2) float32 of map coordinates (n,); NaN where they have none."""
+        if crs != self.crs:
+            if not crs.is_geographic:
+                x, y = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+            if not self.crs.is_geographic:
+                x, y = transformer(LONGITUDE_LATITUDE, self.crs).transform(x, y)
+        inverse = self._cell_from_crs
+        x, y = np.asarray(x), np.asarray(y)
+        row, col = inverse.d * x + inverse.e * y + inverse.f - 0.5, inverse.a * x + inverse.b * y + inverse.c - 0.5
+        out = np.stack([row, col], axis=-1)
+        return np.where(np.isfinite(out), out, np.nan)
+
+    def cell_m(self, world: World) -> float:
+        """Side of a cell on the ground at the level's anchor, metres."""
+        if self.crs.is_geographic:
+            degree_m = 111_195.0
+            return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant) * np.cos(np.radians(world.anchor_lat_deg)))) * degree_m
+        unit = float(self.crs.axis_info[0].unit_conversion_factor or 1.0) if self.crs.axis_info else 1.0
+        return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant))) * unit
+
+    def albedo(self, cells: np.ndarray, cells_per_pixel: np.ndarray | float) -> np.ndarray:
+        """Linear albedo (rows, cols, 3) float32 at cells (rows, cols, 2): bilinear in the averages that a pixel covers.
+
+        NaN off the imagery and where it has no data.
+        """
+        level = np.clip(np.floor(np.log2(np.maximum(cells_per_pixel, 1.0)) + 0.5), 0, len(self._levels) - 1).astype(np.int64)
+        out = np.full((*cells.shape[:2], 3), np.nan, np.float32)
+        level = np.broadcast_to(level, cells.shape[:2])
+        for number in np.unique(level):
+            _sample(self._levels[number], cells.astype(np.float64), level == number, float(2**number), out)
+        return out
+
+
+def _linear(data: np.ndarray, source: str) -> np.ndarray:
+    """Linear colours (rows, cols, 3) float32 of bytes (sRGB), or of 16-bit numbers taken as stretched to their 98th percentile."""
+    if data.dtype == np.uint8:
+        coded = data.astype(np.float32) / 255.0
+    elif data.dtype.kind in "ui":
+        top = float(np.percentile(data, 98)) or 1.0
+        coded = np.clip(data.astype(np.float32) / top, 0.0, 1.0)
+    else:
+        raise SourceError(source, str(data.dtype), "bands of 8 or 16 bits")
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    return np.moveaxis(linear, 0, -1).astype(np.float32)
+
+
+def _averages(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
+    colors = np.where(valid[..., None], colors, np.float32(np.nan))
+    levels = [colors]
+    while min(levels[-1].shape[:2]) >= 4:
+        last = levels[-1]
+        rows, cols = last.shape[0] // 2, last.shape[1] // 2
+        levels.append(last[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2, 3).mean(axis=(1, 3)))
+    return levels
+
+
+@compiled
+def _sample(colors, cells, where, factor, out):  # type: ignore[no-untyped-def]
+    rows, cols, _ = colors.shape
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            if not where[i, j]:
+                continue
+            r, c = (cells[i, j, 0] + 0.5) / factor - 0.5, (cells[i, j, 1] + 0.5) / factor - 0.5
+            if not (r >= -0.5 and c >= -0.5 and r <= rows - 0.5 and c <= cols - 0.5):
+                continue
+            r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
+            r0, c0 = min(int(r), max(rows - 2, 0)), min(int(c), max(cols - 2, 0))
+            r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, cols - 1)
+            fr, fc = r - r0, c - c0
+            for k in range(3):
+                top = colors[r0, c0, k] * (1.0 - fc) + colors[r0, c1, k] * fc
+                bottom = colors[r1, c0, k] * (1.0 - fc) + colors[r1, c1, k] * fc
+                out[i, j, k] = top * (1.0 - fr) + bottom * fr

@@ -1,0 +1,244 @@
+"""The parts of a level file that say what is there: ground, forest, meshes, sun, lights and views, as validated values."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+Units = Literal["m", "ft", "us-ft"]
+METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
+
+Species = Literal["conifer", "broadleaf", "mixed"]
+MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]
+GroundGenerator = Literal["ridges", "landscape"]
+
+Metres = Annotated[float, Field(gt=0, le=1e7)]
+Point = tuple[float, float]
+Position = tuple[float, float, float]
+Pixels = Annotated[int, Field(ge=1, le=16384)]
+
+
+class Model(BaseModel):
+    """A part of a level file: immutable, without unknown keys, infinities or NaN."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_unknown_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key in data:
+                if key not in cls.model_fields:
+                    raise PydanticCustomError("unknown_key", "unknown key", {"key": str(key), "known": ", ".join(cls.model_fields)})
+        return data
+
+
+class FlatGround(Model):
+    """A flat floor at height 0, its middle at the origin: ``size`` in metres and ``cells`` in quads, each (east, north)."""
+
+    size: tuple[Metres, Metres]
+    cells: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]]
+
+
+class GeneratedGround(Model):
+    """Ground made up from a seed: ``size`` in metres (east, north), ``cell`` the metres between heights, ``relief`` metres."""
+
+    kind: GroundGenerator
+    size: tuple[Metres, Metres]
+    cell: Metres
+    relief: float = Field(gt=0, le=9000)
+    seed: int = Field(default=0, ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> GeneratedGround:
+        if not 4 <= min(self.size) / self.cell <= max(self.size) / self.cell <= 8192:
+            raise PydanticCustomError("cell", "a cell that gives 4 to 8192 cells a side")
+        return self
+
+
+class Terrain(Model):
+    """The ground: a raster of heights, or a floor or ground that is made.
+
+    ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
+    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``imagery`` is an
+    RGB raster draped over the ground.
+    """
+
+    source: str | None = Field(default=None, min_length=1)
+    flat: FlatGround | None = None
+    generate: GeneratedGround | None = None
+    bounds: tuple[float, float, float, float] | None = None
+    resolution: float | None = Field(default=None, gt=0)
+    units: Units | None = None
+    exaggeration: float = Field(default=1.0, gt=0, le=100)
+    imagery: str | None = Field(default=None, min_length=1)
+
+    @field_validator("bounds")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+        if value is not None:
+            west, south, east, north = value
+            if not (-180 <= west < east <= 540 and -90 <= south < north <= 90):
+                raise PydanticCustomError("bounds", "west < east and -90 <= south < north <= 90, in degrees")
+        return value
+
+    @model_validator(mode="after")
+    def _one_ground(self) -> Terrain:
+        if (self.source is not None) + (self.flat is not None) + (self.generate is not None) != 1:
+            raise PydanticCustomError("ground", "one of source, flat and generate")
+        return self
+
+
+class ForestSpec(Model):
+    """A stand of trees: polygons with a density, points (one a tree), or a canopy-height raster.
+
+    ``density`` is in trees per hectare (polygons alone), ``height`` in metres: a range, or the name of an attribute;
+    ``crown`` the crown's diameter likewise (default: from the height). A canopy raster needs neither.
+    """
+
+    source: str = Field(min_length=1)
+    density: float | None = Field(default=None, gt=0, le=20000)
+    height: tuple[float, float] | str | None = None
+    crown: tuple[float, float] | str | None = None
+    species: Species = "mixed"
+    seed: int = Field(default=0, ge=0, le=2**32 - 1)
+
+    @field_validator("height", "crown")
+    @classmethod
+    def _range(cls, value: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
+        if isinstance(value, tuple) and not 0.1 <= value[0] <= value[1] <= 150:
+            raise PydanticCustomError("range", "an attribute's name, or [least, most] in metres from 0.1 to 150")
+        return value
+
+
+class Motion(Model):
+    """How a mesh moves by the level's clock: ``spin`` in degrees per second, counter-clockwise about the up axis."""
+
+    spin: float = 0.0
+
+
+class MeshSpec(Model):
+    """Buildings from footprints (``height``: an attribute's name, metres for all, or a surface and a ground raster), a model
+    from a file (OBJ, PLY, glTF), or a generated one.
+
+    ``at`` is where a model stands: one place or several (degrees; metres on a made ground), its lowest point on the ground.
+    ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
+    """
+
+    source: str | None = Field(default=None, min_length=1)
+    generate: MeshGenerator | None = None
+    height: str | Annotated[float, Field(gt=0, le=1000)] | None = None
+    surface: str | None = Field(default=None, min_length=1)
+    ground: str | None = Field(default=None, min_length=1)
+    at: Point | list[Point] | None = None
+    scale: float = Field(default=1.0, gt=0, le=1e6)
+    turn: float = 0.0
+    color: tuple[float, float, float] | None = None
+    caster: str | None = Field(default=None, min_length=1)
+    motion: Motion | None = None
+
+    @field_validator("color")
+    @classmethod
+    def _share(cls, value: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if value is not None and not all(0 <= v <= 1 for v in value):
+            raise PydanticCustomError("color", "three numbers from 0 to 1")
+        return value
+
+    @model_validator(mode="after")
+    def _one_mesh(self) -> MeshSpec:
+        if (self.source is None) == (self.generate is None):
+            raise PydanticCustomError("mesh", "either source or generate")
+        if (self.surface is None) != (self.ground is None):
+            raise PydanticCustomError("mesh", "surface and ground together: heights are the one raster minus the other")
+        return self
+
+    @property
+    def places(self) -> list[Point]:
+        """Where the mesh stands; empty where the file does not say."""
+        if self.at is None:
+            return []
+        return list(self.at) if isinstance(self.at, list) else [self.at]
+
+
+class SunSpec(Model):
+    """Where the sun is: an ISO 8601 ``time`` with an offset, or apparent ``azimuth`` and ``altitude`` at the anchor.
+
+    ``azimuth`` is in degrees clockwise from true north (from grid north in a flat world), ``altitude`` in degrees above
+    the horizon.
+    """
+
+    time: datetime | None = None
+    azimuth: float | None = Field(default=None, ge=-360, le=720)
+    altitude: float | None = Field(default=None, ge=-90, le=90)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SunSpec:
+        angles = (self.azimuth is not None) + (self.altitude is not None)
+        if (self.time is None) == (angles == 0) or angles == 1:
+            raise PydanticCustomError("sun", "either time, or azimuth and altitude")
+        if self.time is not None and self.time.tzinfo is None:
+            raise PydanticCustomError("sun", "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00")
+        return self
+
+
+class LightSpec(Model):
+    """A light besides the sun. Positions as in views: degrees and height above ground, or metres on a made ground.
+
+    ``cutoff`` is the half angle of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the
+    sun's, at the spot's target (an omni light: on the ground below it); it falls off with the square of the distance.
+    """
+
+    kind: Literal["spot", "omni"]
+    position: Position
+    target: Position | None = None
+    cutoff: float = Field(default=35.0, gt=0, lt=85)
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    intensity: float = Field(default=1.0, gt=0, le=1000)
+
+    @field_validator("color")
+    @classmethod
+    def _share(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not all(0 <= v <= 1 for v in value):
+            raise PydanticCustomError("color", "three numbers from 0 to 1")
+        return value
+
+    @model_validator(mode="after")
+    def _aimed(self) -> LightSpec:
+        if (self.kind == "spot") != (self.target is not None):
+            raise PydanticCustomError("target", "a target for a spot, none for an omni light")
+        if self.target is not None and self.target == self.position:
+            raise PydanticCustomError("target", "a target apart from the position")
+        return self
+
+
+class MapSpec(Model):
+    """A map view: orthographic, straight down. ``bounds`` are in ``crs``; what is left out follows from the level."""
+
+    kind: Literal["map"]
+    bounds: tuple[float, float, float, float] | None = None
+    crs: str | None = None
+    size: tuple[Pixels, Pixels] | None = None
+
+
+class PerspectiveSpec(Model):
+    """A perspective view. ``eye`` and ``target``: longitude, latitude, metres above the ground there; on a made ground metres
+    east and north of its middle and above it. ``fov`` is the vertical field of view in degrees.
+    """
+
+    kind: Literal["perspective"]
+    eye: Position
+    target: Position
+    fov: float = Field(default=50.0, ge=0.01, le=179)
+    size: tuple[Pixels, Pixels] = (1280, 1024)
+
+    @model_validator(mode="after")
+    def _apart(self) -> PerspectiveSpec:
+        if self.eye == self.target:
+            raise PydanticCustomError("target", "a target apart from the eye")
+        return self
+
+
+ViewSpec = Annotated[MapSpec | PerspectiveSpec, Field(discriminator="kind")]

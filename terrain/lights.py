@@ -1,0 +1,65 @@
+"""Lights besides the sun: spots and omni lights at places, and how much of their light reaches a point unhindered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from terrain.errors import LevelError
+from terrain.level_parts import LightSpec
+from terrain.place import Place
+
+CONE_EDGE = 0.1
+"""Share of a spot's half angle over which its light fades out at the rim."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A light at a place.
+
+    Attributes
+    ----------
+    position_earth_m
+        float64 (3,).
+    earth_from_lamp
+        float64 (3, 3), columns right, down and forward (to the target; straight down for an omni light).
+    cutoff_deg
+        Half angle of the cone; 180 for an omni light.
+    color, intensity
+        Linear colour, and irradiance at normal incidence in units of the sun's at the distance ``reference_m``.
+    """
+
+    name: str
+    kind: Literal["spot", "omni"]
+    position_earth_m: np.ndarray
+    earth_from_lamp: np.ndarray
+    cutoff_deg: float
+    color: tuple[float, float, float]
+    intensity: float
+    reference_m: float
+
+
+def lamp_of(name: str, spec: LightSpec, place: Place, where: str) -> Lamp:
+    """The lamp of a level's light. Raises ``LevelError`` for a position off the ground's data."""
+    position, up = place.above_ground(spec.position, f"{where}.position")
+    if spec.target is None:
+        forward, reference_m, cutoff = -up, max(spec.position[2], 1.0), 180.0
+    else:
+        target, _ = place.above_ground(spec.target, f"{where}.target")
+        way = target - position
+        reference_m = float(np.linalg.norm(way))
+        if not reference_m > 1e-6:
+            raise LevelError(f"{where}.target", spec.target, "a point apart from the position")
+        forward, cutoff = way / reference_m, spec.cutoff
+    return Lamp(name, spec.kind, position, axes_along(forward, up), cutoff, spec.color, spec.intensity, reference_m)
+
+
+def axes_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Right, down and forward (3, 3, as columns) for a direction; upright unless it is the vertical itself."""
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-6:
+        right = np.cross(forward, np.roll(np.abs(up), 1) + np.array([0.3, 0.2, 0.1]))
+    right = right / np.linalg.norm(right)
+    return np.column_stack([right, np.cross(forward, right), forward])

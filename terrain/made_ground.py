@@ -1,0 +1,166 @@
+"""Ground that is made, not read: a flat floor, mountains and a small landscape, in an engineering CRS in metres.
+
+Cell centres are the ground's nodes: ``cells`` quads a side need one more raster cell a side, and the outermost centres lie on
+the rim of ``size``. The middle is at (0, 0). The same seed gives the same ground on any machine: random numbers are integer
+hashes, and arithmetic is addition, multiplication, division and square roots, which IEEE 754 rounds in one way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.io import MemoryFile
+
+from terrain.compiled import compiled
+from terrain.erosion import drained
+from terrain.level_parts import FlatGround, GeneratedGround, Terrain
+from terrain.noise import fractal, noise_at, ridged_at
+
+ENGINEERING = 'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+
+STRIP_ROWS = 128
+"""Rows that a thread works out at a time."""
+
+COARSEST_CELLS = 48
+"""Cells along the longest side of the grid on which main valleys form."""
+
+MOST_HALVINGS = 4
+"""Rivers are followed to cells of 1/768 of the side of what is made; below, slopes are roughened by noise."""
+
+SURROUNDINGS = 1.5
+"""Side of the ground that is made, as a multiple of the part that is shown: valleys lead out of the picture."""
+
+WINDING_CELLS, WINDING_WAVE_CELLS = 1.1, 7.3
+"""How far, and by noise of which wavelength, the eroded ground is shifted sideways, in its cells: rivers run in eight directions
+on it."""
+
+GULLY_CELLS, GULLY_SHARE = 3.0, 0.05
+"""Wavelength of the first octave of roughness, in cells of the eroded grid; its height as a share of wavelength times slope."""
+
+SEDIMENT, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
+"""The ``landscape``'s valley fill: mean height and its variation, and how softly it meets the hills, as shares of the relief;
+and the share of the ground that the lake covers."""
+
+
+def made_ground(terrain: Terrain) -> MemoryFile:
+    """The raster of ``terrain.flat`` or ``terrain.generate`` in memory: heights in metres, float32; kept between calls.
+
+    Ground that is generated runs from height 0 to ``relief``. ``ridges`` are mountains that rivers have cut; ``landscape`` has
+    hills, a few peaks, and filled valleys with a lake at height 0.
+    """
+    spec = terrain.flat or terrain.generate
+    assert spec is not None, "ground that is read is not made"
+    return _made(spec)
+
+
+@lru_cache(maxsize=2)
+def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
+    if isinstance(spec, FlatGround):
+        cols, rows = spec.cells
+        return _raster(np.zeros((rows + 1, cols + 1), np.float32), spec.size[0] / cols, spec.size[1] / rows)
+    cols, rows = (round(side / spec.cell) for side in spec.size)
+    heights = (_ridges if spec.kind == "ridges" else _landscape)(rows, cols, spec.seed)
+    heights -= heights.min()
+    heights /= heights.max()
+    heights *= np.float32(spec.relief)
+    return _raster(heights, spec.cell, spec.cell)
+
+
+def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
+    """A GeoTIFF in memory of heights (rows, cols) from north to south whose middle is the origin."""
+    rows, cols = heights.shape
+    memory = MemoryFile(ext=".tif")
+    with memory.open(
+        driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS.from_wkt(ENGINEERING),
+        transform=Affine(dx, 0, -cols * dx / 2, 0, -dy, rows * dy / 2), tiled=True, blockxsize=256, blockysize=256,
+    ) as dataset:  # fmt: skip
+        dataset.write(heights, 1)
+    return memory
+
+
+def _ridges(rows: int, cols: int, seed: int) -> np.ndarray:
+    """Mountains in massifs (rows + 1, cols + 1) float32; their heights only in proportion."""
+    return _risen(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
+
+
+def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
+    """Hills, a few peaks, and valleys filled up to flat floors (rows + 1, cols + 1) float32; heights only in proportion."""
+
+    def uplift(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        peaks = np.maximum(fractal(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
+        return np.maximum(0.25 + 0.35 * fractal(2.6 * x, 2.6 * y, 2, seed) + 4.0 * peaks * peaks, 0.03)
+
+    height = _risen(rows, cols, seed, uplift).astype(np.float64)
+    height = (height - height.min()) / np.ptp(height)
+    y, x = (np.arange(cells + 1) / max(rows, cols) for cells in (rows, cols))
+    floor = SEDIMENT[0] + SEDIMENT[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
+    above = height - floor
+    filled = floor + 0.5 * (above + np.sqrt(above * above + SEDIMENT_BLEND**2))
+    lake = np.partition(filled.ravel(), int(LAKE_SHARE * filled.size))[int(LAKE_SHARE * filled.size)]
+    return np.maximum(filled, lake).astype(np.float32)
+
+
+def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """Ground (rows + 1, cols + 1) float32 that was lifted and cut by rivers.
+
+    ``uplift`` is asked for over columns x (n,) and rows y (m,), in longest sides of what is shown.
+    """
+    longest = max(rows, cols)
+    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS / COARSEST_CELLS)), 0, MOST_HALVINGS))
+    # The shorter side gets its share of the cells, but enough for a valley.
+    nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
+    x, y = (np.arange(n) * (SURROUNDINGS / COARSEST_CELLS) for n in (nodes_x, nodes_y))
+    start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
+    eroded = drained(start, uplift(x, y), halvings, seed + 20)
+    scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS * longest)  # eroded cells per cell
+    first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
+    octaves = max(int(np.log2(GULLY_CELLS / scale)), 0)  # down to wavelengths of two cells
+    return _by_strips(_roughened, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
+
+
+def _by_strips(function, rows: int, cols: int, *parameters) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """``function(out, row0, *parameters)`` fills each strip of nodes (rows + 1, cols + 1) float32, in threads."""
+    out = np.empty((rows + 1, cols + 1), np.float32)
+    with ThreadPoolExecutor() as threads:
+        starts = range(0, rows + 1, STRIP_ROWS)
+        for work in [threads.submit(function, out[row : row + STRIP_ROWS], row, *parameters) for row in starts]:
+            work.result()
+    return out
+
+
+@compiled
+def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
+    """Catmull and Rom's cubic between b (t = 0) and c (t = 1), and its slope."""
+    p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
+    return b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r)
+
+
+@compiled
+def _roughened(out, row0, eroded, first_row, first_col, scale, octaves, seed):  # type: ignore[no-untyped-def]
+    """Eroded ground between its nodes, with gullies and knolls of ridged noise where it is steep."""
+    rows, cols = eroded.shape
+    line, slant = np.empty(4), np.empty(4)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            y, x = first_row + (row0 + i) * scale, first_col + j * scale
+            u, v = (0.8 * x - 0.6 * y) / WINDING_WAVE_CELLS, (0.6 * x + 0.8 * y) / WINDING_WAVE_CELLS
+            x += WINDING_CELLS * noise_at(u, v, seed)
+            y += WINDING_CELLS * noise_at(u + 31.7, v + 47.1, seed + 3)
+            y, x = min(max(y, 0.0), rows - 1.0), min(max(x, 0.0), cols - 1.0)
+            r, c = min(int(y), rows - 2), min(int(x), cols - 2)
+            left, right = max(c - 1, 0), min(c + 2, cols - 1)
+            for k in range(4):
+                n = min(max(r - 1 + k, 0), rows - 1)
+                line[k], slant[k] = _cubic(eroded[n, left], eroded[n, c], eroded[n, c + 1], eroded[n, right], x - c)
+            height, down = _cubic(line[0], line[1], line[2], line[3], y - r)
+            across, _ = _cubic(slant[0], slant[1], slant[2], slant[3], y - r)
+            if octaves > 0:
+                steep = np.sqrt(down * down + across * across)
+                gullies = ridged_at(x / GULLY_CELLS, y / GULLY_CELLS, octaves, seed + 6) - 0.85
+                height += GULLY_SHARE * GULLY_CELLS * steep * gullies
+            out[i, j] = height

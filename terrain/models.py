@@ -1,0 +1,124 @@
+"""Models from files: OBJ, PLY and glTF, with the colours they bring.
+
+Metres. glTF is Y-up by its specification (section 3.4) and is turned to east, north, up, so that its front (+Z) faces south.
+OBJ and PLY state no axis; they are taken as Z-up, as geodata and CAD write them.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from terrain.body import NEUTRAL, Body, srgb_albedo
+from terrain.errors import SourceError
+
+Y_UP_SUFFIXES = (".glb", ".gltf")
+
+MODEL_SUFFIXES = (".obj", ".ply", *Y_UP_SUFFIXES)
+"""Files that are models; anything else is asked of GDAL."""
+
+MAX_TRIANGLES = 5_000_000
+
+ALLOWED = "a model with triangles: .obj, .ply, .glb or .gltf"
+
+
+def is_model(source: str) -> bool:
+    """Whether a file is a model, by its name."""
+    return source.lower().endswith(MODEL_SUFFIXES)
+
+
+def read_model(source: str) -> Body:
+    """The model in a file as one body: its lowest point at height 0, its origin otherwise the file's.
+
+    Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_TRIANGLES`` or has
+    coordinates that are no numbers.
+    """
+    try:
+        state = Path(source).stat()
+    except OSError:
+        raise SourceError(source, "no such file", ALLOWED) from None
+    return _read(source, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=16)
+def _read(source: str, changed_ns: int, size: int) -> Body:
+    """A model of a state of its file: kept, since a moving one is asked for at every second of the clock."""
+    parts = [part for part in _loaded(source).dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    if not parts:
+        raise SourceError(source, "no triangle", ALLOWED)
+    if sum(len(part.faces) for part in parts) > MAX_TRIANGLES:
+        raise SourceError(source, f"{sum(len(part.faces) for part in parts)} triangles", f"at most {MAX_TRIANGLES}")
+    y_up = source.lower().endswith(Y_UP_SUFFIXES)
+    vertices, triangles, albedo, count = [], [], [], 0
+    for part in parts:
+        faces = np.asarray(part.faces)
+        vertices.append(np.asarray(part.vertices, np.float64))
+        triangles.append(faces + count)
+        albedo.append(_albedo(part, linear=y_up))
+        count += len(part.vertices)
+    points = np.concatenate(vertices)
+    if not np.isfinite(points).all():
+        raise SourceError(source, "vertices that are no numbers", "finite coordinates")
+    if y_up:
+        points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
+    body = Body(points, np.concatenate(triangles), np.concatenate(albedo))
+    if not len(body.triangles):
+        raise SourceError(source, "no triangle with an area", ALLOWED)
+    lowest = body.vertices_m[body.triangles][..., 2].min()
+    return Body(body.vertices_m - (0.0, 0.0, lowest), body.triangles, body.albedo)
+
+
+def _loaded(source: str) -> trimesh.Scene:
+    """The file as trimesh reads it, its remarks left out: what matters comes as an error."""
+    log = logging.getLogger("trimesh")
+    disabled, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(source, process=False, allow_remote=False)
+            count = sum(len(part.faces) for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh))
+    except Exception as error:  # a broken file makes trimesh's readers fail in any way there is
+        reason = " ".join(str(error).replace(source, "the file").split()) or type(error).__name__
+        raise SourceError(source, f"cannot be read ({reason[:80]})", ALLOWED) from None
+    finally:
+        log.disabled = disabled
+    if not count:
+        raise SourceError(source, "no triangle", ALLOWED)
+    return scene
+
+
+def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
+    """Linear albedo (m, 3) of a mesh's triangles.
+
+    Numbers in glTF files are linear and their textures sRGB (glTF 2.0, section 3.9.2); elsewhere all colours are taken as sRGB.
+    """
+    decoded = _share if linear else _srgb_bytes
+    faces, visual = np.asarray(part.faces), part.visual
+    if visual.kind == "vertex":
+        return decoded(visual.vertex_colors)[faces].mean(axis=1)
+    if visual.kind == "face":
+        return decoded(visual.face_colors)
+    if visual.kind != "texture":
+        return np.broadcast_to(srgb_albedo(NEUTRAL), faces.shape)
+    material = visual.material
+    pbr = isinstance(material, trimesh.visual.material.PBRMaterial)
+    image, factor = (material.baseColorTexture, material.baseColorFactor) if pbr else (material.image, material.diffuse)
+    if image is None or visual.uv is None or len(visual.uv) != len(part.vertices):
+        color = srgb_albedo(NEUTRAL) if factor is None else decoded(factor)
+        return np.broadcast_to(color, faces.shape)
+    texel = trimesh.visual.color.uv_to_color(np.asarray(visual.uv)[faces].mean(axis=1), image)
+    tint = decoded(factor) if pbr and factor is not None else np.ones(3, np.float32)
+    return _srgb_bytes(texel) * tint
+
+
+def _share(color: np.ndarray) -> np.ndarray:
+    return np.asarray(color)[..., :3].astype(np.float32) / np.float32(255)
+
+
+def _srgb_bytes(color: np.ndarray) -> np.ndarray:
+    return srgb_albedo(np.asarray(color)[..., :3] / 255.0)

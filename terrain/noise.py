@@ -1,0 +1,89 @@
+"""Noise on a plane: the same numbers for a seed on any machine, at any place without the places round it.
+
+Gradient noise after Perlin (1985, "An image synthesizer", SIGGRAPH 19(3):287-296) with his later quintic fade (2002, "Improving
+noise", ACM TOG 21(3):681-682), on a lattice of _hashed gradients. No transcendental function is called.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+GAIN = 0.5
+"""Amplitude of an octave as a share of the octave before."""
+
+
+@compiled
+def _hashed(i, j, seed):  # type: ignore[no-untyped-def]
+    """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain)."""
+    h = np.uint32(seed) ^ (np.uint32(i & 0xFFFFFFFF) * np.uint32(0x9E3779B1))
+    for k in range(2):
+        h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+        h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+        h = np.uint32(h ^ (h >> np.uint32(16)))
+        if k == 0:
+            h = np.uint32(h ^ (np.uint32(j & 0xFFFFFFFF) * np.uint32(0x27D4EB2F)))
+    return h
+
+
+@compiled
+def _ramp(i, j, x, y, seed):  # type: ignore[no-untyped-def]
+    """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal."""
+    h = _hashed(i, j, seed)
+    long = x if h & np.uint32(1) else y
+    short = y if h & np.uint32(1) else x
+    return (long if h & np.uint32(2) else -long) + 0.5 * (short if h & np.uint32(4) else -short)
+
+
+@compiled
+def noise_at(x, y, seed):  # type: ignore[no-untyped-def]
+    """Gradient noise of wavelength 1 at a place: about -0.8 to 0.8, 0 at whole coordinates."""
+    i, j = int(np.floor(x)), int(np.floor(y))
+    x, y = x - i, y - j
+    u = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
+    v = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
+    south = _ramp(i, j, x, y, seed)
+    south += u * (_ramp(i + 1, j, x - 1.0, y, seed) - south)
+    north = _ramp(i, j + 1, x, y - 1.0, seed)
+    north += u * (_ramp(i + 1, j + 1, x - 1.0, y - 1.0, seed) - north)
+    return south + v * (north - south)
+
+
+@compiled
+def fractal_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+    """Octaves of gradient noise, the first of wavelength 1, about -1 to 1. Each is turned, so that no lattice shows."""
+    total, amplitude = 0.0, 1.0
+    for k in range(octaves):
+        total += amplitude * noise_at(x, y, seed + k)
+        # Twice as fine and turned by the angle of the 3-4-5 triangle, whose sine and cosine are exact.
+        x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
+        amplitude *= GAIN
+    return total
+
+
+@compiled
+def ridged_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+    """Ridged multifractal noise, the first octave of wavelength 1: about 0 to 2, sharp crests, smooth floors.
+
+    Source: F. K. Musgrave, in Ebert et al., *Texturing and Modeling: A Procedural Approach* (3rd ed., 2003), chapter 16.
+    """
+    total, amplitude, weight = 0.0, 1.0, 1.0
+    for k in range(octaves):
+        crest = 1.0 - min(1.6 * abs(noise_at(x, y, seed + k)), 1.0)
+        crest *= crest * weight
+        total += amplitude * crest
+        weight = min(2.0 * crest, 1.0)
+        x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
+        amplitude *= GAIN
+    return total
+
+
+@compiled
+def fractal(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+    """``fractal_at`` on a grid of columns x (n,) and rows y (m,): float64 (m, n)."""
+    out = np.empty((y.shape[0], x.shape[0]))
+    for i in range(y.shape[0]):
+        for j in range(x.shape[0]):
+            out[i, j] = fractal_at(x[j], y[i], octaves, seed)
+    return out

@@ -1,0 +1,198 @@
+"""The geometry buffer of a view: its ground, and the meshes and trees that stand on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from terrain.camera import PerspectiveView
+from terrain.geometry import GeometryBuffer, map_geometry
+from terrain.grid import MapView
+from terrain.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
+from terrain.imagery import Imagery
+from terrain.population import Population
+from terrain.resolve import RELIEF, resolve_map, resolve_perspective
+from terrain.scene import Scene
+from terrain.stand import stand_in_map, stand_in_perspective
+from terrain.surface import step_at_anchor_m
+from terrain.visible import Seen, seen_in_map, seen_in_perspective
+from terrain.world import LocalFrame
+
+CELL_STEP_PX = 16
+"""Distance of the pixels whose place in a map's imagery is computed exactly."""
+
+_NO_POINTS = np.zeros((0, 3))
+_NO_SOLIDS = (
+    np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 3, 3), np.float32), np.zeros(0, np.float32),
+)  # fmt: skip
+_NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
+
+
+def frame_of(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
+    """The frame that a view is drawn in."""
+    if isinstance(view, PerspectiveView):
+        return view.frame(scene.world)
+    return scene.world.frame_near(view.grid.crs, *view.centre)
+
+
+def geometry_of(
+    scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None, max_triangles: int = MAX_TRIANGLES
+) -> GeometryBuffer:
+    """The geometry buffer of a view (of a block, if it is a map). Raises ``GraphicsError``."""
+    frame = frame or frame_of(scene, view)
+    if isinstance(view, PerspectiveView):
+        return buffer_of(scene, view, Visible(scene, view, frame, max_triangles))
+    return _map_buffer(scene, view, frame)
+
+
+class Visible:
+    """What a camera sees, before it is resolved to points."""
+
+    def __init__(self, scene: Scene, view: PerspectiveView, frame: LocalFrame, max_triangles: int = MAX_TRIANGLES) -> None:
+        self.frame = frame
+        self.ground = ground_mesh(scene, view, max_triangles)
+        self.stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+        self.solids = solids_in(scene.population, frame)
+        solids = scene.population.solids
+        drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
+        self.seen: Seen = seen_in_perspective(view, frame, self.ground, drawn, self.stand)
+
+
+def buffer_of(
+    scene: Scene, view: PerspectiveView, visible: Visible, pixels: tuple[np.ndarray, np.ndarray] | None = None
+) -> GeometryBuffer:
+    """The buffer of what a camera sees: of all pixels, or of some (rows and columns, arrays of one two-dimensional shape)."""
+    row, col = pixels if pixels is not None else tuple(np.mgrid[: view.rows, : view.cols])
+    tangent_x, tangent_y = (view.col0 + col * view.step) / view.focal_px, (view.row0 + row * view.step) / view.focal_px
+    seen = visible.seen
+    number = seen.number if pixels is None else seen.number[row, col]
+    root = seen.albedo_root if pixels is None or not seen.albedo_root.size else seen.albedo_root[row, col]
+    eye, camera_from_frame = view.in_frame(visible.frame)
+    ground, trees, solids = visible.ground, visible.stand, scene.population.solids
+    image = imagery_of(scene)
+    cells = np.zeros((0, 2)) if image is None else _ground_cells(image, ground)
+    there, point, level, normal, shading, crease, kind, albedo, corners, at = resolve_perspective(
+        number, tangent_x, tangent_y, eye, np.ascontiguousarray(camera_from_frame.T),
+        ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease, cells,
+        *(
+            (_NO_POINTS, np.zeros(0), *_NO_SOLIDS)
+            if solids is None or visible.solids is None
+            else (visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], *_solid_faces(scene.population, visible.frame))
+        ),
+        *(
+            (_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN)
+            if trees is None
+            else (trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn)
+        ),
+        scene.world.curvature, root,
+    )  # fmt: skip
+    if image is not None:
+        away_m = np.linalg.norm(point - eye, axis=-1)
+        pixel_cells = away_m * view.pixel / image.cell_m(scene.world)
+        albedo = np.where((kind == RELIEF)[..., None], image.albedo(at, np.nan_to_num(pixel_cells, nan=1.0)), albedo)
+    return GeometryBuffer(
+        view, visible.frame, there, point, level, normal, shading, crease, kind, ground=ground, corners_frame_m=corners,
+        albedo=albedo, stand=trees, solids_frame_m=visible.solids,
+    )  # fmt: skip
+
+
+def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffer:
+    buffer = map_geometry(scene.surface(view.grid), view, frame)
+    image = imagery_of(scene)
+    if image is not None:
+        buffer = replace(buffer, albedo=_draped(scene, image, view))
+    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    solids, trees = scene.population.solids, stand_in_map(scene.population, frame, pixel_m)
+    if solids is None and trees is None:
+        return buffer
+    crs = view.grid.crs
+    solid_points = solids_in(scene.population, frame)
+    solid_px = None if solids is None else _pixels(view, scene.population.solids_on(crs))
+    tree_px = None if trees is None else _pixels(view, scene.population.trees_on(crs)[trees.number])
+    px_from_m = _px_from_m(scene, view, frame)
+    low, high = scene.height_range_m
+    heights = low - 100.0, high + scene.population.tallest_m + 100.0
+    drawn = None if solids is None or solid_px is None else (solid_px, solids.triangles)
+    seen = seen_in_map(view, drawn, trees, tree_px, px_from_m, heights)
+    albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
+    corners = np.zeros((*buffer.there.shape, 9), np.float32)
+    resolve_map(
+        seen.number, buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
+        buffer.crease, buffer.kind, albedo, corners,
+        *(
+            (_NO_POINTS, _NO_POINTS, *_NO_SOLIDS)
+            if solid_points is None or solid_px is None
+            else (solid_points, solid_px, *_solid_faces(scene.population, frame))
+        ),
+        *(
+            (_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN)
+            if trees is None or tree_px is None
+            else (trees.base_frame_m, tree_px, trees.shape, trees.turn)
+        ),
+        scene.world.curvature, px_from_m, seen.albedo_root,
+    )  # fmt: skip
+    return replace(buffer, corners_frame_m=corners, albedo=albedo, stand=trees, solids_frame_m=solid_points)
+
+
+def solids_in(population: Population, frame: LocalFrame) -> np.ndarray | None:
+    """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
+    solids = population.solids
+    return None if solids is None else (solids.vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T
+
+
+@lru_cache(maxsize=4)
+def _solid_faces(population: Population, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles, albedo, corner normals in a frame, and crease of a population's meshes."""
+    solids = population.solids
+    assert solids is not None
+    normals = (solids.corner_normals_earth @ frame.frame_from_earth.T).astype(np.float32)
+    return solids.triangles, solids.albedo.astype(np.float32), normals, population.solid_crease
+
+
+def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
+    """Columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3)."""
+    grid = view.grid
+    col = ((at[:, 0] - grid.x0) / grid.step - view.col0) / view.col_step + 0.5
+    row = ((grid.y0 - at[:, 1]) / grid.step - view.row0) / view.row_step + 0.5
+    return np.stack([col, row, at[:, 2]], axis=-1)
+
+
+def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
+    """Pixels (column, row) per metre along a frame's first two axes, (2, 2), at a view's middle."""
+    point, _ = scene.world.ground(view.grid.crs, *(np.float64(v) for v in view.centre))
+    middle = frame.frame_from_earth @ (point - frame.origin_earth_m)
+    steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
+    at = np.stack(scene.world.map_position(view.grid.crs, steps @ frame.frame_from_earth + frame.origin_earth_m), axis=-1)
+    px = _pixels(view, at)[:, :2]
+    return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
+
+
+@lru_cache(maxsize=4)
+def _imagery(source: str) -> Imagery:
+    return Imagery(source)
+
+
+def imagery_of(scene: Scene) -> Imagery | None:
+    """The level's ground imagery, if it has any. Raises ``SourceError``."""
+    source = scene.loaded.level.terrain.imagery
+    return None if source is None else _imagery(scene.loaded.resolve(source))
+
+
+@lru_cache(maxsize=2)
+def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
+    return image.cells(ground.grid.crs, ground.x, ground.y)
+
+
+def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
+    """Albedo (rows, cols, 3) of a map's ground: exact cells on every 16th pixel, bilinear between."""
+    count = [-(-(size - 1) // CELL_STEP_PX) + 1 for size in (view.rows, view.cols)]
+    row, col = np.meshgrid(*(np.arange(n + 1) * float(CELL_STEP_PX) for n in count), indexing="ij")
+    x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
+    exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
+    at = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
+    cells = np.stack([map_coordinates(exact[..., k], at, order=1) for k in (0, 1)], axis=-1)
+    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    return image.albedo(cells, pixel_m / image.cell_m(scene.world))

@@ -1,0 +1,41 @@
+"""Positions that people write: degrees and metres above the ground, or metres on a made ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.elevation import Elevation
+from terrain.errors import LevelError
+from terrain.world import LONGITUDE_LATITUDE, World, transformer
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Finds places of a level: on the globe (longitude, latitude) in degrees, in a flat world (east, north) in metres
+    from the anchor.
+    """
+
+    world: World
+    elevation: Elevation
+
+    def xy(self, at: tuple[float, float]) -> tuple[float, float]:
+        """Coordinates in the elevation's CRS."""
+        if self.world.flat:
+            scale = 1.0 / self.world.metres_per_unit
+            return self.world.anchor_x + at[0] * scale, self.world.anchor_y + at[1] * scale
+        x, y = transformer(LONGITUDE_LATITUDE, self.elevation.crs).transform(*at)
+        return float(x), float(y)
+
+    def above_ground(self, position: tuple[float, float, float], where: str) -> tuple[np.ndarray, np.ndarray]:
+        """Earth-fixed point (3,) at a height above the ground at a place, and the vertical there.
+
+        Raises ``LevelError``, naming ``where``, off the ground's data.
+        """
+        x, y = self.xy(position[:2])
+        ground_m = float(self.elevation.ground_m(np.float64(x), np.float64(y))) if np.isfinite([x, y]).all() else np.nan
+        if not np.isfinite(ground_m):
+            raise LevelError(where, position, "a place on the ground's data")
+        point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
+        return point + (ground_m + position[2]) * up, up

@@ -1,0 +1,99 @@
+"""What stands on a level's ground: trees and meshes, read when they are first asked for, the same under every sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from pyproj import CRS
+
+from terrain.assemble import assemble
+from terrain.elevation import Elevation
+from terrain.facets import creases, face_normals
+from terrain.forest import plant
+from terrain.level import CasterKind, LoadedLevel
+from terrain.solids import Solids
+from terrain.trees import Trees
+from terrain.world import World
+
+EDGE = 0.8
+"""Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Trees and meshes of a level at a second of its clock. Properties raise ``LevelError`` or ``SourceError``."""
+
+    loaded: LoadedLevel
+    world: World
+    elevation: Elevation
+    seconds: float = 0.0
+
+    def at_second(self, seconds: float) -> Population:
+        """The population at another second; what does not move is not read again."""
+        if seconds == self.seconds or not any(mesh.motion for mesh in self.loaded.level.meshes):
+            return self
+        other = replace(self, seconds=seconds)
+        other.__dict__["trees"] = self.trees
+        return other
+
+    @cached_property
+    def trees(self) -> Trees | None:
+        """The trees, if there are any."""
+        trees = plant(self.loaded, self.world, self.elevation) if self.loaded.level.forest else None
+        return trees if trees is not None and len(trees.rank) else None
+
+    @cached_property
+    def solids(self) -> Solids | None:
+        """The meshes, if there are any."""
+        solids = assemble(self.loaded, self.world, self.elevation, self.seconds) if self.loaded.level.meshes else None
+        return solids if solids is not None and len(solids.triangles) else None
+
+    @cached_property
+    def solid_crease(self) -> np.ndarray:
+        """For each triangle of the meshes how much the facets round it bend (float32, as ``GroundMesh.crease``), edges left out."""
+        solids = self.solids
+        if solids is None:
+            return np.zeros(0, np.float32)
+        faces = face_normals(solids.vertices_earth_m, solids.triangles)
+        return creases(faces, solids.triangles, len(solids.vertices_earth_m), EDGE)
+
+    @cached_property
+    def tree_heights_m(self) -> np.ndarray:
+        """Heights (n,) of the trees' feet."""
+        return self.trees_on(self.elevation.crs)[:, 2]
+
+    def solids_on(self, crs: CRS) -> np.ndarray:
+        """x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
+        return _on(self, "solids", crs)
+
+    def trees_on(self, crs: CRS) -> np.ndarray:
+        """x, y in a CRS and height in metres (n, 3) of the trees' feet."""
+        return _on(self, "trees", crs)
+
+    @cached_property
+    def kinds(self) -> tuple[CasterKind, ...]:
+        """The kinds of casters that there are; ground always is."""
+        found: list[CasterKind] = ["relief"]
+        if self.solids is not None:
+            found.append("meshes")
+        if self.trees is not None:
+            found.append("forest")
+        return tuple(found)
+
+    @cached_property
+    def tallest_m(self) -> float:
+        """How far anything rises above the ground it stands on, metres; 0 on bare ground."""
+        tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())
+        if self.solids is None:
+            return tree_m
+        at = self.solids_on(self.elevation.crs)
+        above = at[:, 2] - self.elevation.ground_m(at[:, 0], at[:, 1])
+        return max(tree_m, float(np.nanmax(above, initial=0.0)))
+
+
+@lru_cache(maxsize=8)
+def _on(population: Population, kind: str, crs: CRS) -> np.ndarray:
+    points = population.solids.vertices_earth_m if kind == "solids" else population.trees.base_earth_m  # type: ignore[union-attr]
+    return np.stack(population.world.map_position(crs, points), axis=-1)

@@ -1,0 +1,225 @@
+"""From the number of the triangle that a pixel shows to the float64 point on it, its normals and what it is made of.
+
+Perspective: the pixel's ray meets the triangle's plane (T. Moeller and B. Trumbore 1997); a map: the pixel's centre in the
+triangle's plan. Barycentric coordinates are held inside the triangle, since rasterisers snap corners to 1/256 of a pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.stand import tree_corner
+
+NOTHING, RELIEF, MESHES, FOREST = 0, 1, 2, 3
+"""What a pixel shows."""
+
+
+@compiled
+def resolve_perspective(
+    number, tangent_x, tangent_y, eye, frame_from_camera,
+    ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells,
+    solid_position, solid_height, solid_triangles, solid_albedo, solid_normals, solid_crease,
+    tree_base, tree_height, tree_shape, tree_turn, curvature, albedo_root,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Everything a geometry buffer holds, per pixel of ``number`` (rows, cols); see ``terrain.picture``."""
+    rows, cols = number.shape
+    there = np.zeros((rows, cols), np.bool_)
+    point = np.full((rows, cols, 3), np.nan)
+    level = np.full((rows, cols), np.nan, np.float32)
+    normal = np.full((rows, cols, 3), np.nan, np.float32)
+    shading = np.full((rows, cols, 3), np.nan, np.float32)
+    crease = np.zeros((rows, cols), np.float32)
+    kind = np.zeros((rows, cols), np.uint8)
+    albedo = np.full((rows, cols, 3), np.nan, np.float32)
+    corners = np.zeros((rows, cols, 9), np.float32)
+    cells = np.full((rows, cols, 2), np.nan, np.float32)
+    ground, solid = len(ground_triangles), len(solid_triangles)
+    p = np.empty((3, 3))
+    ray = np.empty(3)
+    for i in range(rows):
+        for j in range(cols):
+            t = np.int64(number[i, j]) - 1
+            if t < 0:
+                continue
+            there[i, j] = True
+            for k in range(3):
+                ray[k] = (
+                    frame_from_camera[k, 0] * tangent_x[i, j] + frame_from_camera[k, 1] * tangent_y[i, j] + frame_from_camera[k, 2]
+                )
+            if t < ground:
+                kind[i, j] = 1
+                for c in range(3):
+                    for k in range(3):
+                        p[c, k] = ground_position[ground_triangles[t, c], k]
+            elif t < ground + solid:
+                kind[i, j] = 2
+                for c in range(3):
+                    for k in range(3):
+                        p[c, k] = solid_position[solid_triangles[t - ground, c], k]
+            else:
+                kind[i, j] = 3
+                tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
+                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
+            u, v = _on_plane(p, eye, ray)
+            for k in range(3):
+                point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
+                for c in range(3):
+                    corners[i, j, 3 * c + k] = p[c, k]
+            _face(p, normal[i, j])
+            if t < ground:
+                a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
+                level[i, j] = (1.0 - u - v) * ground_height[a] + u * ground_height[b] + v * ground_height[c]
+                for k in range(3):
+                    shading[i, j, k] = (1.0 - u - v) * ground_normal[a, k] + u * ground_normal[b, k] + v * ground_normal[c, k]
+                crease[i, j] = ground_crease[t]
+                if len(ground_cells):
+                    for k in range(2):
+                        cells[i, j, k] = (1.0 - u - v) * ground_cells[a, k] + u * ground_cells[b, k] + v * ground_cells[c, k]
+            elif t < ground + solid:
+                s = t - ground
+                a, b, c = solid_triangles[s, 0], solid_triangles[s, 1], solid_triangles[s, 2]
+                level[i, j] = (1.0 - u - v) * solid_height[a] + u * solid_height[b] + v * solid_height[c]
+                for k in range(3):
+                    shading[i, j, k] = (1.0 - u - v) * solid_normals[s, 0, k] + u * solid_normals[s, 1, k] + v * solid_normals[s, 2, k]
+                    albedo[i, j, k] = solid_albedo[s, k]
+                crease[i, j] = solid_crease[s]
+                if normal[i, j, 0] * ray[0] + normal[i, j, 1] * ray[1] + normal[i, j, 2] * ray[2] > 0.0:
+                    for k in range(3):  # an open mesh seen from behind
+                        normal[i, j, k] = -normal[i, j, k]
+                        shading[i, j, k] = -shading[i, j, k]
+            else:
+                tree = (t - ground - solid) // 6
+                _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
+                level[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
+            _unit(shading[i, j])
+    return there, point, level, normal, shading, crease, kind, albedo, corners, cells
+
+
+@compiled
+def resolve_map(
+    number, there, point, level, normal, shading, crease, kind, albedo, corners,
+    solid_position, solid_px, solid_triangles, solid_albedo, solid_normals, solid_crease,
+    tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m, albedo_root,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Put what stands on a map's ground over the ground's buffer, where it is higher; arrays are changed in place."""
+    rows, cols = number.shape
+    solid = len(solid_triangles)
+    p, q = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(rows):
+        for j in range(cols):
+            t = np.int64(number[i, j]) - 1
+            if t < 0:
+                continue
+            tree = (t - solid) // 6
+            if t < solid:
+                for c in range(3):
+                    for k in range(3):
+                        p[c, k] = solid_position[solid_triangles[t, c], k]
+                        q[c, k] = solid_px[solid_triangles[t, c], k]
+            else:
+                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, (t - solid) % 6)
+                for c in range(3):
+                    east, north = p[c, 0] - tree_base[tree, 0], p[c, 1] - tree_base[tree, 1]
+                    q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
+                    q[c, 1] = tree_px[tree, 1] + px_from_m[1, 0] * east + px_from_m[1, 1] * north
+                    q[c, 2] = tree_px[tree, 2] + p[c, 2] - tree_base[tree, 2]
+            u, v = _in_plan(q, j + 0.5, i + 0.5)
+            height = q[0, 2] + u * (q[1, 2] - q[0, 2]) + v * (q[2, 2] - q[0, 2])
+            if there[i, j] and level[i, j] >= height:
+                continue
+            there[i, j] = True
+            level[i, j] = height
+            for k in range(3):
+                point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
+                for c in range(3):
+                    corners[i, j, 3 * c + k] = p[c, k]
+            _face(p, normal[i, j])
+            crease[i, j] = 0.0
+            if t < solid:
+                kind[i, j] = 2
+                crease[i, j] = solid_crease[t]
+                for k in range(3):
+                    shading[i, j, k] = (1.0 - u - v) * solid_normals[t, 0, k] + u * solid_normals[t, 1, k] + v * solid_normals[t, 2, k]
+                    albedo[i, j, k] = solid_albedo[t, k]
+                if normal[i, j, 2] < 0.0:
+                    for k in range(3):
+                        normal[i, j, k] = -normal[i, j, k]
+                        shading[i, j, k] = -shading[i, j, k]
+            else:
+                kind[i, j] = 3
+                _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
+            _unit(shading[i, j])
+
+
+@compiled
+def _tree_triangle(p, base, shape, turn, curvature, part):  # type: ignore[no-untyped-def]
+    quad, second = part // 2, part % 2
+    for c in range(3):
+        corner = c if second == 0 or c == 0 else c + 1
+        x, y, z = tree_corner(base, shape, turn, curvature, quad, corner)
+        p[c, 0], p[c, 1], p[c, 2] = x, y, z
+
+
+@compiled
+def _on_plane(p, eye, ray):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates, held inside the triangle, of a ray's meeting with its plane."""
+    e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    hx, hy, hz = ray[1] * e2z - ray[2] * e2y, ray[2] * e2x - ray[0] * e2z, ray[0] * e2y - ray[1] * e2x
+    det = e1x * hx + e1y * hy + e1z * hz
+    if det == 0.0:
+        return 1.0 / 3.0, 1.0 / 3.0
+    sx, sy, sz = eye[0] - p[0, 0], eye[1] - p[0, 1], eye[2] - p[0, 2]
+    u = (sx * hx + sy * hy + sz * hz) / det
+    qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+    return _held(u, (ray[0] * qx + ray[1] * qy + ray[2] * qz) / det)
+
+
+@compiled
+def _in_plan(q, x, y):  # type: ignore[no-untyped-def]
+    ax, ay, bx, by = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
+    det = ax * by - ay * bx
+    if det == 0.0:
+        return 1.0 / 3.0, 1.0 / 3.0
+    x, y = x - q[0, 0], y - q[0, 1]
+    return _held((x * by - y * bx) / det, (ax * y - ay * x) / det)
+
+
+@compiled
+def _held(u, v):  # type: ignore[no-untyped-def]
+    u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
+    if u + v > 1.0:
+        total = u + v
+        u, v = u / total, v / total
+    return u, v
+
+
+@compiled
+def _face(p, out):  # type: ignore[no-untyped-def]
+    ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        out[0], out[1], out[2] = x / length, y / length, z / length
+    else:
+        out[0], out[1], out[2] = 0.0, 0.0, 1.0
+
+
+@compiled
+def _tree_look(point, base, shape, root, shading, albedo):  # type: ignore[no-untyped-def]
+    """A rounded crown's normal: away from the stem and upwards; and the leaf's colour."""
+    for k in range(2):
+        shading[k] = point[k] - base[k]
+    shading[2] = 0.5 * shape[2] * (0.35 + (point[2] - base[2]) / max(shape[2], np.float32(1e-3)))
+    for k in range(3):
+        albedo[k] = (root[k] / 255.0) ** 2
+
+
+@compiled
+def _unit(v):  # type: ignore[no-untyped-def]
+    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if length > 0.0:
+        for k in range(3):
+            v[k] /= length

@@ -1,0 +1,170 @@
+"""Where the trees of a stand stand: one to each cell of a lattice that is counted from the CRS's origin.
+
+A tree's place follows from the seed and its cell's indices alone, never from the stand's outline or from what is looked at.
+Places are even over the cells, which leaves no trace of the lattice in the stand (M. A. Klatt, J. Kim, S. Torquato: Cloaking
+the underlying long-range order of randomly perturbed lattices, Phys. Rev. E 101, 2020), but for a least spacing: trees stand
+no nearer to each other than half a cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from terrain.compiled import compiled
+
+LEAST_SPACING = 0.5
+"""Least distance between two trees, in cells. A cell's centre is that far from whatever stands in other cells."""
+
+HECTARE_M2 = 10_000.0
+
+_TRIES = 24
+"""Places tried in a cell before its centre is taken."""
+
+_TILE = 128
+"""Cells a side that are placed at a time."""
+
+_HALO = 3
+"""How far a place can depend on other cells: a cell waits for neighbours of the three colours before its own."""
+
+_GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places of n trees in a CRS, with a hash each that all else about the tree may be drawn from."""
+
+    x: np.ndarray
+    y: np.ndarray
+    key: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.key)
+
+
+def keys(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Hashes uint64 (n,) of pairs of integers."""
+    return _keys(seed, np.asarray(i, np.int64), np.asarray(j, np.int64))
+
+
+def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Hashes uint64 (n,) of points, the same for points of the same millimetre."""
+    return keys(seed, np.rint(np.asarray(x_m) * 1000.0), np.rint(np.asarray(y_m) * 1000.0))
+
+
+def shares(key: np.ndarray, stream: int) -> np.ndarray:
+    """Even, independent float64 (n,) in [0, 1), one for each hash and stream."""
+    return _shares(key, stream)
+
+
+def scatter(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
+    """Trees of a density, on the average exact, in an area of a CRS whose unit is ``unit_m`` metres."""
+    pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
+    return _gathered([places for part in shapely.get_parts(area) for places in _scattered(part, pitch, seed)])
+
+
+def joined(sets: list[Places]) -> tuple[Places, np.ndarray]:
+    """Several sets of places as one, each tree once, in the order of their hashes, and where each was among all."""
+    all_places = _gathered(sets)
+    key, first = np.unique(all_places.key, return_index=True)
+    return Places(all_places.x[first], all_places.y[first], key), first
+
+
+def _gathered(sets: list[Places]) -> Places:
+    if not sets:
+        return Places(np.empty(0), np.empty(0), np.empty(0, np.uint64))
+    return Places(*(np.concatenate([getattr(places, name) for places in sets]) for name in ("x", "y", "key")))
+
+
+def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Places]:
+    west, south, east, north = (int(np.floor(v / pitch)) for v in area.bounds)
+    cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE), np.arange(south, north + 1, _TILE)))
+    shapely.prepare(area)
+    within = np.zeros(len(cols), bool)
+    if len(cols) > 1:
+        tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE) * pitch, (rows + _TILE) * pitch)
+        touched = shapely.intersects(area, tiles)
+        cols, rows, within = cols[touched], rows[touched], shapely.contains_properly(area, tiles[touched])
+    for col, row, whole in zip(cols.tolist(), rows.tolist(), within.tolist(), strict=True):
+        x, y, key = _placed(seed, row, col, min(_TILE, north + 1 - row), min(_TILE, east + 1 - col))
+        x, y = x * pitch, y * pitch
+        if not whole:
+            inside = shapely.contains_xy(area, x, y)
+            x, y, key = x[inside], y[inside], key[inside]
+        yield Places(x, y, key)
+
+
+@compiled
+def _mixed(x):  # type: ignore[no-untyped-def]
+    """splitmix64 (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
+    x = x + _GOLDEN
+    x = (x ^ (x >> _S30)) * _FIRST
+    x = (x ^ (x >> _S27)) * _SECOND
+    return x ^ (x >> _S31)
+
+
+@compiled
+def pair_key(seed, i, j):  # type: ignore[no-untyped-def]
+    """Hash uint64 of a pair of integers, for compiled loops."""
+    return _mixed(_mixed(_mixed(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
+
+
+@compiled
+def _share(key, stream):  # type: ignore[no-untyped-def]
+    return np.float64(_mixed(key ^ _mixed(np.uint64(stream))) >> _S11) * 2.0**-53
+
+
+@compiled
+def _keys(seed, i, j):  # type: ignore[no-untyped-def]
+    out = np.empty(i.size, np.uint64)
+    for n in range(i.size):
+        out[n] = pair_key(seed, i[n], j[n])
+    return out
+
+
+@compiled
+def _shares(key, stream):  # type: ignore[no-untyped-def]
+    out = np.empty(key.size)
+    for n in range(key.size):
+        out[n] = _share(key[n], stream)
+    return out
+
+
+@compiled
+def _placed(seed, row0, col0, rows, cols):  # type: ignore[no-untyped-def]
+    """x, y in cells and hashes of the trees of a window of cells, row by row.
+
+    Cells are coloured like 2 x 2 tiles and placed colour by colour: each takes the first place drawn in it that is clear
+    of its neighbours of the colours before, else its centre.
+    """
+    high, wide = rows + 2 * _HALO, cols + 2 * _HALO
+    xs, ys = np.full((high, wide), np.inf), np.full((high, wide), np.inf)
+    for colour in range(4):
+        for r in range(high):
+            row = row0 + r - _HALO
+            for c in range(wide):
+                col = col0 + c - _HALO
+                if (row & 1) * 2 + (col & 1) != colour:
+                    continue
+                key = pair_key(seed, row, col)
+                px, py = col + 0.5, row + 0.5
+                for attempt in range(_TRIES):
+                    x, y = col + _share(key, 100 + 2 * attempt), row + _share(key, 101 + 2 * attempt)
+                    nearest = np.inf
+                    for m in range(max(r - 1, 0), min(r + 2, high)):
+                        for n in range(max(c - 1, 0), min(c + 2, wide)):
+                            nearest = min(nearest, (xs[m, n] - x) ** 2 + (ys[m, n] - y) ** 2)
+                    if nearest >= LEAST_SPACING**2:
+                        px, py = x, y
+                        break
+                xs[r, c], ys[r, c] = px, py
+    x, y, key = np.empty(rows * cols), np.empty(rows * cols), np.empty(rows * cols, np.uint64)
+    for r in range(rows):
+        for c in range(cols):
+            n = r * cols + c
+            x[n], y[n], key[n] = xs[r + _HALO, c + _HALO], ys[r + _HALO, c + _HALO], pair_key(seed, row0 + r, col0 + c)
+    return x, y, key

@@ -1,0 +1,23 @@
+uniform mat3 camera_from_frame;
+uniform vec3 eye_frame_m;
+uniform vec4 window;
+uniform float near_m;
+uniform bool in_map;
+uniform vec2 size_px;
+uniform mat2 px_from_m;  // of a map: pixels (column, row) per metre east and north
+uniform float height_m;  // of a map: the range that heights from 0 to 1 stand for
+flat out int tree;
+out vec3 at;
+
+void main() {
+    vec3 offset = tree_offset();
+    tree = gl_InstanceID;
+    at = tree_texture();
+    if (in_map) {
+        vec2 px = base.xy + px_from_m * offset.xy;
+        gl_Position = vec4(2.0 * px / size_px - 1.0, base.z + offset.z / height_m, 1.0);
+    } else {
+        vec3 camera = camera_from_frame * (tree_position(offset) - eye_frame_m);
+        gl_Position = vec4(camera.xy * window.xy + camera.z * window.zw, near_m, camera.z);
+    }
+}

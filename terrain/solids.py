@@ -1,0 +1,42 @@
+"""The meshes of a scene as one set of triangles: what is seen of buildings and models, and what of them casts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """All meshes of a scene in earth-fixed coordinates, metres.
+
+    Attributes
+    ----------
+    vertices_earth_m
+        float64 (n, 3).
+    triangles
+        int32 (m, 3), counter-clockwise from outside.
+    albedo
+        float32 (m, 3), linear, in [0, 1].
+    corner_normals_earth
+        float32 (m, 3, 3), unit shading normals at the triangles' corners: smooth over curved parts, sharp at creases.
+    body
+        int32 (m,): the body that a triangle belongs to.
+    closed
+        For each body whether its surface is closed (every edge shared by two triangles of opposite direction).
+    caster_vertices_earth_m, caster_triangles
+        What casts: the same arrays, but for bodies that have a stand-in.
+    moving
+        Whether anything moves by the level's clock.
+    """
+
+    vertices_earth_m: np.ndarray
+    triangles: np.ndarray
+    albedo: np.ndarray
+    corner_normals_earth: np.ndarray
+    body: np.ndarray
+    closed: tuple[bool, ...]
+    caster_vertices_earth_m: np.ndarray
+    caster_triangles: np.ndarray
+    moving: bool = False

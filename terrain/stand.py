@@ -1,0 +1,144 @@
+"""The trees as a view draws them: thinned out where they are too small to be told apart, their shade kept.
+
+A tree whose crown or height falls below a few pixels is drawn with a share k of its fellows, those of ``rank`` below k. What
+remains is made wider: the upright quads by 1/k, so that the area a stand turns to a level look or a low sun stays what it
+was, and the level crown quad by the root of 1/k, so that the area that it turns to the zenith does. Heights stay, and with
+them the lengths of shadows. The same trees are seen, cast and are met by rays.
+
+In perspective k follows the distance from the eye (not the direction of view); in a map it is one for all of a zoom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.foliage import LOOKS
+from terrain.population import Population
+from terrain.trees import Trees
+from terrain.world import LocalFrame
+
+WHOLE_PX = 6.0
+"""Height in pixels from which all trees of a perspective view are drawn."""
+
+WHOLE_CROWN_PX = 1.5
+"""Crown diameter in pixels from which all trees of a map are drawn."""
+
+LEAST_SHARE = 1.0 / 16.0
+"""No stand is thinned more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """The trees drawn, in a frame; one row each.
+
+    Attributes
+    ----------
+    number
+        int64 (n,), their rows in ``Trees``.
+    base_frame_m, base_height_m
+        float64 (n, 3) and (n,), the feet and their heights.
+    shape
+        float32 (n, 4): half the width of the upright quads, half that of the level one, height, height of the level one; metres.
+    turn
+        float32 (n, 2): cosine and sine of the turn.
+    look
+        int32 (n,).
+    curvature
+        How much "up" leans per metre from the frame's origin.
+    """
+
+    number: np.ndarray
+    base_frame_m: np.ndarray
+    base_height_m: np.ndarray
+    shape: np.ndarray
+    turn: np.ndarray
+    look: np.ndarray
+    curvature: float
+
+    def __len__(self) -> int:
+        return len(self.look)
+
+    def some(self, which: np.ndarray) -> Stand:
+        """The trees at some indices or where a mask says."""
+        arrays = (self.number, self.base_frame_m, self.base_height_m, self.shape, self.turn, self.look)
+        return Stand(*(array[which] for array in arrays), self.curvature)
+
+    def corners(self) -> np.ndarray:
+        """The quads' corners (n, 3, 4, 3) float64 in the frame: two upright ones, then the level one."""
+        return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
+
+
+@lru_cache(maxsize=4)
+def stand_in_map(population: Population, frame: LocalFrame, pixel_m: float) -> Stand | None:
+    """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
+    trees = population.trees
+    return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * WHOLE_CROWN_PX))
+
+
+@lru_cache(maxsize=4)
+def stand_in_perspective(
+    population: Population, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
+) -> Stand | None:
+    """The trees all round an eye; ``None`` without any. The last ones are kept."""
+    trees = population.trees
+    if trees is None:
+        return None
+    away_m = np.maximum(np.linalg.norm(trees.base_earth_m - np.array(eye_earth_m), axis=1), 1.0)
+    return _stand(population, trees, frame, trees.height_m * focal_px / (away_m * WHOLE_PX))
+
+
+def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.ndarray) -> Stand:
+    """``size`` is each tree's as a share of that from which all are drawn."""
+    share = np.clip(size.astype(np.float64) ** 2, LEAST_SHARE, 1.0)
+    number = np.flatnonzero(trees.rank < share)
+    share = share[number]
+    base = (trees.base_earth_m[number] - frame.origin_earth_m) @ frame.frame_from_earth.T
+    half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
+    crown_height = np.array([look.crown_height for look in LOOKS], np.float32)[trees.look[number]]
+    turn = np.radians(trees.turn_deg[number].astype(np.float64))
+    return Stand(
+        number=number,
+        base_frame_m=base,
+        base_height_m=population.tree_heights_m[number],
+        shape=np.stack([half / share, half / np.sqrt(share), height, height * crown_height], axis=1).astype(np.float32),
+        turn=np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32),
+        look=trees.look[number].astype(np.int32),
+        curvature=population.world.curvature,
+    )
+
+
+@compiled
+def tree_corner(base, shape, turn, curvature, quad, corner):  # type: ignore[no-untyped-def]
+    """One corner (x, y, z) of one quad of a tree, and its v coordinate (u is 0 at corners 0 and 3, else 1)."""
+    cosine, sine = np.float64(turn[0]), np.float64(turn[1])
+    x, y = base[0] * curvature, base[1] * curvature
+    scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
+    side = -1.0 if corner == 0 or corner == 3 else 1.0
+    high = 1.0 if corner >= 2 else 0.0
+    if quad == 0:
+        along, across, up = side * shape[0], 0.0, high * shape[2]
+    elif quad == 1:
+        along, across, up = 0.0, side * shape[0], high * shape[2]
+    else:
+        along, across, up = side * shape[1], (2.0 * high - 1.0) * shape[1], np.float64(shape[3])
+    up *= scale
+    return (
+        base[0] + along * cosine - across * sine + up * x,
+        base[1] + along * sine + across * cosine + up * y,
+        base[2] + up,
+    )
+
+
+@compiled
+def tree_corners(base, shape, turn, curvature):  # type: ignore[no-untyped-def]
+    out = np.empty((len(base), 3, 4, 3))
+    for n in range(len(base)):
+        for quad in range(3):
+            for corner in range(4):
+                x, y, z = tree_corner(base[n], shape[n], turn[n], curvature, quad, corner)
+                out[n, quad, corner, 0], out[n, quad, corner, 1], out[n, quad, corner, 2] = x, y, z
+    return out

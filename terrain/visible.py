@@ -1,0 +1,153 @@
+"""What is seen in each pixel: the number of the nearest triangle, by rasterising; the point on it is found by ``resolve``.
+
+Triangles are numbered from 1: the ground's (in perspective; a map's ground is not rasterised), then the meshes', then six
+a tree. Alpha-tested texels are looked up with coverage-preserving mipmaps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+
+import moderngl
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.foliage import THRESHOLD, foliage
+from terrain.gl import Device, device
+from terrain.grid import MapView
+from terrain.ground_mesh import GroundMesh
+from terrain.stand import Stand
+from terrain.world import LocalFrame
+
+NEAR_M = 0.02
+"""What is nearer to the eye than this is not seen."""
+
+GROUND_TRIANGLES = 1
+"""The number of the first triangle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """``number`` uint32 (rows, cols), 0 where nothing is; ``albedo_root`` uint8 (rows, cols, 4), the roots of linear albedo
+    where a tree is seen.
+    """
+
+    number: np.ndarray
+    albedo_root: np.ndarray
+
+
+def shader(*parts: str) -> str:
+    """The text of shader parts, one after another: ``terrain/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
+    texts = []
+    for part in parts:
+        package, name = part.split("/")
+        texts.append(files(package).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8"))
+    return "#version 430\n" + "".join(texts)
+
+
+def seen_in_perspective(
+    view: PerspectiveView, frame: LocalFrame, ground: GroundMesh, solids: tuple[np.ndarray, np.ndarray] | None, stand: Stand | None
+) -> Seen:
+    """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees."""
+    gl = device()
+    eye, camera_from_frame = view.in_frame(frame)
+    size = np.array([view.cols, view.rows])
+    first = np.array([view.col0, view.row0])
+    uniforms = {
+        "camera_from_frame": tuple(camera_from_frame.T.ravel()),
+        "eye_frame_m": tuple(eye),
+        "window": (*(2.0 * view.focal_px / (view.step * size)), *((1.0 - 2.0 * first / view.step) / size - 1.0)),
+        "near_m": NEAR_M,
+    }
+    target = gl.visible_target(view.cols, view.rows)
+    with gl.visible_pass(target):
+        program = _program(gl, "visible.vert", "visible.frag", uniforms)
+        drawn = gl.draw_triangles(program, ground.position_frame_m, ground.triangles, 0)
+        if solids is not None:
+            drawn += gl.draw_triangles(program, *solids, drawn)
+        if stand is not None:
+            in_sight = _in_sight(stand, eye, camera_from_frame, view)
+            _draw_trees(gl, stand, in_sight, stand.base_frame_m, {**uniforms, "in_map": False}, drawn)
+    return _read(gl, target, stand, drawn, None if stand is None else in_sight)
+
+
+def seen_in_map(
+    view: MapView,
+    solids_px: tuple[np.ndarray, np.ndarray] | None,
+    stand: Stand | None,
+    bases_px: np.ndarray | None,
+    px_from_m: np.ndarray,
+    heights_m: tuple[float, float],
+) -> Seen:
+    """What stands on a map's ground: meshes (vertices (n, 3) in columns, rows and metres of height; triangles) and trees.
+
+    Columns and rows count from the corner of the first pixel. ``heights_m`` bounds all heights.
+    """
+    gl = device()
+    low, high = heights_m
+    scale = np.array([1.0, 1.0, 1.0 / (high - low)])
+    shift = np.array([0.0, 0.0, low])
+    target = gl.visible_target(view.cols, view.rows)
+    drawn, chosen = 0, None
+    with gl.visible_pass(target):
+        uniforms = {"size_px": (float(view.cols), float(view.rows))}
+        if solids_px is not None:
+            program = _program(gl, "visible_map.vert", "visible.frag", uniforms)
+            drawn += gl.draw_triangles(program, (solids_px[0] - shift) * scale, solids_px[1], 0)
+        if stand is not None and bases_px is not None:
+            reach = np.linalg.norm(px_from_m, 2) * stand.shape[:, :2].max(axis=1) * 1.5
+            inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
+            chosen = np.flatnonzero(inside[0] & inside[1])
+            more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
+            _draw_trees(gl, stand, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
+    return _read(gl, target, stand, drawn, chosen)
+
+
+def _in_sight(stand: Stand, eye: np.ndarray, camera_from_frame: np.ndarray, view: PerspectiveView) -> np.ndarray:
+    """Indices of the trees whose bounding sphere may be seen."""
+    middle = stand.base_frame_m + np.array([0.0, 0.0, 0.5]) * stand.shape[:, 2:3]
+    radius = np.hypot(stand.shape[:, :2].max(axis=1) * 1.5, 0.5 * stand.shape[:, 2])
+    camera = (middle - eye) @ camera_from_frame.T
+    can = camera[:, 2] > -radius
+    for axis, first, count in ((0, view.col0, view.cols), (1, view.row0, view.rows)):
+        for tangent, side in (
+            ((first - 0.5 * view.step) / view.focal_px, 1.0),
+            ((first + (count - 0.5) * view.step) / view.focal_px, -1.0),
+        ):
+            away = side * (camera[:, axis] - tangent * camera[:, 2]) / np.sqrt(1.0 + tangent**2)
+            can &= away > -radius
+    return np.flatnonzero(can)
+
+
+def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict, first: int) -> None:
+    program = gl.program(shader("terrain/tree", "terrain/visible_tree.vert"), shader("terrain/visible_tree.frag"))
+    texture = gl.layers(foliage().levels)
+    texture.use(0)
+    more = {"foliage": 0, "threshold": THRESHOLD, "curvature": stand.curvature, "first": first}
+    set_uniforms(program, {**uniforms, **more})
+    look = np.concatenate([stand.turn, stand.look[:, None]], axis=1)
+    gl.draw_instances(program, 18, [("base", base[chosen]), ("shape", stand.shape[chosen]), ("look", look[chosen])])
+
+
+def _program(gl: Device, vertex: str, fragment: str, uniforms: dict) -> moderngl.Program:
+    program = gl.program(shader(f"terrain/{vertex}"), shader(f"terrain/{fragment}"))
+    set_uniforms(program, uniforms)
+    return program
+
+
+def set_uniforms(program: moderngl.Program, values: dict) -> None:
+    """Set those of some uniforms that a program uses."""
+    for name, value in values.items():
+        if name in program:
+            program[name] = value
+
+
+def _read(gl: Device, target: moderngl.Framebuffer, stand: Stand | None, drawn: int, chosen: np.ndarray | None) -> Seen:
+    number = gl.read(target, 0, "u4")
+    if chosen is None or not len(chosen):
+        return Seen(number, np.zeros((*number.shape, 4), np.uint8) if stand is not None else np.zeros((0, 0, 4), np.uint8))
+    trees = number > drawn  # numbered among the trees in sight: now among all of them
+    inside = number[trees].astype(np.int64) - drawn - 1
+    number[trees] = (chosen[inside // 6] * 6 + inside % 6 + drawn + 1).astype(np.uint32)
+    return Seen(number, gl.read(target, 1, "f1", 4))

@@ -1,0 +1,172 @@
+"""Meshes on the ground: where they stand, how they turn, what casts for them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from pyproj import CRS
+
+from terrain.assemble import assemble, place, solids
+from terrain.body import srgb_albedo
+from terrain.errors import LevelError, SourceError
+from terrain.level import load_level
+from terrain.scene import build_scene
+from terrain.world import LONGITUDE_LATITUDE, geocentric, transformer
+
+UTM = "EPSG:32633"
+FLOOR = {"flat": {"size": [200, 100], "cells": [20, 10]}}
+
+
+@pytest.fixture
+def scene_of(tmp_path):
+    """``scene_of(terrain, *meshes)``: the scene of a level; the files beside it are an arrow (12 triangles) and a ball (320)."""
+    arrow = trimesh.creation.box(extents=(6, 2, 4))
+    arrow.apply_translation((3, 0, 2))
+    arrow.export(tmp_path / "arrow.ply")
+    trimesh.creation.icosphere(subdivisions=2).export(tmp_path / "ball.ply")
+
+    def make(terrain: dict, *meshes: dict):
+        path = tmp_path / "level.yaml"
+        path.write_text(json.dumps({"version": 1, "terrain": terrain, "meshes": meshes}), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return make
+
+
+def degrees_of(x: float, y: float) -> tuple[float, float]:
+    return transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, y)
+
+
+def assembled(scene, seconds: float = 0.0):
+    return assemble(scene.loaded, scene.world, scene.elevation, seconds)
+
+
+@pytest.fixture
+def hill(write_raster) -> Path:
+    """Rises 1 m per 10 m east from 100 m; 4 km a side."""
+    return write_raster(np.tile(np.arange(400, dtype=np.float32) + 100, (400, 1)), UTM, 500000, 5004000, 10)
+
+
+def test_a_level_without_meshes_has_no_solids(scene_of):
+    assert assembled(scene_of(FLOOR)) is None
+
+
+def test_a_model_stands_at_its_place_turned_and_scaled(scene_of):
+    mesh = {"source": "arrow.ply", "at": [20, 10], "scale": 2, "turn": 90, "color": [0.5, 0.5, 0.5]}
+    result = assembled(scene_of(FLOOR, mesh))
+    np.testing.assert_allclose(result.vertices_earth_m.min(axis=0), [18, 10, 0], atol=1e-6)
+    np.testing.assert_allclose(result.vertices_earth_m.max(axis=0), [22, 22, 8], atol=1e-6)
+    np.testing.assert_allclose(result.albedo, np.tile(srgb_albedo((0.5, 0.5, 0.5)), (12, 1)))
+    assert result.closed == (True,) and not result.moving
+    assert result.triangles.dtype == np.int32 and result.albedo.dtype == np.float32
+    assert result.caster_vertices_earth_m is result.vertices_earth_m and result.caster_triangles is result.triangles
+
+
+def test_normals_turn_with_the_body(scene_of):
+    result = assembled(scene_of(FLOOR, {"source": "arrow.ply", "turn": 30}))
+    corner = result.vertices_earth_m[result.triangles]
+    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    face /= np.linalg.norm(face, axis=1, keepdims=True)
+    np.testing.assert_allclose(result.corner_normals_earth, np.repeat(face[:, None], 3, axis=1), atol=1e-6)
+    assert result.corner_normals_earth.dtype == np.float32
+
+
+def test_a_spinning_model_turns_about_its_own_up_axis_by_the_clock(scene_of):
+    scene = scene_of(FLOOR, {"source": "arrow.ply", "at": [20, 10], "motion": {"spin": 30}})
+    still, later, round_once = (assembled(scene, seconds) for seconds in (0.0, 3.0, 12.0))
+    arm = still.vertices_earth_m - (20, 10, 0)
+    np.testing.assert_allclose(later.vertices_earth_m - (20, 10, 0), arm @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-9)
+    np.testing.assert_allclose(round_once.vertices_earth_m, still.vertices_earth_m, atol=1e-9)
+    assert still.moving
+    placement = place(scene.loaded, scene.world, scene.elevation)
+    np.testing.assert_array_equal(solids(placement, 3.0).vertices_earth_m, later.vertices_earth_m)
+
+
+def test_several_places_are_several_bodies(scene_of):
+    result = assembled(scene_of(FLOOR, {"source": "arrow.ply", "at": [[0, 0], [50, 20]]}, {"source": "ball.ply"}))
+    assert result.closed == (True, True, True)
+    assert np.bincount(result.body).tolist() == [12, 12, 320]
+    assert result.triangles.max() == len(result.vertices_earth_m) - 1
+    shift = result.vertices_earth_m[8:16] - result.vertices_earth_m[:8]
+    np.testing.assert_allclose(shift, np.tile([50, 20, 0], (8, 1)), atol=1e-9)
+
+
+def test_a_stand_in_casts_where_its_model_stands(scene_of):
+    meshes = (
+        {"source": "ball.ply", "at": [[10, 0], [-30, 5]], "scale": 3, "caster": "arrow.ply"},
+        {"source": "arrow.ply", "at": [60, 0]},
+    )
+    result = assembled(scene_of(FLOOR, *meshes))
+    assert len(result.triangles) == 2 * 320 + 12
+    assert len(result.caster_triangles) == 3 * 12
+    first = result.caster_vertices_earth_m[:8]
+    np.testing.assert_allclose(first.min(axis=0), [10, -3, 0], atol=1e-6)
+    np.testing.assert_allclose(first.max(axis=0), [28, 3, 12], atol=1e-6)
+
+
+def test_a_generated_mesh_stands_on_the_anchor(scene_of):
+    result = assembled(scene_of(FLOOR, {"generate": "tetrahedra", "at": [5, 5]}, {"generate": "tetrahedra"}))
+    half = len(result.vertices_earth_m) // 2
+    np.testing.assert_allclose(result.vertices_earth_m[:half] - (5, 5, 0), result.vertices_earth_m[half:], atol=1e-9)
+
+
+def test_on_the_globe_a_model_stands_upright_on_its_ground(scene_of, hill):
+    lon, lat = degrees_of(503000, 5001000)
+    scene = scene_of({"source": str(hill)}, {"source": "arrow.ply", "at": [lon, lat]})
+    result = assembled(scene)
+    point, up = geocentric(np.float64(lon), np.float64(lat))
+    axes = scene.world.earth_from_enu(point, up)
+    ground = 100 + (3000 - 5) / 10
+    local = (result.vertices_earth_m - (point + ground * up)) @ axes
+    np.testing.assert_allclose(local.min(axis=0), [0, -1, 0], atol=1e-2)
+    np.testing.assert_allclose(local.max(axis=0), [6, 1, 4], atol=1e-2)
+
+
+def test_without_a_place_a_model_stands_at_the_anchor(scene_of, hill):
+    scene = scene_of({"source": str(hill)}, {"source": "ball.ply"})
+    x, y, _ = scene.world.map_position(scene.elevation.crs, assembled(scene).vertices_earth_m.mean(axis=0))
+    assert (float(x), float(y)) == pytest.approx((scene.world.anchor_x, scene.world.anchor_y), abs=0.01)
+
+
+def test_holes_under_a_model_are_filled(scene_of, write_raster):
+    heights = np.full((40, 40), 80.0, np.float32)
+    heights[15:25, 15:25] = np.nan
+    dem = write_raster(heights, UTM, 500000, 5000400, 10)
+    scene = scene_of({"source": str(dem)}, {"source": "ball.ply"})
+    height = scene.world.map_position(scene.elevation.crs, assembled(scene).vertices_earth_m)[2]
+    assert height.min() == pytest.approx(80.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "mesh, kind, said",
+    [
+        ({"source": "arrow.ply", "at": [101, 0]}, None, []),  # on the outermost half cell
+        ({"source": "arrow.ply", "at": [120, 0]}, LevelError, ["meshes.0.at", "(120.0, 0.0)", "-105.00, -55.00, 105.00, 55.00"]),
+        ({"source": "arrow.ply", "at": [[0, 0], [0, 80]]}, LevelError, ["meshes.0.at", "(0.0, 80.0)", "within"]),
+        ({"source": "arrow.ply", "height": 4}, LevelError, ["meshes.0.height", "footprints"]),
+        ({"generate": "boxgrid", "surface": "a.tif", "ground": "b.tif"}, LevelError, ["meshes.0.surface", "footprints"]),
+        ({"source": "none.obj"}, SourceError, ["none.obj", "no such file"]),
+        ({"source": "arrow.ply", "caster": "none.obj"}, SourceError, ["none.obj", "no such file"]),
+        ({"source": "none.geojson", "height": 3}, SourceError, ["none.geojson", "no such file"]),
+    ],
+)
+def test_what_is_refused_says_why_in_one_line(scene_of, mesh, kind, said):
+    scene = scene_of(FLOOR, mesh)
+    if kind is None:
+        assert assembled(scene) is not None
+        return
+    with pytest.raises(kind) as caught:
+        assembled(scene)
+    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_place_off_the_raster_names_its_bounds_in_degrees(scene_of, hill):
+    with pytest.raises(LevelError, match=r"meshes\.0\.at: '\(15\.0, 46\.0\)' .* within 15\.0\d+, 45\.1\d+, 15\.0\d+, 45\.1\d+"):
+        assembled(scene_of({"source": str(hill)}, {"source": "arrow.ply", "at": [15.0, 46.0]}))
+    with pytest.raises(LevelError, match=r"meshes\.0\.at"):
+        assembled(scene_of({"source": str(hill)}, {"source": "arrow.ply", "at": [15.0, 500.0]}))

@@ -1,0 +1,304 @@
+"""Buildings: bodies and their normals, extruded footprints, where heights come from, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import affinity
+
+from terrain.assemble import assemble, place
+from terrain.body import Body, box, cylinder, merged, moved, srgb_albedo
+from terrain.buildings import FOOTING_M, _block_triangles, _roof_triangles
+from terrain.errors import LevelError, SourceError
+from terrain.level import load_level
+from terrain.scene import build_scene
+from tests.conftest import ENGINEERING
+
+UTM = "EPSG:32633"
+SQUARE = shapely.box(500100, 5000100, 500120, 5000110)
+COURT = shapely.box(500140, 5000135, 500150, 5000145)
+YARD = shapely.box(500130, 5000130, 500160, 5000150).difference(COURT)
+
+
+def written(path: Path, geometry, crs: str = UTM, **attributes) -> Path:
+    """A GeoPackage of some geometries."""
+    geometry = np.atleast_1d(np.array(geometry, object))
+    kinds = {g.geom_type for g in geometry}
+    pyogrio.raw.write(
+        path, shapely.to_wkb(geometry), [np.array(v) for v in attributes.values()], list(attributes), crs=crs,
+        geometry_type=kinds.pop() if len(kinds) == 1 else "Unknown", driver="GPKG",
+    )  # fmt: skip
+    return path
+
+
+def world_of(tmp_path: Path, terrain: dict, **mesh):
+    path = tmp_path / "level.yaml"
+    path.write_text(json.dumps({"version": 1, "terrain": terrain, "meshes": [mesh]}, default=str), encoding="utf-8")
+    scene = build_scene(load_level(path))
+    return scene.loaded, scene.world, scene.elevation
+
+
+def placed(tmp_path: Path, dem: Path, **mesh):
+    """The one mesh of a level over a raster, and the level's world and elevation."""
+    loaded, world, elevation = world_of(tmp_path, {"source": str(dem)}, **mesh)
+    return place(loaded, world, elevation).seen, world, elevation
+
+
+def heights(body, world, elevation) -> np.ndarray:
+    return world.map_position(elevation.crs, body.origin_earth_m + body.body.vertices_m @ body.earth_from_body.T)[2]
+
+
+@pytest.fixture
+def level_ground(write_raster):
+    return write_raster(np.full((40, 40), 50.0, np.float32), UTM, 500000, 5000400, 10)
+
+
+@pytest.fixture
+def slope(write_raster):
+    """Rises 0.2 m per metre east."""
+    return write_raster(np.tile(np.arange(40, dtype=np.float32) * 2.0, (40, 1)), UTM, 500000, 5000400, 10)
+
+
+def test_linear_albedo_of_srgb():
+    np.testing.assert_allclose(srgb_albedo((0.0, 1.0, 0.5)), [0.0, 1.0, 0.21404], atol=1e-5)
+    assert srgb_albedo(0.04) == pytest.approx(0.04 / 12.92)
+
+
+def test_a_box_is_closed_and_sharp():
+    body = box((2, 4, 6), (1, 2, 3))
+    assert body.closed and body.volume_m3 == pytest.approx(48)
+    assert body.vertices_m.min(axis=0) == pytest.approx([0, 0, 0])
+    corners = body.vertices_m[body.triangles]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face /= np.linalg.norm(face, axis=1, keepdims=True)
+    np.testing.assert_allclose(body.corner_normals(), np.repeat(face[:, None], 3, axis=1), atol=1e-6)
+
+
+def test_a_cylinder_is_round_at_its_side_and_sharp_at_its_rim():
+    body = cylinder(2.0, 5.0, sections=24)
+    assert body.closed
+    normal, corner = body.corner_normals(), body.vertices_m[body.triangles]
+    side = np.abs(normal[..., 2]) < 0.5
+    radial = corner[side] * (1, 1, 0) / 2.0
+    np.testing.assert_allclose(normal[side], radial, atol=1e-6)
+    assert np.abs(normal[~side][:, 2]).min() == pytest.approx(1.0)
+    sharp = body.corner_normals(crease_deg=10.0)  # facets are 15 degrees apart
+    np.testing.assert_allclose(sharp, np.repeat(sharp[:, :1], 3, axis=1), atol=1e-6)
+
+
+def test_an_open_or_twice_covered_surface_is_not_closed():
+    body = box((1, 1, 1))
+    assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).closed
+    flipped = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
+    assert not Body(body.vertices_m, flipped, body.albedo).closed
+    assert not merged([body, body]).closed
+    assert not merged([]).closed
+
+
+def test_vertices_in_one_place_are_one():
+    body = box((1, 1, 1))
+    soup = Body(body.vertices_m[body.triangles].reshape(-1, 3), np.arange(36).reshape(-1, 3), body.albedo)
+    assert soup.closed
+
+
+def test_triangles_without_area_are_dropped():
+    body = Body(np.eye(3), [[0, 1, 2], [0, 0, 1]], (0.5, 0.5, 0.5))
+    assert len(body.triangles) == len(body.albedo) == 1
+
+
+def test_moved_scales_turns_and_shifts():
+    body = moved(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), turn_deg=90, scale=2)
+    np.testing.assert_allclose(body.vertices_m, [[10, 22, 30], [10, 24, 30], [10, 22, 32]], atol=1e-12)
+
+
+@st.composite
+def town_blocks(draw):
+    """Right-angled outlines with courtyards, turned: many corners in line, as drawn by people."""
+    cell = st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(1, 6), st.integers(1, 6))
+    whole = shapely.union_all([shapely.box(x, y, x + w, y + h) for x, y, w, h in draw(st.lists(cell, min_size=1, max_size=6))])
+    cut = shapely.union_all([shapely.box(x, y, x + 1, y + 1) for x, y, _, _ in draw(st.lists(cell, max_size=4))])
+    turned = affinity.rotate(whole.difference(cut), draw(st.sampled_from([0.0, 17.3, 45.0])), origin=(0, 0))
+    parts = [part for part in shapely.get_parts(turned) if part.area > 0.5]
+    # Rings that touch themselves or each other share a corner: such a block is no manifold.
+    parts = [
+        p for p in parts if len(np.unique((xy := shapely.get_coordinates(p)).round(6), axis=0)) == len(xy) - 1 - len(p.interiors)
+    ]
+    return [shapely.orient_polygons(shapely.simplify(shapely.normalize(part), 1e-6)) for part in parts]
+
+
+@settings(max_examples=200, deadline=None)
+@given(town_blocks())
+def test_any_block_is_closed_faces_outwards_and_has_its_footprints_roof(polygons):
+    for polygon in polygons:
+        rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+        xy, ends = np.concatenate(rings), np.cumsum([len(ring) for ring in rings])
+        roof = _roof_triangles(polygon, xy - xy[0], ends)
+        a, b, c = np.moveaxis(xy[roof], 1, 0)
+        area = ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])) / 2
+        assert (area > 0).all() and area.sum() == pytest.approx(polygon.area)
+        triangles, is_roof = _block_triangles(roof, ends)
+        vertices = np.concatenate([np.insert(xy, 2, height, axis=1) for height in (7.0, 0.0)])
+        body = Body(vertices, triangles, (0.5, 0.5, 0.5))
+        assert body.closed, polygon.wkt
+        assert body.volume_m3 == pytest.approx(7.0 * polygon.area)
+        assert is_roof.sum() == len(roof)
+
+
+def test_a_building_on_level_ground(tmp_path, level_ground):
+    source = written(tmp_path / "b.gpkg", [SQUARE, YARD], height_m=[8.0, 12.0])
+    bodies, world, elevation = placed(tmp_path, level_ground, source=source)
+    assert len(bodies) == 2
+    for body, footprint, tall in zip(bodies, (SQUARE, YARD), (8.0, 12.0), strict=True):
+        assert body.body.closed
+        # UTM's scale here is 0.9996: areas on the ground are larger by its square.
+        assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (tall + FOOTING_M), rel=1e-4)
+        up = heights(body, world, elevation)
+        assert up.max() == pytest.approx(50 + tall, abs=1e-3) and up.min() == pytest.approx(50 - FOOTING_M, abs=1e-3)
+
+
+def test_a_building_on_a_slope_stands_on_its_mean_ground_and_leaves_no_gap(tmp_path, slope):
+    source = written(tmp_path / "b.gpkg", [SQUARE])
+    (body,), world, elevation = placed(tmp_path, slope, source=source, height=8.0)
+    west, east = (elevation.ground_m(np.float64(x), np.float64(5000105)) for x in (500100, 500120))
+    up = heights(body, world, elevation)
+    assert body.body.closed and body.body.volume_m3 > 0
+    assert east - west == pytest.approx(4.0)
+    assert up.max() == pytest.approx((west + east) / 2 + 8.0, abs=1e-3)
+    assert up.min() == pytest.approx(west - FOOTING_M, abs=1e-3)
+
+
+def test_needless_corners_and_a_clockwise_outline_change_nothing(tmp_path, level_ground):
+    ring = np.array(shapely.segmentize(SQUARE, 2.5).exterior.coords)
+    untidy = shapely.Polygon(np.repeat(ring[::-1], 2, axis=0))
+    source = written(tmp_path / "b.gpkg", [SQUARE, untidy])
+    (tidy, other), *_ = placed(tmp_path, level_ground, source=source, height=8.0)
+    assert len(tidy.body.triangles) == len(other.body.triangles) == 12
+    assert other.body.closed and other.body.volume_m3 == pytest.approx(tidy.body.volume_m3)
+
+
+def test_multi_polygons_and_outlines_that_cross_themselves(tmp_path, level_ground):
+    bow_tie = shapely.Polygon([(500100, 5000100), (500120, 5000120), (500120, 5000100), (500100, 5000120)])
+    both = shapely.MultiPolygon([SQUARE, YARD])
+    source = written(tmp_path / "b.gpkg", [both], height=[5])
+    bodies, *_ = placed(tmp_path, level_ground, source=source)
+    assert [body.body.closed for body in bodies] == [True, True]
+    source = written(tmp_path / "c.gpkg", [bow_tie], height=[5])
+    bodies, *_ = placed(tmp_path, level_ground, source=source)
+    assert sum(b.body.volume_m3 for b in bodies) == pytest.approx(200 / 0.9996**2 * 5.5, rel=1e-3)
+
+
+def test_the_same_building_has_the_same_colours_and_another_one_others(tmp_path, level_ground):
+    row = [affinity.translate(SQUARE, 0, 12 * k) for k in range(12)]
+    source = written(tmp_path / "b.gpkg", row)
+    first, *_ = placed(tmp_path, level_ground, source=source, height=8)
+    source = written(tmp_path / "c.gpkg", row[::-1])
+    other, *_ = placed(tmp_path, level_ground, source=source, height=8)
+    for a, b in zip(first, other[::-1], strict=True):
+        np.testing.assert_array_equal(a.body.albedo, b.body.albedo)
+    assert len({tuple(body.body.albedo[0]) for body in first}) > 6
+    assert all(0.02 < body.body.albedo.min() < body.body.albedo.max() < 0.75 for body in first)
+    painted, *_ = placed(tmp_path, level_ground, source=source, height=8, color=[1, 0, 0])
+    assert (painted[0].body.albedo == (1, 0, 0)).all()
+
+
+def test_heights_unknown_or_not_above_zero_leave_footprints_out(tmp_path, level_ground):
+    row = [affinity.translate(SQUARE, 0, 20 * k) for k in range(4)]
+    source = written(tmp_path / "b.gpkg", row, tall=[np.nan, 0.0, -3.0, 6.0])
+    bodies, *_ = placed(tmp_path, level_ground, source=source, height="tall")
+    assert len(bodies) == 1
+
+
+def test_footprints_off_the_terrain_are_left_out(tmp_path, level_ground):
+    source = written(tmp_path / "b.gpkg", [SQUARE, affinity.translate(SQUARE, 5000, 0)])
+    bodies, *_ = placed(tmp_path, level_ground, source=source, height=4)
+    assert len(bodies) == 1
+
+
+def test_heights_by_surface_minus_ground_in_feet_and_another_crs(tmp_path, level_ground, write_raster):
+    x, y = np.meshgrid(500000.5 + np.arange(400), 5000399.5 - np.arange(400))
+    roofed = shapely.contains_xy(SQUARE, x, y) | shapely.contains_xy(YARD, x, y)
+    top = np.where(roofed, 60.0, 50.0)
+    top[shapely.contains_xy(shapely.box(500109, 5000104, 500111, 5000105), x, y)] = 75.0  # a chimney: below a tenth
+    surface = write_raster((top / 0.3048).astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")
+    with rasterio.open(surface, "r+") as dataset:
+        dataset.units = ("ft",)
+    west, north = 14.999, 45.157
+    ground = write_raster(np.full((200, 200), 50.0, np.float32), "EPSG:4326", west, north, 5e-5, name="dtm.tif")
+    shed = shapely.box(500140.2, 5000137.2, 500140.6, 5000137.6)  # smaller than a cell, in the yard
+    source = written(tmp_path / "b.gpkg", [SQUARE, YARD, shed])
+    bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(ground))
+    assert len(bodies) == 2  # the shed's surface is the ground's
+    for body in bodies:
+        assert heights(body, world, elevation).max() == pytest.approx(60.0, abs=0.02)
+
+
+def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_data):
+    folder = shared_data / "urban" / "goteborg_1m"
+    bodies, world, elevation = placed(
+        tmp_path, folder / "DEM.tif", source=folder / "buildings.shp", surface=folder / "DSM.tif", ground=folder / "DEM.tif"
+    )
+    assert 20 < len(bodies) < 137
+    assert all(body.body.closed and body.body.volume_m3 > 0 for body in bodies)
+    spans = [np.ptp(heights(body, world, elevation)) for body in bodies]
+    assert 10 < np.median(spans) < 25 and max(spans) < 60
+
+
+def test_a_flat_world(tmp_path):
+    source = written(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
+    loaded, world, elevation = world_of(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
+    solids = assemble(loaded, world, elevation, 0.0)
+    np.testing.assert_allclose(solids.vertices_earth_m.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
+    np.testing.assert_allclose(solids.vertices_earth_m.max(axis=0), [10, 5, 6], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "mesh, kind, said",
+    [
+        ({"height": "storeys"}, SourceError, ["b.gpkg", "no attribute 'storeys'", "tall, name"]),
+        ({}, LevelError, ["meshes.0.height", "nothing", "b.gpkg (tall, name)", "surface and ground"]),
+        ({"height": "name"}, SourceError, ["b.gpkg", "name = tower"]),
+        ({"height": "tall"}, SourceError, ["b.gpkg", "1500 m at feature 2 of 2", "up to 1000 m"]),
+        ({"height": "low"}, SourceError, ["no attribute 'low'"]),
+        ({"height": 5, "surface": "dem.tif", "ground": "dem.tif"}, LevelError, ["meshes.0.height", "either height, or surface"]),
+        ({"height": 5, "at": [15, 45]}, LevelError, ["meshes.0.at", "footprints"]),
+        ({"height": 5, "motion": {"spin": 3}}, LevelError, ["meshes.0.motion", "footprints"]),
+        ({"surface": "dem.tif", "ground": "dem.tif"}, SourceError, ["b.gpkg", "no footprint with a height above 0", "dem.tif"]),
+        ({"surface": "none.tif", "ground": "dem.tif"}, SourceError, ["none.tif"]),
+    ],
+)
+def test_what_is_refused_says_why_in_one_line(tmp_path, level_ground, mesh, kind, said):
+    source = written(tmp_path / "b.gpkg", [SQUARE, YARD], tall=[3.0, 1500.0], name=["tower", "yard"])
+    with pytest.raises(kind) as caught:
+        placed(tmp_path, level_ground, source=source, **mesh)
+    assert all(part in str(caught.value) for part in said), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "geometry, said",
+    [
+        (shapely.Point(500100, 5000100), ["Point geometries", "polygons; or a model"]),
+        (affinity.translate(SQUARE, 50000, 0), ["footprints within 15.6", "on the terrain: within 15.0"]),
+    ],
+)
+def test_geometry_that_cannot_stand_is_refused(tmp_path, level_ground, geometry, said):
+    source = written(tmp_path / "b.gpkg", [geometry])
+    with pytest.raises(SourceError) as caught:
+        placed(tmp_path, level_ground, source=source, height=5)
+    assert all(part in str(caught.value) for part in said), str(caught.value)
+
+
+def test_no_usable_height_at_all_is_one_error(tmp_path, level_ground):
+    source = written(tmp_path / "b.gpkg", [SQUARE], tall=[0.0])
+    with pytest.raises(SourceError, match="no footprint with a height above 0 in the attribute 'tall'"):
+        placed(tmp_path, level_ground, source=source, height="tall")
+    with pytest.raises(SourceError, match="no such file"):
+        placed(tmp_path, level_ground, source=tmp_path / "none.gpkg", height=3)

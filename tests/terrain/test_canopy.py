@@ -1,0 +1,180 @@
+"""Tree tops in canopy heights: known bumps, windows, units, coarse rasters, and a published inventory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from pyproj import CRS
+from scipy.spatial import cKDTree
+
+from terrain import canopy as module
+from terrain.canopy import LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, Canopy, CellWindow, room_m
+from terrain.errors import SourceError
+from tests.conftest import ENGINEERING
+
+UTM = CRS.from_epsg(32633)
+CELL = 0.5
+
+
+def bumps(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m: float = 1.2) -> np.ndarray:
+    """Gaussian crowns at (row, col), the highest of all at each cell."""
+    row, col = np.mgrid[0:rows, 0:cols]
+    square = ((row[..., None] - tops[:, 0]) ** 2 + (col[..., None] - tops[:, 1]) ** 2) * CELL**2
+    return (height_m * np.exp(-square / (2 * width_m**2))).max(axis=-1).astype(np.float32)
+
+
+def trees_of(canopy: Canopy, crs: CRS = UTM, crown_of=lambda h: 1.0 + 0.25 * h, seed: int = 0):
+    window = canopy.window(crs, None)
+    pieces = list(canopy.trees(crs, 1.0, window, crown_of, seed))
+    x, y = (np.concatenate([getattr(p.places, axis) for p in pieces]) for axis in "xy")
+    return x, y, np.concatenate([p.height_m for p in pieces])
+
+
+@pytest.fixture(scope="module")
+def grove():
+    """Tops at least 5 m apart and their heights."""
+    rng, tops = np.random.default_rng(3), []
+    for place in rng.integers(4, 196, (4000, 2)):
+        if all(np.hypot(*(place - other)) * CELL >= 5.0 for other in tops):
+            tops.append(place)
+    tops = np.array(tops)
+    return tops, rng.uniform(6.0, 25.0, len(tops)).astype(np.float32), bumps(200, 200, tops, np.float32(1.0))
+
+
+def test_bumps_are_found_one_by_one(write_raster, grove):
+    tops, heights, _ = grove
+    raster = bumps(200, 200, tops, heights)
+    x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL))))
+    order = np.lexsort(tops.T[::-1])
+    row, col = (5000100 - y) / CELL - 0.5, (x - 500000) / CELL - 0.5
+    found = np.lexsort((col, row))
+    np.testing.assert_allclose(np.column_stack([row, col])[found], tops[order], atol=1e-6)
+    np.testing.assert_allclose(height_m[found], heights[order], rtol=1e-6)
+
+
+def test_blocks_agree_with_the_whole(write_raster, monkeypatch):
+    raster = np.random.default_rng(0).integers(0, 12, (120, 150)).astype(np.int16)  # ties everywhere
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
+    whole = set(zip(*trees_of(canopy), strict=True))
+    monkeypatch.setattr(module, "_BLOCK", 17)
+    assert set(zip(*trees_of(canopy), strict=True)) == whole
+
+
+def test_no_top_has_a_higher_cell_in_its_window(write_raster):
+    raster = np.random.default_rng(1).gamma(2.0, 5.0, (80, 90)).astype(np.float32)
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
+    ((row, col, height_m),) = canopy.tops(np.diag([CELL, -CELL]), CellWindow(0, 0, 80, 90))
+    every_row, every_col = np.mgrid[0:80, 0:90]
+    for r, c, h in zip(row, col, height_m, strict=True):
+        distance = np.hypot(every_row - r, every_col - c) * CELL
+        assert raster[distance <= 0.8 + 0.05 * h].max() == np.float32(h)
+    expected = {
+        (r, c) for r, c in np.ndindex(80, 90)
+        if LEAST_HEIGHT_M <= raster[r, c] <= MOST_HEIGHT_M and raster[r, c] == raster[
+            np.maximum(np.hypot(every_row - r, every_col - c) * CELL - 0.05 * raster[r, c], 0) <= 0.8].max()
+    }  # fmt: skip
+    assert set(zip(row.tolist(), col.tolist(), strict=True)) == expected
+
+
+def test_a_flat_canopy_bears_trees_a_window_apart(write_raster):
+    canopy = Canopy(str(write_raster(np.full((100, 100), 20, np.int16), "EPSG:32633", 500000, 5000000, CELL)))
+    x, y, _ = trees_of(canopy)
+    nearest = cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1]
+    assert nearest.min() > 0.8 + 0.05 * 20
+    assert len(x) > 2500 / (np.pi * 1.8**2) / 2  # Matern's second process keeps one of a window's area
+
+
+def test_no_data_zero_negative_and_absurd_cells_bear_no_trees(write_raster):
+    raster = np.zeros((40, 40), np.float32)
+    raster[5, 5], raster[5, 20], raster[20, 5], raster[20, 20], raster[30, 30] = np.nan, -9999.0, 1.9, 4000.0, -3.0
+    raster[35, 10] = 8.0
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL, nodata=-9999.0)))
+    assert trees_of(canopy)[2].tolist() == [8.0]
+
+
+def test_feet_become_metres(write_raster):
+    raster = np.zeros((20, 20), np.float32)
+    raster[10, 10] = 100.0
+    path = write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = ["ft"]
+    assert trees_of(Canopy(str(path)))[2] == pytest.approx([30.48])
+
+
+def test_a_raster_in_degrees_finds_the_same_trees(write_raster, grove):
+    """A window is round on the ground, not in cells: 60 degrees north they are half as wide as high."""
+    tops, heights, _ = grove
+    step = CELL / 111_412.0  # a second of latitude at 60 degrees
+    raster = bumps(200, 200, tops, heights)
+    x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:4326", 15.0, 60.0, (2 * step, step)))))
+    assert sorted(height_m.tolist()) == pytest.approx(sorted(heights.tolist()))
+
+
+def test_a_coarse_canopy_is_scattered_as_dense_as_its_crowns_close(write_raster):
+    raster = np.zeros((60, 80), np.float32)
+    raster[10:50, 10:70] = 15.0  # 400 m x 600 m
+    raster[20:30, 20:30] = np.nan
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, 10.0, nodata=np.nan)))
+    x, y, height_m = trees_of(canopy)
+    assert set(height_m.tolist()) == {15.0}
+    row, col = np.floor((5000000 - y) / 10).astype(int), np.floor((x - 500000) / 10).astype(int)
+    assert (raster[row, col] == 15.0).all()
+    edges = module._height_classes(lambda h: 1.0 + 0.25 * h)
+    number = np.searchsorted(edges, 15.0) - 1
+    crown_m = 1.0 + 0.25 * np.sqrt(edges[number] * edges[number + 1])
+    assert 0.8 < crown_m / (1.0 + 0.25 * 15.0) < 1.25
+    assert len(x) == pytest.approx(PACKING * 230_000 / crown_m**2, rel=0.01)
+    assert cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1].min() > 0.4 * crown_m
+
+
+def test_a_coarse_canopy_far_from_its_origin_in_a_flat_world(write_raster):
+    raster = np.full((30, 40), 12.0, np.float32)
+    canopy = Canopy(str(write_raster(raster, ENGINEERING, 7000, 90000, 10.0)))
+    x, y, _ = trees_of(canopy, canopy.crs)
+    assert x.min() >= 7000 and x.max() <= 7400 and y.min() >= 89700 and y.max() <= 90000
+    assert np.histogram2d(x, y, bins=4)[0].min() > len(x) / 16 * 0.8
+
+
+def test_height_classes_hold_every_height_and_grow_by_a_root_of_two():
+    def crown_of(height_m):
+        return 1.0 + 0.3 * height_m
+
+    edges = module._height_classes(crown_of)
+    assert edges[0] == LEAST_HEIGHT_M and edges[-1] > MOST_HEIGHT_M
+    assert (crown_of(edges[1:]) / crown_of(edges[:-1])).max() < 1.45
+    assert module._height_classes(lambda h: np.full_like(h, 3.0)).size == 2
+
+
+def test_room_is_the_mean_distance_to_three_neighbours():
+    x, y = np.array([0.0, 3.0, 0.0, 0.0]), np.array([0.0, 0.0, 4.0, -5.0])
+    assert room_m(x, y, 0.3048)[0] == pytest.approx(4.0 * 0.3048)
+    assert np.isinf(room_m(x[:3], y[:3], 1.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "crs", "message"), [(np.float32, None, "no coordinate reference system"), (np.complex64, "EPSG:32633", "complex64")]
+)
+def test_rasters_that_cannot_be_canopies_are_refused(write_raster, dtype, crs, message):
+    data = np.zeros((4, 4), dtype)
+    with pytest.raises(SourceError, match=message):
+        Canopy(str(write_raster(data, crs, 0, 8, 2)))
+
+
+def test_kootenay_inventory(shared_data):
+    """ForestTools' inventory of this canopy (its ``vwf`` with the same window and 1.5 m as least height) has a point for each of
+    several equal cells, here one tree.
+    """
+    _, _, wkb, (height_m, *_) = pyogrio.raw.read(shared_data / "forest" / "kootenay_treetops.gpkg")
+    inventory = shapely.get_coordinates(shapely.from_wkb(wkb))
+    canopy = Canopy(str(shared_data / "forest" / "kootenay_CHM_025m.tif"))
+    x, y, found_m = trees_of(canopy, canopy.crs)
+    found = np.column_stack([x, y])
+    tall = height_m >= LEAST_HEIGHT_M
+    missed = cKDTree(found).query(inventory[tall])[0] > 1.5
+    extra = cKDTree(inventory).query(found)[0] > 1.5
+    assert missed.sum() <= 0.04 * tall.sum()
+    assert extra.sum() <= 0.05 * len(found)
+    assert found_m.max() == pytest.approx(height_m.max(), rel=1e-6)

@@ -1,0 +1,234 @@
+"""The pictures of trees: their mips keep coverage and colour, their outlines are those of trees."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation, gaussian_filter
+
+from terrain import foliage as module
+from terrain.errors import InputError
+from terrain.foliage import LOOKS, THRESHOLD, Foliage, coverage_mips, foliage
+from terrain.foliage_paint import Whorled
+
+WHORLED = [i for i, (_, model) in enumerate(module._KINDS) if isinstance(model, Whorled)]
+SIDES = range(0, 2 * len(LOOKS), 2)
+LAYERS = range(2 * len(LOOKS))
+
+
+def bilinear(n: int, points: int = 4) -> np.ndarray:
+    """Matrix (points * n, n) that samples n texels at the middles of ``points`` parts of each, clamped to the edge."""
+    at = np.clip((np.arange(points * n) + 0.5) / points - 0.5, 0.0, n - 1.0)
+    return np.maximum(1.0 - np.abs(at[:, None] - np.arange(n)), 0.0)
+
+
+def coverage(rgba: np.ndarray, threshold: float = THRESHOLD) -> float:
+    alpha = rgba[..., 3] / 255.0
+    return float((bilinear(alpha.shape[0]) @ alpha @ bilinear(alpha.shape[1]).T >= threshold).mean())
+
+
+def linear(srgb: np.ndarray) -> np.ndarray:
+    value = srgb / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def opaque(rgba: np.ndarray) -> np.ndarray:
+    return rgba[..., 3] >= 255 * THRESHOLD
+
+
+def pattern(kind: str, size: int = 64) -> np.ndarray:
+    """A field whose lowest part, cut anywhere, is a cut-out of the wanted coverage."""
+    rng = np.random.default_rng(7)
+    y, x = np.indices((size, size)) - (size - 1) / 2
+    fields = {
+        "noise": rng.random((size, size)),
+        "fine blobs": gaussian_filter(rng.random((size, size)), 2, mode="wrap"),
+        "coarse blobs": gaussian_filter(rng.random((size, size)), 12, mode="wrap"),
+        "disc": np.hypot(x, y),
+        "half": x + 1e-3 * y,
+        "stripes": np.mod(x, 16) + 1e-3 * y,
+        "dots": np.hypot(np.mod(x, 16) - 8, np.mod(y, 16) - 8),
+    }
+    return fields[kind]
+
+
+def cut_out(field: np.ndarray, share: float) -> np.ndarray:
+    alpha = np.where(field <= np.quantile(field, share), 255, 0).astype(np.uint8)
+    return np.dstack([np.full(alpha.shape, 80, np.uint8)] * 3 + [alpha])
+
+
+@pytest.fixture(scope="module")
+def pictures() -> Foliage:
+    return foliage()
+
+
+@pytest.mark.parametrize("kind", ["noise", "fine blobs", "coarse blobs", "disc", "half", "stripes", "dots"])
+@pytest.mark.parametrize("share", np.arange(1, 10) / 10)
+def test_mips_keep_coverage(kind: str, share: float) -> None:
+    levels = coverage_mips(cut_out(pattern(kind), share), THRESHOLD)
+    assert [level.shape[0] for level in levels] == [64, 32, 16, 8, 4]
+    assert coverage(levels[0]) == pytest.approx(share, abs=0.06)  # bilinear magnification moves the edges a little
+    for level in levels[1:-1]:
+        assert coverage(level) == pytest.approx(coverage(levels[0]), abs=0.02)
+
+
+def test_plain_means_do_not_keep_coverage() -> None:
+    """Else the test above could not fail."""
+    alpha = cut_out(pattern("fine blobs"), 0.2)[..., 3] / 255.0
+    mean = alpha.reshape(8, 8, 8, 8).mean(axis=(1, 3))
+    assert coverage(np.dstack([255 * mean] * 4)) < 0.05 < coverage(np.dstack([255 * alpha] * 4))
+
+
+@pytest.mark.parametrize("threshold", [0.2, 0.8])
+def test_mips_keep_coverage_at_other_thresholds(threshold: float) -> None:
+    levels = coverage_mips(cut_out(pattern("fine blobs"), 0.4), threshold)
+    for level in levels[1:-1]:
+        assert coverage(level, threshold) == pytest.approx(coverage(levels[0], threshold), abs=0.02)
+
+
+@pytest.mark.parametrize("alpha", [0, 255])
+def test_empty_and_full_pictures_stay_so(alpha: int) -> None:
+    levels = coverage_mips(np.full((32, 64, 4), alpha, np.uint8), THRESHOLD)
+    assert [level.shape for level in levels] == [(32, 64, 4), (16, 32, 4), (8, 16, 4), (4, 8, 4)]
+    assert {coverage(level) for level in levels} == {alpha / 255.0}
+
+
+def test_mips_leave_level_0_alone_where_it_shows() -> None:
+    rgba = np.random.default_rng(3).integers(0, 256, (64, 64, 4), dtype=np.uint8)
+    level = coverage_mips(rgba, THRESHOLD)[0]
+    assert np.array_equal(level[..., 3], rgba[..., 3])
+    assert np.array_equal(level[rgba[..., 3] > 0], rgba[rgba[..., 3] > 0])
+
+
+def test_no_colour_leaks_from_transparent_texels() -> None:
+    rgba = np.zeros((64, 64, 4), np.uint8)  # transparent black
+    rgba[pattern("disc", 64) < 20] = (180, 60, 20, 255)
+    for level in coverage_mips(rgba, THRESHOLD):
+        assert (level[..., :3] == (180, 60, 20)).all()
+
+
+def test_mips_average_in_linear_light() -> None:
+    rgba = np.full((8, 8, 4), 255, np.uint8)
+    rgba[::2, :, :3] = 0
+    assert (coverage_mips(rgba, THRESHOLD)[1][..., :3] == 188).all()  # half the light, not half the code value
+
+
+@pytest.mark.parametrize("shape", [(6, 8, 4), (2, 4, 4), (8, 8, 3), (8, 8)])
+def test_a_picture_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="powers of two"):
+        coverage_mips(np.zeros(shape, np.uint8), THRESHOLD)
+
+
+@pytest.mark.parametrize("threshold", [0.0, 1.0, float("nan")])
+def test_a_threshold_outside_alpha_is_refused(threshold: float) -> None:
+    with pytest.raises(InputError, match="threshold"):
+        coverage_mips(np.zeros((8, 8, 4), np.uint8), threshold)
+
+
+def test_looks() -> None:
+    assert len({look.name for look in LOOKS}) == len(LOOKS)
+    assert sum(look.species == "conifer" for look in LOOKS) >= 4
+    assert sum(look.species == "broadleaf" for look in LOOKS) >= 4
+    assert {look.species for look in LOOKS} == {"conifer", "broadleaf"}
+    assert all(0.0 < look.crown_height < 1.0 and 0.1 < look.crown_to_height < 1.2 for look in LOOKS)
+
+
+def test_a_look_names_the_proportions_it_is_painted_in() -> None:
+    assert all(look.crown_to_height == pytest.approx(2.0 * model.radius) for look, model in module._KINDS)
+
+
+def test_levels(pictures: Foliage) -> None:
+    sizes = [256, 128, 64, 32, 16, 8, 4]
+    assert [level.shape for level in pictures.levels] == [(2 * len(LOOKS), s, s, 4) for s in sizes]
+    assert all(level.dtype == np.uint8 for level in pictures.levels)
+
+
+def test_two_makings_are_equal(pictures: Foliage) -> None:
+    def digest(made: Foliage) -> str:
+        return hashlib.sha256(b"".join(level.tobytes() for level in made.levels)).hexdigest()
+
+    assert digest(foliage.__wrapped__()) == digest(pictures)
+    assert foliage() is pictures
+
+
+def test_every_layer_is_another_picture(pictures: Foliage) -> None:
+    assert len({layer.tobytes() for layer in pictures.levels[0]}) == 2 * len(LOOKS)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_trees_keep_coverage(pictures: Foliage, layer: int) -> None:
+    for level in pictures.levels[1:-1]:
+        assert coverage(level[layer]) == pytest.approx(coverage(pictures.levels[0][layer]), abs=0.02)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_the_outermost_texels_are_clear(pictures: Foliage, layer: int) -> None:
+    alpha = pictures.levels[0][layer, ..., 3]
+    assert not alpha[0].any() and not alpha[:, 0].any() and not alpha[:, -1].any()
+    foot = np.flatnonzero(alpha[-1])
+    if layer in SIDES:
+        assert np.abs(foot - 127.5).max() < 20  # the stem
+    else:
+        assert foot.size == 0
+
+
+@pytest.mark.parametrize("layer", SIDES)
+def test_a_stem_stands_on_the_last_row_and_reaches_the_top(pictures: Foliage, layer: int) -> None:
+    shown = opaque(pictures.levels[0][layer])
+    assert shown[-1, 127:129].all()
+    assert shown[1:].any(axis=1).all() and shown[1].any()
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_the_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
+    shown = opaque(pictures.levels[0][layer])
+    spans = [np.ptp(np.flatnonzero(row)) + 1 for row in shown if row.any()]
+    assert max(spans) >= 0.9 * 256
+    if layer not in SIDES:
+        assert np.ptp(np.flatnonzero(shown.any(axis=1))) + 1 >= 0.9 * 256
+
+
+@pytest.mark.parametrize("look", WHORLED)
+def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, look: int) -> None:
+    width = opaque(pictures.levels[0][2 * look]).sum(axis=1)
+    thirds = [band.mean() for band in np.array_split(width[1:230], 3)]
+    assert 1.5 * thirds[0] < thirds[1] and 1.15 * thirds[1] < thirds[2]
+
+
+@pytest.mark.parametrize("look", range(len(LOOKS)))
+def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, look: int) -> None:
+    shown = opaque(pictures.levels[0][2 * look + 1])
+    y, x = np.indices(shown.shape) - 127.5
+    away = np.hypot(x, y) / 128.0
+    assert shown[away < 0.5].mean() > 0.8
+    assert 0.02 < shown[(away > 0.85) & (away < 1.0)].mean() < 0.75
+    assert not shown[away > 1.0].any()
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_green_is_an_albedo_of_leaves(pictures: Foliage, layer: int) -> None:
+    rgba = pictures.levels[0][layer]
+    red, green, blue = linear(rgba[opaque(rgba)][:, :3]).mean(axis=0)
+    assert 0.03 < green < 0.15
+    assert blue < red < green
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_no_mip_is_darker_or_lighter_than_the_tree(pictures: Foliage, layer: int) -> None:
+    wanted = linear(pictures.levels[0][layer][opaque(pictures.levels[0][layer])][:, :3]).mean(axis=0)
+    for level in pictures.levels[1:-1]:
+        mean = linear(level[layer][opaque(level[layer])][:, :3]).mean(axis=0)
+        assert mean == pytest.approx(wanted, rel=0.13)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_what_borders_on_a_tree_has_its_colour(pictures: Foliage, layer: int) -> None:
+    for level in pictures.levels[:3]:
+        rgba = level[layer]
+        near = binary_dilation(opaque(rgba), iterations=2) & (rgba[..., 3] == 0)
+        weight = rgba[..., 3:] / 255.0
+        light, share = (gaussian_filter(values, (1.5, 1.5, 0)) for values in (linear(rgba[..., :3]) * weight, weight))
+        ratio = linear(rgba[near][:, :3]).sum(axis=1) / (light[near] / share[near]).sum(axis=1)
+        assert np.abs(ratio - 1.0).mean() < 0.2

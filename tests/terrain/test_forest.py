@@ -1,0 +1,413 @@
+"""Stands of trees: how many, where, how high, on which ground, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyproj import CRS, Transformer
+from scipy.spatial import cKDTree
+
+from terrain import forest as module
+from terrain.errors import LevelError, SourceError
+from terrain.foliage import LOOKS
+from terrain.forest import CROWN_SPREAD, Site, plant
+from terrain.scatter import LEAST_SPACING, joined, keys, point_keys, scatter, shares
+from terrain.trees import Trees
+from tests.conftest import ENGINEERING
+
+UTM = "EPSG:32632"
+X0, Y0 = 500000.0, 5202000.0
+SIDE = 2000.0
+CONIFERS = [n for n, look in enumerate(LOOKS) if look.species == "conifer"]
+
+
+def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 300.0 + 0.1 * (x - X0) + 0.05 * (y - Y0)
+
+
+@pytest.fixture
+def hill(write_raster) -> Path:
+    """A slope of 2 km x 2 km whose north-west corner is (X0, Y0)."""
+    col, row = np.meshgrid(np.arange(200), np.arange(200))
+    return write_raster(plane(X0 + 10 * col + 5, Y0 - 10 * row - 5).astype(np.float32), UTM, X0, Y0, 10)
+
+
+@pytest.fixture
+def vectors(tmp_path: Path):
+    """Writes geometries given in metres east and north of the terrain's south-west corner."""
+
+    def write(geometries: list, name: str = "stand.gpkg", crs: str = UTM, origin=(X0, Y0 - SIDE), **attributes) -> str:
+        moved = shapely.transform(np.array(geometries, object), lambda p: p + origin)
+        path = tmp_path / name
+        path.unlink(missing_ok=True)
+        fields = [np.asarray(values) for values in attributes.values()]
+        pyogrio.raw.write(path, shapely.to_wkb(moved), fields, list(attributes), geometry_type="Unknown", crs=crs)
+        return str(path)
+
+    return write
+
+
+def planted(scene) -> Trees | None:
+    return plant(scene.loaded, scene.world, scene.elevation)
+
+
+def xyh(scene, trees: Trees) -> np.ndarray:
+    """Coordinates in the raster's CRS and heights of the feet, (n, 3)."""
+    return np.column_stack(scene.world.map_position(scene.elevation.crs, trees.base_earth_m))
+
+
+# -- lattice
+
+
+def test_scattered_trees_are_as_many_as_the_density_says():
+    area = shapely.Point(13.0, -7.0).buffer(700.0)
+    for density in (7.0, 120.0, 3000.0):
+        expected = area.area / 1e4 * density
+        # One tree a cell: only cells on the rim vary.
+        rim = area.length / np.sqrt(1e4 / density)
+        assert len(scatter(area, density, 5)) == pytest.approx(expected, abs=3 * np.sqrt(rim))
+
+
+def test_no_two_trees_are_nearer_than_half_a_cell_and_none_in_rows():
+    places = scatter(shapely.box(-500, -500, 500, 500), 900.0, 1)
+    pitch = np.sqrt(1e4 / 900.0)
+    points = np.column_stack([places.x, places.y])
+    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= LEAST_SPACING * pitch
+    for wave in ((1, 0), (0, 1), (1, 1), (0.5, 0), (0, 0.5), (0.5, 0.5)):  # an orchard has 1 here
+        assert abs(np.exp(2j * np.pi * (points / pitch) @ np.array(wave)).mean()) < 0.06
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    cut=st.floats(-180, 180),
+    angle=st.floats(0, np.pi),
+    density=st.sampled_from([40.0, 400.0, 9000.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
+    area = shapely.Point(1000.0, -2000.0).buffer(200.0)
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    middle = np.array([1000.0, -2000.0]) + cut * across
+    half = shapely.Polygon(
+        [middle - 500 * along, middle + 500 * along, middle + 500 * (along + across), middle + 500 * (across - along)]
+    )
+    whole, _ = joined([scatter(area, density, seed)])
+    parts, _ = joined([scatter(area & half, density, seed), scatter(area - half, density, seed)])
+    np.testing.assert_array_equal(whole.key, parts.key)
+    np.testing.assert_array_equal(whole.x, parts.x)
+
+
+def test_seeds_give_other_stands():
+    area = shapely.box(0, 0, 300, 300)
+    first, second = scatter(area, 100.0, 1), scatter(area, 100.0, 2)
+    assert not np.intersect1d(first.x, second.x).size
+
+
+def test_hashes_are_even_and_their_streams_unrelated():
+    i, j = np.meshgrid(np.arange(-150, 150), np.arange(-150, 150))
+    key = keys(4, i.ravel(), j.ravel())
+    assert len(np.unique(key)) == key.size
+    streams = np.stack([shares(key, stream) for stream in range(6)])
+    assert streams.min() >= 0 and streams.max() < 1
+    counts = np.stack([np.histogram(s, bins=50, range=(0, 1))[0] for s in streams])
+    assert (abs(counts - key.size / 50) < 5 * np.sqrt(key.size / 50)).all()
+    assert abs(np.corrcoef(streams) - np.eye(6)).max() < 0.02
+    neighbours = streams[0].reshape(300, 300)
+    assert abs(np.corrcoef(neighbours[:, 1:].ravel(), neighbours[:, :-1].ravel())[0, 1]) < 0.02
+
+
+# -- stands of polygons
+
+
+def test_a_stand_has_its_density_on_the_ground(hill, vectors, make_scene):
+    area = shapely.Point(1000, 1000).buffer(600)
+    scene = make_scene(hill, forest=[{"source": vectors([area]), "density": 300}])
+    trees = planted(scene)
+    stretch = 0.9996**-2  # UTM on its central meridian: maps are smaller than the ground
+    assert len(trees.rank) == pytest.approx(area.area / 1e4 * 300 * stretch, abs=3 * np.sqrt(area.length / np.sqrt(1e4 / 300)))
+    assert shapely.contains_xy(area, *(xyh(scene, trees)[:, :2] - [X0, Y0 - SIDE]).T).all()
+
+
+def test_trees_stand_on_the_ground(hill, vectors, make_scene):
+    scene = make_scene(hill, forest=[{"source": vectors([shapely.box(100, 100, 1900, 1900)]), "density": 20}])
+    x, y, height = xyh(scene, planted(scene)).T
+    np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
+
+
+def test_the_ground_is_read_the_same_in_blocks(hill, vectors, make_scene, monkeypatch):
+    scene = make_scene(hill, forest=[{"source": vectors([shapely.box(0, 0, 2000, 2000)]), "density": 20}])
+    whole = planted(scene)
+    monkeypatch.setattr(module, "_BLOCK", 13)
+    np.testing.assert_array_equal(planted(scene).base_earth_m, whole.base_earth_m)
+
+
+def test_a_tree_is_the_same_whatever_else_is_in_the_file(hill, vectors, make_scene):
+    whole, west, east = shapely.box(200, 300, 1700, 900), shapely.box(200, 300, 950, 900), shapely.box(950, 300, 1700, 900)
+    far = shapely.box(1000, 1500, 1200, 1600)
+    spec = {"density": 150, "species": "mixed", "seed": 9}
+    one = planted(make_scene(hill, forest=[{"source": vectors([whole, far]), **spec}]))
+    two = planted(make_scene(hill, forest=[{"source": vectors([east, far, west, far, east], "cut.gpkg"), **spec}]))
+    for name in Trees.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_multi_polygons_and_holes(hill, vectors, make_scene):
+    ring = shapely.box(200, 200, 900, 900) - shapely.box(300, 300, 800, 800)
+    scene = make_scene(hill, forest=[{"source": vectors([ring | shapely.box(1200, 1200, 1500, 1500)]), "density": 100}])
+    trees = planted(scene)
+    x, y, _ = (xyh(scene, trees) - [X0, Y0 - SIDE, 0]).T
+    assert not ((x > 300) & (x < 800) & (y > 300) & (y < 800)).any()
+    assert len(trees.rank) == pytest.approx(100 * (24 + 9), rel=0.05)
+
+
+def test_heights_of_polygons(hill, vectors, make_scene):
+    boxes = [shapely.box(100, 100, 600, 600), shapely.box(700, 100, 1200, 600), shapely.box(100, 700, 600, 1200)]
+    source = vectors(boxes, tall=[12.0, np.nan, 30.0], height=[1.0, 1.0, 1.0])
+    default = planted(make_scene(hill, forest=[{"source": source, "density": 50}])).height_m
+    assert 8.0 <= default.min() < 8.3 and 17.7 < default.max() <= 18.0 and default.mean() == pytest.approx(13.0, abs=0.3)
+    ranged = planted(make_scene(hill, forest=[{"source": source, "density": 50, "height": [20, 21]}])).height_m
+    assert 20.0 <= ranged.min() and ranged.max() <= 21.0
+    scene = make_scene(hill, forest=[{"source": source, "density": 50, "height": "tall"}])
+    trees = planted(scene)
+    x, y, _ = (xyh(scene, trees) - [X0, Y0 - SIDE, 0]).T
+    np.testing.assert_array_equal(trees.height_m, np.where(y > 650, 30.0, 12.0))
+    assert not ((x > 650) & (y < 650)).any()  # the polygon without a height
+
+
+def test_looks_follow_the_species_and_crowns_the_height(hill, vectors, make_scene):
+    source = vectors([shapely.box(100, 100, 1900, 1900)])
+    shares_of = {}
+    for species in ("conifer", "broadleaf", "mixed"):
+        trees = planted(make_scene(hill, forest=[{"source": source, "density": 40, "species": species, "height": [5, 30]}]))
+        shares_of[species] = np.isin(trees.look, CONIFERS).mean()
+        base, slope = np.mean([module.CROWN_M[s] for s in (["conifer", "broadleaf"] if species == "mixed" else [species])], axis=0)
+        usual = base + slope * trees.height_m
+        assert (trees.crown_m / usual).mean() == pytest.approx(1.0, abs=0.02)
+        assert ((trees.turn_deg >= 0) & (trees.turn_deg < 180)).all() and trees.turn_deg.std() == pytest.approx(52, abs=1)
+        assert ((trees.rank >= 0) & (trees.rank < 1)).all() and trees.rank.mean() == pytest.approx(0.5, abs=0.01)
+    assert shares_of["conifer"] == 1 and shares_of["broadleaf"] == 0
+    assert shares_of["mixed"] == pytest.approx(0.5, abs=0.02)
+    assert 0 < CROWN_SPREAD < 1
+    crown = planted(make_scene(hill, forest=[{"source": source, "density": 5, "crown": [2, 2.5]}])).crown_m
+    assert 2.0 <= crown.min() and crown.max() <= 2.5
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
+def test_density_is_on_the_ground_on_any_map(crs, write_raster, make_scene, vectors):
+    """Web Mercator at 60 degrees doubles lengths; degrees are no metres at all."""
+    lon, lat = 9.0, 60.0
+    x0, y0 = (lon, lat) if crs == "EPSG:4326" else Transformer.from_crs(4326, crs, always_xy=True).transform(lon, lat)
+    cell = 0.001 if crs == "EPSG:4326" else 100.0
+    dem = write_raster(np.full((60, 60), 50, np.float32), crs, x0, y0, cell)
+    to_utm = Transformer.from_crs(crs, UTM, always_xy=True)
+    east, north = to_utm.transform(x0 + 30 * cell, y0 - 30 * cell)
+    source = vectors([shapely.box(0, 0, 800, 800)], origin=(east - 400, north - 400))
+    trees = planted(make_scene(dem, forest=[{"source": source, "density": 200}]))
+    assert len(trees.rank) == pytest.approx(64 * 200 * 0.9996**-2, rel=0.006)
+
+
+def test_a_flat_world_in_feet(write_raster, make_scene, vectors):
+    feet = ENGINEERING.replace('LENGTHUNIT["metre",1]', 'LENGTHUNIT["foot",0.3048]')
+    dem = write_raster(np.zeros((100, 100), np.float32), feet, 7000, 9000, 10)
+    source = vectors([shapely.box(0, 0, 800, 800)], crs=feet, origin=(7100, 8100))
+    scene = make_scene(dem, forest=[{"source": source, "density": 400}])
+    trees = planted(scene)
+    assert len(trees.rank) == pytest.approx((800 * 0.3048) ** 2 / 1e4 * 400, rel=0.02)
+    x, y, _ = xyh(scene, trees).T
+    assert 7100 <= x.min() and x.max() <= 7900 and 8100 <= y.min() and y.max() <= 8900
+
+
+def test_longitudes_are_taken_round_the_earth(write_raster, make_scene, vectors):
+    dem = write_raster(np.zeros((40, 40), np.float32), "EPSG:4326", 179.98, 0.02, 0.001)  # to 180.02
+    source = vectors([shapely.box(-179.995, -0.005, -179.99, 0.005)], crs="EPSG:4326", origin=(0, 0))
+    assert len(planted(make_scene(dem, forest=[{"source": source, "density": 100}])).rank) == pytest.approx(
+        0.55 * 1.11 * 100 * 100, rel=0.03
+    )
+
+
+def test_trees_off_the_terrain_and_over_holes_are_left_out(hill, vectors, make_scene, write_raster):
+    source = vectors([shapely.box(-5000, -5000, 500, 7000)])
+    scene = make_scene(hill, forest=[{"source": source, "density": 100}])
+    trees = planted(scene)
+    assert xyh(scene, trees)[:, 0].min() >= X0
+    assert len(trees.rank) == pytest.approx(100 * 100, rel=0.02)
+    values = np.full((50, 50), 10, np.float32)
+    values[:, 20:40] = np.nan
+    scene = make_scene(write_raster(values, UTM, X0, Y0, 40, name="holes.tif"), forest=[{"source": source, "density": 10}])
+    scene = make_scene(scene.elevation.name, forest=[{"source": vectors([shapely.box(0, 0, 2000, 2000)]), "density": 10}])
+    x = xyh(scene, planted(scene))[:, 0] - X0
+    assert not ((x > 840) & (x < 1560)).any() and (x < 800).any() and (x > 1600).any()
+
+
+# -- points
+
+
+def test_points_are_trees_with_their_heights(hill, vectors, make_scene):
+    rng = np.random.default_rng(2)
+    place, tall, wide = rng.uniform(50, 1950, (200, 2)), rng.uniform(3, 40, 200), rng.uniform(1, 9, 200)
+    order = rng.permutation(200)
+    source = vectors(list(shapely.points(place)), height=tall, w=wide)
+    mixed = vectors(list(shapely.points(place[order])), "mixed.gpkg", height=tall[order].astype(str), w=wide[order])
+    scene = make_scene(hill, forest=[{"source": source, "crown": "w"}])
+    trees = planted(scene)
+    found = xyh(scene, trees)[:, :2] - [X0, Y0 - SIDE]
+    distance, row = cKDTree(place).query(found)
+    assert len(np.unique(row)) == 200 and distance.max() < 1e-3
+    np.testing.assert_allclose(trees.height_m, tall[row], rtol=1e-6)
+    np.testing.assert_allclose(trees.crown_m, wide[row], rtol=1e-6)
+    again = planted(make_scene(hill, forest=[{"source": mixed, "crown": "w"}]))
+    for name in Trees.__dataclass_fields__:
+        np.testing.assert_allclose(getattr(again, name), getattr(trees, name), rtol=1e-6)
+
+
+def test_points_without_heights_draw_them_from_their_places(hill, vectors, make_scene):
+    place = np.random.default_rng(2).uniform(50, 1950, (300, 2))
+    some = vectors([shapely.MultiPoint(place[:150]), *shapely.points(place[150:])])
+    default = planted(make_scene(hill, forest=[{"source": some}])).height_m
+    assert len(default) == 300 and 8 <= default.min() and default.max() <= 18 and default.std() == pytest.approx(2.9, abs=0.3)
+    fewer = planted(make_scene(hill, forest=[{"source": vectors(list(shapely.points(place[150:])), "fewer.gpkg")}])).height_m
+    assert np.isin(fewer, default).all()
+
+
+def test_single_bad_rows_are_left_out_and_points_of_one_place_are_one_tree(hill, vectors, make_scene):
+    points = list(shapely.points([[100, 100], [200, 100], [300, 100], [400, 100], [500, 100], [500, 100], [99999, 0]]))
+    source = vectors(points, tall=[10.0, -4.0, 0.0, np.nan, 151.0, 7.0, 9.0])
+    assert planted(make_scene(hill, forest=[{"source": source, "height": "tall"}])).height_m.tolist() == [10.0]
+    assert len(planted(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).rank) == 5
+
+
+def test_point_keys_tell_millimetres_apart():
+    assert point_keys(0, [1.0], [2.0]) == point_keys(0, [1.0001], [1.9999])
+    assert point_keys(0, [1.0], [2.0]) != point_keys(0, [1.001], [2.0]) and point_keys(0, [1.0], [2.0]) != point_keys(
+        1, [1.0], [2.0]
+    )
+    assert point_keys(0, [1.0], [2.0]) != point_keys(0, [2.0], [1.0])
+
+
+# -- canopies
+
+
+def test_a_canopy_stands_on_the_terrain_in_another_crs(hill, make_scene, write_raster):
+    """A canopy in degrees, larger than the terrain, its tops where they were put."""
+    to_degrees = Transformer.from_crs(UTM, 4326, always_xy=True)
+    west, north = to_degrees.transform(X0 + 1800, Y0 - 300)
+    canopy = np.zeros((400, 400), np.float32)
+    canopy[20::40, 20::40] = 17.0
+    source = write_raster(canopy, "EPSG:4326", west, north, (1.3e-5, 9e-6), name="canopy.tif")
+    scene = make_scene(hill, forest=[{"source": str(source), "species": "conifer"}])
+    trees = planted(scene)
+    x, y, height = xyh(scene, trees).T
+    np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
+    assert (trees.height_m == 17.0).all() and np.isin(trees.look, CONIFERS).all()
+    lon, lat = to_degrees.transform(x, y)
+    np.testing.assert_allclose(((lon - west) / 1.3e-5 - 20.5) / 40 % 1, 0.5, atol=0.5)
+    np.testing.assert_allclose((((lon - west) / 1.3e-5 - 20.5) / 40 + 0.5) % 1, 0.5, atol=1e-3)
+    assert len(trees.rank) == pytest.approx(100 * 200 / (400 * 1.3e-5 * 75_900), abs=11)
+
+
+def test_crowns_of_a_canopy_end_where_the_neighbours_begin(hill, make_scene, write_raster):
+    canopy = np.zeros((100, 100), np.float32)
+    canopy[2:60:3, 2:60:3], canopy[90, 90] = 20.0, 20.0
+    source = write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
+    trees = planted(make_scene(hill, forest=[{"source": str(source), "species": "broadleaf"}]))
+    assert np.sort(trees.crown_m)[-2] < 1.2 * (3 + 3 + 18**0.5) / 3 * 1.001 and np.median(trees.crown_m) == pytest.approx(
+        3.6, rel=1e-3
+    )
+    lone = planted(make_scene(hill, forest=[{"source": str(source), "crown": [6, 6]}]))
+    assert lone.crown_m.tolist() == [6.0] * 401
+
+
+def test_forest_on_its_own_terrain(shared_data, make_scene):
+    folder = shared_data / "forest"
+    scene = make_scene(folder / "quebec_DTM.tif", forest=[{"source": str(folder / "quebec_CHM.tif")}])
+    trees = planted(scene)
+    assert 3000 < len(trees.rank) < 6000 and 20 < trees.height_m.max() < 21
+    x, y, height = xyh(scene, trees).T
+    np.testing.assert_allclose(height, scene.elevation.ground_m(x, y), atol=2e-3)
+
+
+# -- what is refused
+
+
+def test_a_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
+    assert planted(make_scene(hill)) is None
+    assert planted(make_scene(hill, forest=[{"source": vectors([shapely.box(5, 5, 6, 6)]), "density": 0.001}])) is None
+
+
+@pytest.mark.parametrize(
+    ("geometry", "spec", "message"),
+    [
+        (shapely.box(0, 0, 50, 50), {}, r"level.yaml: forest.0.density: 'nothing' .*since the source has polygons"),
+        (shapely.Point(5, 5), {"density": 3}, r"forest.0.density: '3.0' .*each is a tree"),
+        (shapely.LineString([(0, 0), (9, 9)]), {"density": 3}, "stand.gpkg: 'lines'; needed: polygons alone"),
+        (shapely.GeometryCollection([shapely.Point(5, 5), shapely.box(0, 0, 9, 9)]), {"density": 3}, "both polygons and points"),
+        (shapely.Point(5, 5), {"height": "kind"}, "'kind = oak'; needed: numbers"),
+        (shapely.Point(5, 5), {"height": "none"}, "no attribute 'none''; needed: one of kind, low"),
+        (shapely.Point(5, 5), {"crown": "low"}, "stand.gpkg: 'low = -1 ...'; needed: metres from 0.1 to 150"),
+        (shapely.Point(-5, 5), {}, r"'a stand at 499995, 5200005, .*on the terrain, at 500000, 5200000, 502000, 5202000"),
+        (shapely.box(5000, 0, 6000, 9), {"density": 1}, r"forest.0.source: 'a stand at 50[45][^,]*, .*WGS 84 / UTM zone 32N"),
+        (shapely.box(0, 0, 2000, 2000), {"density": 20000}, r"forest.0: '8,00.,... trees' .*at most 5,000,000 trees in a level$"),
+    ],
+)  # fmt: skip
+def test_bad_stands_are_refused_in_one_line(hill, make_scene, vectors, geometry, spec, message):
+    source = vectors([geometry], kind=["oak"], low=[-1.0])
+    with pytest.raises((LevelError, SourceError), match=message) as caught:
+        planted(make_scene(hill, forest=[{"source": source, **spec}]))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypatch, write_raster):
+    monkeypatch.setattr(module, "MOST_TREES", 1000)
+    stand = {"source": vectors([shapely.box(0, 0, 400, 400)]), "density": 50}
+    with pytest.raises(LevelError, match=r"forest\.1: '80. trees' .*1,000 trees in a level, 1\d\d|2\d\d of which are left"):
+        planted(make_scene(hill, forest=[stand, stand]))
+    points = vectors(list(shapely.points(np.random.default_rng(0).uniform(0, 2000, (1001, 2)))), "p.gpkg")
+    with pytest.raises(LevelError, match=r"forest\.0: '1,001 trees'"):
+        planted(make_scene(hill, forest=[{"source": points}]))
+    canopy = write_raster(np.full((200, 200), 10, np.int16), UTM, X0, Y0, 1, name="canopy.tif")
+    with pytest.raises(LevelError, match=r"forest\.0: '[\d,]+ trees or more'"):
+        planted(make_scene(hill, forest=[{"source": str(canopy)}]))
+
+
+@pytest.mark.parametrize(
+    ("spec", "value", "x", "message"),
+    [
+        ({"density": 4}, 9, X0, r"forest.0.density: '4.0' .*no density"),
+        ({"height": [4, 5]}, 9, X0, r"forest.0.height: .*no height, since the source is a raster"),
+        ({"crown": "w"}, 9, X0, r"forest.0.crown: 'w' .*a raster has no attributes"),
+        ({}, 9, X0 + 5000, r"forest.0.source: 'a stand at 50[45][^,]*, .*on the terrain, at 500000, 5200000"),
+        ({}, np.nan, X0, r"canopy.tif: 'no height in any cell \(all nodata\)'"),
+    ],
+)
+def test_bad_canopies_are_refused(hill, make_scene, write_raster, spec, value, x, message):
+    source = write_raster(np.full((20, 20), value, np.float32), UTM, x, Y0, 1, name="canopy.tif", nodata=np.nan)
+    with pytest.raises((LevelError, SourceError), match=message):
+        planted(make_scene(hill, forest=[{"source": str(source), **spec}]))
+
+
+def test_a_canopy_without_trees_is_no_error(hill, make_scene, write_raster):
+    source = write_raster(np.zeros((20, 20), np.float32), UTM, X0, Y0, 1, name="canopy.tif")
+    assert planted(make_scene(hill, forest=[{"source": str(source)}])) is None
+
+
+def test_missing_and_unreadable_files_are_refused(hill, make_scene, tmp_path):
+    with pytest.raises(SourceError, match="none.gpkg: 'no such file'"):
+        planted(make_scene(hill, forest=[{"source": "none.gpkg", "density": 3}]))
+    (tmp_path / "text.geojson").write_text("hello", encoding="utf-8")
+    with pytest.raises(SourceError, match="text.geojson: .*needed: polygons, points or a raster of canopy heights"):
+        planted(make_scene(hill, forest=[{"source": "text.geojson", "density": 3}]))
+
+
+def test_the_site_of_a_level_that_spans_the_globe_has_no_outline(write_raster, make_scene, hill):
+    globe = make_scene(write_raster(np.zeros((18, 36), np.float32), "EPSG:4326", -180, 90, 10, name="globe.tif"))
+    assert Site(globe.world, globe.elevation).outline is None
+    near = make_scene(hill)
+    site = Site(near.world, near.elevation)
+    assert site.outline.area == pytest.approx(SIDE**2 / 0.9996**2, rel=0.01)
+    assert CRS.from_user_input(site.crs).is_projected

@@ -1,0 +1,209 @@
+"""The made scenes: as many triangles as they promise, closed, on the floor, and the same every time; their level files load."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import shapely
+
+from configs import LEVELS_FOLDER
+from terrain.generators import GENERATORS, shapes
+from terrain.level import load_level
+from terrain.level_parts import MapSpec, MeshGenerator, PerspectiveSpec
+
+TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
+"""As in the thesis, section 7."""
+
+GRAY = (0.5, 0.5, 0.5)
+LEVELS = sorted(LEVELS_FOLDER.glob("thesis_*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return {name: generate() for name, generate in GENERATORS.items()}
+
+
+def test_generators_are_those_a_level_may_name():
+    assert set(GENERATORS) == set(get_args(MeshGenerator))
+
+
+@pytest.mark.parametrize("name", TRIANGLES)
+def test_triangle_counts(scenes, name):
+    assert sum(len(body.triangles) for body in scenes[name]) == pytest.approx(TRIANGLES[name], rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["boxgrid", "street"])
+def test_counts_that_are_exact(scenes, name):
+    assert sum(len(body.triangles) for body in scenes[name]) == TRIANGLES[name]
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_bodies_are_closed_and_face_outwards(scenes, name):
+    for number, body in enumerate(scenes[name]):
+        assert body.closed, f"body {number}"
+        assert body.volume_m3 > 0, f"body {number}"
+        assert ((body.albedo > 0) & (body.albedo < 1)).all()
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_scenes_are_the_same_every_time(scenes, name):
+    for body, again in zip(scenes[name], GENERATORS[name](), strict=True):
+        assert (body.vertices_m == again.vertices_m).all()
+        assert (body.triangles == again.triangles).all()
+        assert (body.albedo == again.albedo).all()
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_scenes_stand_on_the_ground_or_hover(scenes, name):
+    lowest = min(body.vertices_m[:, 2].min() for body in scenes[name])
+    if name in ("boxgrid", "tetrahedra"):
+        assert lowest > 2
+    elif name == "wood_hill":
+        assert lowest < -10  # a footing, for slopes
+    else:
+        assert lowest == 0
+
+
+def test_stones_stand_on_flat_feet(scenes):
+    standing = [body for body in scenes["rocks"] if body.vertices_m[:, 2].min() < 1.0]
+    assert len(standing) == 5 * 21
+    for body in standing:
+        assert (body.vertices_m[:, 2] == 0).sum() > 9
+
+
+def test_lintels_sit_on_their_uprights(scenes):
+    stones = scenes["rocks"][: len(scenes["rocks"]) // 5]
+    lintels = [body.vertices_m for body in stones if body.vertices_m[:, 2].min() > 1.0]
+    heads = [body.vertices_m[body.vertices_m[:, 2].argmax()] for body in stones if body.vertices_m[:, 2].min() == 0.0]
+    assert len(lintels) == 12
+    for lintel in lintels:
+        below = [head for head in heads if np.linalg.norm(lintel[:, :2] - head[:2], axis=1).min() < 0.6 and head[2] > 3]
+        assert len(below) >= 2
+        assert all(head[2] > lintel[:, 2].min() for head in below)
+
+
+def test_five_rings_are_copies(scenes):
+    volumes = np.array([body.volume_m3 for body in scenes["rocks"]]).reshape(5, -1)
+    assert volumes == pytest.approx(np.tile(volumes[0], (5, 1)))
+
+
+def test_boxes_of_the_grid_do_not_touch(scenes):
+    middles = np.array([body.vertices_m.mean(axis=0) for body in scenes["boxgrid"]])
+    sides = np.array([np.ptp(body.vertices_m, axis=0) for body in scenes["boxgrid"]])
+    assert len(middles) == 1000
+    apart = np.abs(middles[:, None] - middles[None]).max(axis=2) + 100 * np.eye(1000)
+    assert apart.min() > sides.max()
+
+
+def test_the_figure_is_two_regular_tetrahedra_about_the_up_axis(scenes):
+    points = np.concatenate([body.vertices_m for body in scenes["tetrahedra"]])
+    assert np.ptp(points[:, 2]) == pytest.approx(30)
+    for body in scenes["tetrahedra"]:
+        assert len(body.triangles) == 4
+        edges = np.linalg.norm(body.vertices_m[:, None] - body.vertices_m[None], axis=2)[np.triu_indices(4, 1)]
+        assert edges == pytest.approx(np.full(6, edges[0]))
+        assert body.vertices_m[:, :2].mean(axis=0) == pytest.approx([0, 0], abs=1e-12)
+
+
+def test_the_wood_is_convex(scenes):
+    (body,) = scenes["wood_hill"]
+    corner = body.vertices_m[body.triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    ahead = np.einsum("ij,kj->ik", normal, body.vertices_m) - np.einsum("ij,ij->i", normal, corner[:, 0])[:, None]
+    assert ahead.max() < 1e-6
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=lambda path: path.stem)
+def test_levels_load_and_fit_their_floor(scenes, path: Path):
+    level = load_level(path).level
+    assert "Sindholt" in level.attribution
+    assert 2 * np.prod(level.terrain.flat.cells) == 20_000
+    half = np.array(level.terrain.flat.size) / 2
+    (mesh,) = level.meshes
+    assert path.stem.removeprefix("thesis_").removesuffix("_sun") == mesh.generate
+    for body in scenes[mesh.generate]:
+        assert (np.abs(body.vertices_m[:, :2]) < half).all()
+    assert (level.sun == "none") == (not path.stem.endswith("_sun")) == bool(level.lights)
+    assert isinstance(level.views["map"], MapSpec)
+    assert set(level.views) == {"main", "overview", "close", "map"}
+    eyes = [view.eye for view in level.views.values() if isinstance(view, PerspectiveSpec)]
+    assert all(view.size == (1280, 1024) for view in level.views.values() if isinstance(view, PerspectiveSpec))
+    for place in [*eyes, *(light.position for light in level.lights.values())]:
+        assert (np.abs(place[:2]) < half).all() and place[2] > 0
+
+
+def test_each_thesis_scene_has_a_spot_and_a_sun():
+    assert {path.stem for path in LEVELS} == {f"thesis_{name}{light}" for name in TRIANGLES for light in ("", "_sun")}
+
+
+@pytest.mark.parametrize("stem", sorted({path.stem.removesuffix("_sun") for path in LEVELS}))
+def test_the_sun_level_differs_in_its_light_alone(stem):
+    spot, sun = (load_level(LEVELS_FOLDER / f"{stem}{light}.yaml").level for light in ("", "_sun"))
+    same = ("terrain", "meshes", "views", "attribution", "shadows", "effects")
+    assert all(getattr(spot, key) == getattr(sun, key) for key in same)
+
+
+def test_spatialace_has_ten_thousand_triangles_and_a_turning_figure():
+    loaded = load_level(LEVELS_FOLDER / "spatialace.yaml")
+    assert all(Path(source).is_file() for source in loaded.sources)
+    level = loaded.level
+    made = level.terrain.generate
+    assert 2 * np.prod(np.array(made.size) / made.cell) == pytest.approx(10_000, rel=0.03)
+    assert [mesh.motion.spin for mesh in level.meshes if mesh.generate == "tetrahedra"] == [30]
+    assert level.views["main"].size == (800, 600)
+
+
+# The shapes, against volumes that are known.
+
+
+def test_tube_and_lathe_are_regular_prisms():
+    area = 0.5 * 12 * np.sin(2 * np.pi / 12)  # a regular 12-gon in the unit circle
+    bar = shapes.tube([(1, 2, 3), (1, 6, 6)], 1.0, 12, GRAY)
+    assert bar.closed and len(bar.triangles) == 4 * 12
+    assert bar.volume_m3 == pytest.approx(5 * area)
+    can = shapes.lathe([(0, 0), (1, 0), (1, 5), (0, 5)], 12, GRAY)
+    assert can.closed and len(can.triangles) == 4 * 12
+    assert can.volume_m3 == pytest.approx(5 * area)
+
+
+def test_ring_has_the_volume_of_its_prisms():
+    washer = shapes.ring([(1, 0), (2, 0), (2, 0.5), (1, 0.5)], 6, GRAY)
+    assert washer.closed and len(washer.triangles) == 2 * 4 * 6
+    assert washer.volume_m3 == pytest.approx(0.5 * (4 - 1) * 0.5 * 6 * np.sin(np.pi / 3))
+
+
+def test_a_bent_tube_and_a_loft_are_closed():
+    hoop = shapes.tube(shapes.arc((0, 0, 1), 2.0, -90, 90, 9), 0.1, 6, GRAY)
+    assert hoop.closed and hoop.volume_m3 == pytest.approx(np.pi * 2 * 0.5 * 6 * 0.01 * np.sin(np.pi / 3), rel=0.03)
+    square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
+    assert shapes.loft(np.stack([square, square + [0, 0, 2]]), GRAY).volume_m3 == pytest.approx(2)
+
+
+@pytest.mark.parametrize("end", [(4.0, 0.0), (0.0, 4.0), (-2.4, -3.2)])
+def test_wall_stands_at_the_left_of_its_line(end):
+    pane = shapely.Polygon([(0, 0), (4, 0), (4, 3), (0, 3)], [[(1, 1), (1, 2), (3, 2), (3, 1)]])
+    body = shapes.wall(pane, (0.0, 0.0), end, 0.5, GRAY)
+    assert body.closed
+    assert body.volume_m3 == pytest.approx((12 - 2) * 0.5)
+    assert body.vertices_m[:, 2].min() == 0 and body.vertices_m[:, 2].max() == 3
+    left = np.array([-end[1], end[0]]) / 4
+    off = body.vertices_m[:, :2] @ left
+    assert off.min() == pytest.approx(0) and off.max() == pytest.approx(0.5)
+
+
+def test_cell_box_is_the_cube():
+    points, triangles = shapes.cell_box((3, 4, 5))
+    body = shapes.solid(points, triangles, GRAY)
+    assert body.closed and len(triangles) == 4 * (12 + 20 + 15)
+    assert body.volume_m3 == pytest.approx(8)
+    assert np.abs(points).max(axis=1) == pytest.approx(np.ones(len(points)))
+
+
+def test_gable_and_hull():
+    roof = shapes.gable((0, 0), (4, 10), 3.0, 5.0, GRAY)
+    assert roof.closed and len(roof.triangles) == 8
+    assert roof.volume_m3 == pytest.approx(4 * 2 / 2 * 10)
+    assert shapes.cuboid((0, 0, 1), (1, 2, 4), GRAY).volume_m3 == pytest.approx(6)

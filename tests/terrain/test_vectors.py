@@ -1,0 +1,142 @@
+"""Vector files: projection, mending, attributes, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from pyproj import CRS, Transformer
+
+from terrain.errors import SourceError
+from terrain.vectors import LONGEST_EDGE, attribute_names, numbers, read_features
+from tests.conftest import ENGINEERING
+
+UTM = CRS.from_epsg(32632)
+SITE = CRS.from_wkt(ENGINEERING)
+BOW_TIE = [[9.0, 47.0], [9.01, 47.01], [9.01, 47.0], [9.0, 47.01], [9.0, 47.0]]
+
+
+@pytest.fixture
+def geojson(tmp_path: Path):
+    def write(geometries: list, properties: list[dict] | None = None) -> str:
+        rows = zip(geometries, properties or [{}] * len(geometries), strict=True)
+        features = [{"type": "Feature", "properties": values, "geometry": geometry} for geometry, values in rows]
+        path = tmp_path / "some.geojson"
+        path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def point(x: float, y: float) -> dict:
+    return {"type": "Point", "coordinates": [x, y]}
+
+
+def test_geojson_is_longitude_then_latitude_and_null_geometries_are_counted(geojson):
+    source = geojson([point(9.0, 47.0), None, point(9.5, 46.5)], [{"h": 1}, {"h": 2}, {"h": 3.5}])
+    features = read_features(source, UTM, ["h"])
+    expected = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform([9.0, 9.5], [47.0, 46.5])
+    np.testing.assert_allclose(shapely.get_coordinates(features.geometry).T, expected, atol=1e-6)
+    assert features.dropped == 1
+    assert numbers(features, "h").tolist() == [1.0, 3.5]
+
+
+def test_multi_parts_stay_and_heights_of_points_are_dropped(geojson):
+    features = read_features(geojson([{"type": "MultiPoint", "coordinates": [[9, 47, 400], [9.1, 47, 500]]}]), UTM)
+    assert shapely.get_num_geometries(features.geometry).tolist() == [2]
+    assert not shapely.has_z(features.geometry).any()
+
+
+def test_invalid_polygons_are_mended_and_those_without_area_dropped(geojson, tmp_path):
+    broken = read_features(geojson([{"type": "Polygon", "coordinates": [BOW_TIE]}]), UTM).geometry[0]
+    assert broken.is_valid
+    halves = [
+        shapely.Polygon([(9, 47), (9.005, 47.005), (9, 47.01)]),
+        shapely.Polygon([(9.01, 47), (9.01, 47.01), (9.005, 47.005)]),
+    ]
+    to_utm = Transformer.from_crs("EPSG:4326", UTM, always_xy=True)
+    area = sum(shapely.transform(half, lambda p: np.column_stack(to_utm.transform(*p.T))).area for half in halves)
+    assert broken.area == pytest.approx(area, rel=1e-4)
+    flat = [shapely.Polygon([(0, 0), (1, 1), (2, 2)]), shapely.box(0, 0, 1, 1)]
+    path = tmp_path / "flat.gpkg"
+    pyogrio.raw.write(path, shapely.to_wkb(flat), [], [], geometry_type="Polygon", crs="EPSG:32632")
+    features = read_features(str(path), UTM)
+    assert len(features.geometry) == 1 and features.dropped == 1
+
+
+def test_long_edges_follow_their_parallel(geojson):
+    wide = {"type": "Polygon", "coordinates": [[[8.0, 47.0], [10.0, 47.0], [10.0, 48.0], [8.0, 48.0], [8.0, 47.0]]]}
+    outline = read_features(geojson([wide]), UTM).geometry[0]
+    on_edge = shapely.Point(Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(8.123, 47.0))
+    assert outline.boundary.distance(on_edge) < 0.1
+    assert LONGEST_EDGE[True] < 2.0  # else the edge would have been a chord, 100 m off
+
+
+def test_engineering_coordinates_stay_as_they_are(tmp_path):
+    with_crs, without = tmp_path / "site.gpkg", tmp_path / "site.shp"
+    for path in (with_crs, without):
+        pyogrio.raw.write(path, shapely.to_wkb(shapely.points([[3.0, 4.0]])), [], [], geometry_type="Point", crs=SITE.to_wkt())
+    without.with_suffix(".prj").unlink()
+    for path in (with_crs, without):
+        assert shapely.get_coordinates(read_features(str(path), SITE).geometry).tolist() == [[3.0, 4.0]]
+
+
+def test_shapefile_without_prj_is_refused(tmp_path):
+    path = tmp_path / "a.shp"
+    pyogrio.raw.write(path, shapely.to_wkb(shapely.points([[9.0, 47.0]])), [], [], geometry_type="Point", crs="EPSG:4326")
+    path.with_suffix(".prj").unlink()
+    with pytest.raises(SourceError, match=r"a\.shp: 'no coordinate reference system \(its \.prj file is missing\)'"):
+        read_features(str(path), UTM)
+
+
+@pytest.mark.parametrize(
+    ("geometries", "attributes", "message"),
+    [
+        ([], [], "no feature with a geometry"),
+        ([None], [], "no feature with a geometry"),
+        ([point(9, 47)], ["tall"], "no attribute 'tall''; needed: one of name, h"),
+        (
+            [point(9, 470)],
+            [],
+            "the coordinates 9, 470'; needed: coordinates of 'WGS 84' that have a place in 'WGS 84 / UTM zone 32N'",
+        ),
+    ],
+)
+def test_what_a_file_lacks_is_said_in_one_line(geojson, geometries, attributes, message):
+    with pytest.raises(SourceError) as caught:
+        read_features(geojson(geometries, [{"name": "a", "h": 1}] * len(geometries)), UTM, attributes)
+    assert message in str(caught.value) and "some.geojson" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "hello", "{}", '{"type":"FeatureCollection","features":[{"type":"Fea'])
+def test_what_is_no_vector_file_is_refused(tmp_path, text):
+    path = tmp_path / "a.geojson"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SourceError, match="a.geojson: .*needed: a vector file that GDAL reads"):
+        read_features(str(path), UTM)
+
+
+def test_missing_files_folders_and_rasters_are_refused(tmp_path, write_raster):
+    with pytest.raises(SourceError, match="none.gpkg: 'no such file'"):
+        read_features(str(tmp_path / "none.gpkg"), UTM)
+    for source in (tmp_path, write_raster(np.zeros((2, 2), np.float32), "EPSG:32632", 0, 4, 2)):
+        with pytest.raises(SourceError, match="needed: a vector file that GDAL reads"):
+            read_features(str(source), UTM)
+
+
+def test_degrees_have_no_place_on_a_made_ground(geojson):
+    with pytest.raises(SourceError, match="its CRS 'WGS 84''; needed: a CRS that can be transformed into 'site'"):
+        read_features(geojson([point(9, 47)]), SITE)
+
+
+def test_numbers_written_as_text_are_numbers_and_other_text_is_not(geojson):
+    rows = [{"h": "12.5", "kind": "oak"}, {"h": None, "kind": "elm"}, {"h": " ", "kind": None}]
+    features = read_features(geojson([point(9, 47)] * 3, rows), UTM, ["h", "kind"])
+    np.testing.assert_array_equal(numbers(features, "h"), [12.5, np.nan, np.nan])
+    with pytest.raises(SourceError, match="'kind = oak'; needed: numbers in the attribute 'kind'"):
+        numbers(features, "kind")
+    assert attribute_names(features.name) == ("h", "kind")
