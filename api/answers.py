@@ -9,7 +9,7 @@ from importlib.metadata import version
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
-from api.jobs import Block
+from api.jobs import Block, Snapshot
 
 VERSION = version("skugga")
 
@@ -53,16 +53,17 @@ def json_answer(request: Request, value: object, fresh_s: int = FACTS_S) -> Resp
     return answer
 
 
-def block_headers(block: Block, kept: bool, encode_ms: float) -> dict[str, str]:
-    """What a tile says of its block: the passes that drew it, whether it was drawn for this answer, and caster reach.
+def drawn_headers(drawn: Block | Snapshot, what: str, kept: bool, encode_ms: float) -> dict[str, str]:
+    """What a picture says of what it is made of (``what``: a block or a snapshot): the passes that drew it, whether it was
+    drawn for this answer or kept from an earlier one, and caster reach.
 
     The passes' names are made into tokens: runs of other characters become hyphens.
     """
-    timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in block.passes]
-    timings += [f"encode;dur={encode_ms:.1f}", f"block;desc={'kept' if kept else 'drawn'}"]
+    timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in drawn.passes]
+    timings += [f"encode;dur={encode_ms:.1f}", f"{what};desc={'kept' if kept else 'drawn'}"]
     return {
         "Server-Timing": ", ".join(timings),
-        **reach_headers(block.headline, block.reach_used_m, block.reach_needed_m, block.reach_clipped),
+        **reach_headers(drawn.headline, drawn.reach_used_m, drawn.reach_needed_m, drawn.reach_clipped),
     }
 
 

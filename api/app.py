@@ -13,7 +13,7 @@ from fastapi import FastAPI, Request, Response
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api import problems, routes_health, routes_levels, routes_tiles, routes_viewer
+from api import problems, routes_health, routes_levels, routes_snapshot, routes_tiles, routes_viewer
 from api.answers import EXPOSED_HEADERS, VERSION
 from api.pool import Pool
 from api.render_worker import worker_main
@@ -59,7 +59,7 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
             await service.pool.close()
 
     app = FastAPI(
-        title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles.",
+        title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles and pictures.",
         lifespan=lifespan, redoc_url=None,
     )  # fmt: skip
     app.state.service = service
@@ -70,7 +70,7 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
     app.add_middleware(HeadAsGet)
     problems.install(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
-    for router in (routes_levels.router, routes_tiles.router, routes_health.router):
+    for router in (routes_levels.router, routes_tiles.router, routes_snapshot.router, routes_health.router):
         app.include_router(router)
     routes_viewer.install(app, routes_viewer.STATIC_FOLDER)
     return app

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from api.errors import OUTCOMES
+from api.layers import PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level import SunSpec, parse_algorithm
+
+PictureFormat = Literal["png", "webp", "jpg"]
 
 
 class _Value(BaseModel):
@@ -33,7 +36,7 @@ class Overrides(_Value):
 
 
 class LevelKey(_Value):
-    """A level's file and a version that changes with its text and its raster."""
+    """A level's file and a version that changes with its text and the files that it names."""
 
     path: Path
     version: str
@@ -60,7 +63,25 @@ class PlanJob(_Value):
     overrides: Overrides = Overrides()
 
 
-Job = BlockJob | PlanJob
+class SnapshotJob(_Value):
+    """Draw a level's view and encode one layer of it.
+
+    ``size`` is (width, height) in pixels, ``seconds`` the clock of moving casters; ``None`` leaves either to the level.
+    ``light`` is the one whose visibility the layer shows, ``None`` the first.
+    """
+
+    level: LevelKey
+    view: str
+    layer: PictureLayer
+    format: PictureFormat
+    size: tuple[int, int] | None = None
+    light: str | None = None
+    seconds: float | None = None
+    sun: SunSpec | None = None
+    overrides: Overrides = Overrides()
+
+
+Job = BlockJob | PlanJob | SnapshotJob
 
 
 @dataclass(frozen=True)
@@ -106,6 +127,25 @@ class Block:
         return self.color.nbytes + self.visibility.nbytes
 
 
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A finished snapshot: the bytes of its file and the milliseconds that encoding took; the rest is as in a block."""
+
+    body: bytes
+    encode_ms: float
+    headline: str
+    passes: tuple[tuple[str, float], ...]
+    reach_used_m: float
+    reach_needed_m: float
+    reach_clipped: bool
+    renderer: str
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the file."""
+        return len(self.body)
+
+
 @dataclass(frozen=True)
 class PlanAnswer:
     """A plan as JSON."""
@@ -141,4 +181,5 @@ class Failure:
         return kind(self.message)
 
 
-Answer = Block | PlanAnswer | Failure
+Result = Block | Snapshot | PlanAnswer
+Answer = Result | Failure

@@ -15,8 +15,7 @@ from api.layers import PictureLayer
 from api.served import SERVED_ALGORITHMS, names_in
 from terrain.errors import InputError
 from terrain.level import SunSpec, parse_sun
-
-TileFormat = Literal["png", "webp", "jpg"]
+from terrain.scene import MAX_PERSPECTIVE_PX
 
 PICTURE_PARAMETERS = ("time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter")
 """What may be asked of any picture or plan."""
@@ -61,7 +60,9 @@ async def wishes(
         float | None, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")
     ] = None,
     altitude: Annotated[float | None, Query(description="Apparent degrees above the horizon.")] = None,
-    algorithm: Annotated[str | None, Query(max_length=200, description="`auto`, a name, or `relief=NAME`.")] = None,
+    algorithm: Annotated[
+        str | None, Query(max_length=200, description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.")
+    ] = None,
     map_size: Annotated[int | None, Query(ge=64, le=8192, description="Shadow-map texels a side.")] = None,
     depth_bits: Annotated[Literal[16, 24, 32] | None, BeforeValidator(_whole), Query()] = None,
     filter: Annotated[Literal[1, 2, 3, 5] | None, BeforeValidator(_whole), Query(description="Shadow-map taps a side.")] = None,
@@ -74,6 +75,21 @@ async def wishes(
     return Wishes(parse_sun(time, azimuth, altitude), overrides)
 
 
+def parse_size(text: str) -> tuple[int, int]:
+    """(width, height) of ``WxH``. Raises ``InputError``."""
+    width, _, height = text.partition("x")
+    if not all(part.isascii() and part.isdigit() and 1 <= int(part) <= MAX_PERSPECTIVE_PX for part in (width, height)):
+        raise InputError("size", text, f"WxH in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_PX} a side")
+    return int(width), int(height)
+
+
+def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
+    """Raise ``InputError`` where a picture has more pixels than the settings allow."""
+    if size[0] * size[1] > max_pixels:
+        allowed = f"at most {max_pixels} pixels in all (the service's SKUGGA_MAX_SNAPSHOT_PIXELS)"
+        raise InputError("size", f"{size[0]}x{size[1]}", allowed)
+
+
 Layer = Annotated[
     PictureLayer,
     Query(
@@ -81,3 +97,5 @@ Layer = Annotated[
         "`mask` is gray: 0 shadow, 255 lit, 128 no surface."
     ),
 ]
+
+View = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]

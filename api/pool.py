@@ -1,4 +1,4 @@
-"""The render processes of a service: a bounded queue before them, one render for all who want the same, finished blocks
+"""The render processes of a service: a bounded queue before them, one render for all who want the same, finished pictures
 kept, and a service that goes on when a process hangs or dies."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from api.errors import WorkerCrashError
-from api.jobs import Answer, Block, Failure, Job, PlanAnswer
+from api.jobs import Answer, Block, Failure, Job, Result, Snapshot
 from api.render_worker import WorkerConfig, worker_main
 from api.settings import Settings, cores
 from api.worker_process import WorkerProcess, WorkerTarget
@@ -45,7 +45,7 @@ class Tally:
 class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
-    Equal jobs at the same time are one job. Finished blocks are kept within ``block_cache_bytes``.
+    Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``.
     """
 
     def __init__(self, settings: Settings, target: WorkerTarget = worker_main) -> None:
@@ -53,7 +53,7 @@ class Pool:
         self._target = target
         self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
-        self._finished: ByteCache[Block] = ByteCache(settings.block_cache_bytes, lambda block: block.nbytes)
+        self._finished: ByteCache[Block | Snapshot] = ByteCache(settings.block_cache_bytes, lambda drawn: drawn.nbytes)
         self._flights: dict[Job, _Flight] = {}
         self._queue: OrderedDict[Job, _Flight] = OrderedDict()
         self._news = asyncio.Event()
@@ -74,8 +74,8 @@ class Pool:
         """Jobs that wait for a process."""
         return len(self._queue)
 
-    def finished(self, job: Job) -> Block | None:
-        """A block that is kept."""
+    def finished(self, job: Job) -> Block | Snapshot | None:
+        """A block or a snapshot that is kept."""
         return self._finished.get(job)
 
     def open(self) -> None:
@@ -91,7 +91,7 @@ class Pool:
         self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
         self._threads.shutdown(wait=True)
 
-    async def run(self, job: Job) -> Block | PlanAnswer:
+    async def run(self, job: Job) -> Result:
         """The answer to a job, from memory where it is kept.
 
         Raises ``BusyError`` where the queue is full, ``GraphicsError`` where no process can be started,
@@ -121,7 +121,7 @@ class Pool:
         if self._start_error is not None and not self.ready:
             raise GraphicsError(str(self._start_error))
         if len(self._queue) >= self._settings.queue_length:
-            raise BusyError(f"The service is busy: {len(self._queue)} blocks are waiting to be drawn.")
+            raise BusyError(f"The service is busy: {len(self._queue)} pictures are waiting to be drawn.")
         flight = _Flight(job, asyncio.get_running_loop().create_future())
         # An error that nobody waits for any more is no news.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
@@ -177,7 +177,7 @@ class Pool:
             if isinstance(answer, Failure) and answer.fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
                 return count > 0
-        log.info("render process %s is replaced after %d blocks", worker.pid, self._settings.recycle_blocks)
+        log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
     async def _next(self, worker: WorkerProcess) -> _Flight | None:
@@ -196,7 +196,7 @@ class Pool:
             flight.answer.set_exception(answer)
         else:
             self.tally.answered += 1
-            if isinstance(answer, Block):
+            if isinstance(answer, Block | Snapshot):
                 self._finished.put(flight.job, answer)
             flight.answer.set_result(answer)
 

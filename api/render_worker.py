@@ -8,13 +8,17 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import time as clock
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from morecantile import tms as matrix_sets
 
-from api.jobs import Answer, Block, BlockJob, Failure, Job, LevelKey, PlanAnswer, Ready
+from api.jobs import Answer, Block, BlockJob, Failure, Job, LevelKey, PlanAnswer, PlanJob, Ready, Result, Snapshot, SnapshotJob
+from api.layers import encode_picture, picture_of
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
@@ -24,7 +28,10 @@ from terrain.level import load_level
 from terrain.scene import Scene, build_scene
 
 MAX_SCENES = 16
-"""Levels that a process keeps open: an overview (some MB) and a file handle each."""
+"""Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
+
+MAX_PROCESS_BYTES = 3 * 2**30
+"""Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
 
 log = logging.getLogger("skugga.worker")
 
@@ -37,11 +44,20 @@ class WorkerConfig:
     expect_renderer: str | None = None
 
 
-class Scenes:
-    """The scenes used last, by level file; a level or raster that has changed is opened anew."""
+def resident_bytes() -> int:
+    """Memory that this process takes now; 0 where the system has no ``/proc`` to say."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
 
-    def __init__(self, limit: int = MAX_SCENES) -> None:
+
+class Scenes:
+    """The scenes used last, by level file; a level of which a file has changed is opened anew."""
+
+    def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
         self._limit = limit
+        self._process_bytes = process_bytes
         self._scenes: OrderedDict[str, tuple[str, Scene]] = OrderedDict()
 
     def __len__(self) -> int:
@@ -57,7 +73,8 @@ class Scenes:
         if scene is None:
             scene = build_scene(load_level(key.path))
         self._scenes[path] = key.version, scene
-        while len(self._scenes) > self._limit:
+        limit = 1 if self._process_bytes() > MAX_PROCESS_BYTES else self._limit
+        while len(self._scenes) > limit:
             _, (_, oldest) = self._scenes.popitem(last=False)
             oldest.elevation.close()
         return scene
@@ -69,20 +86,30 @@ def block_view(job: BlockJob) -> MapView:
     return MapView(grid, float(job.block_y * BLOCK_PX), float(job.block_x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
-def work(job: Job, scenes: Scenes, renderer: str) -> Block | PlanAnswer:
+def work(job: Job, scenes: Scenes, renderer: str) -> Result:
     """Do a job. Raises ``SkuggaError``."""
     scene = scenes.get(job.level).with_sun(job.sun)
-    view = block_view(job) if isinstance(job, BlockJob) else scene.view(job.view)
-    plan = choose(describe(scene, view), scene.loaded.level, job.overrides.for_selector())
-    if not isinstance(job, BlockJob):
+    name = "map" if isinstance(job, BlockJob) else job.view
+    if isinstance(job, BlockJob):
+        view = block_view(job)
+    elif isinstance(job, SnapshotJob):
+        scene = scene.at_second(job.seconds)
+        view = scene.view(name, size=job.size)
+    else:
+        view = scene.view(name)
+    plan = choose(describe(scene, view, name), scene.loaded.level, job.overrides.for_selector())
+    if isinstance(job, PlanJob):
         return PlanAnswer(plan.model_dump_json())
     frame = render_frame(scene, view, plan)
-    return Block(
-        color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), headline=plan.headline,
-        passes=tuple((record.name, record.ms) for record in frame.passes),
-        reach_used_m=frame.reach.used_m, reach_needed_m=frame.reach.needed_m, reach_clipped=bool(frame.reach.clipped),
-        renderer=renderer,
-    )  # fmt: skip
+    facts = {
+        "headline": plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes), "renderer": renderer,
+        "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
+    }  # fmt: skip
+    if isinstance(job, BlockJob):
+        return Block(color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **facts)
+    start = clock.perf_counter()
+    body = encode_picture(picture_of(frame.under(job.light), job.layer), f".{job.format}")
+    return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **facts)
 
 
 def worker_main(pipe: Connection, config: WorkerConfig) -> None:

@@ -10,8 +10,8 @@ from fastapi import APIRouter, Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
 
 from api.answers import json_answer
-from api.jobs import PlanAnswer, PlanJob
-from api.parameters import PICTURE_PARAMETERS, Layer, TileFormat, Wishes, only, wishes
+from api.jobs import PictureFormat, PlanAnswer, PlanJob
+from api.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, only, wishes
 from api.problems import problem_docs
 from api.service import TheService, unless_gone
 
@@ -20,8 +20,9 @@ router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
 @router.get("/levels", summary="The levels", dependencies=[Depends(only())])
 async def levels(request: Request, service: TheService) -> list[dict[str, Any]]:
-    """Every level: its name, title, attribution, bounds in degrees, zooms, views, layers, algorithms and sun.
+    """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
 
+    `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
     `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.
     """
     served = await run_in_threadpool(service.levels.all)
@@ -46,7 +47,7 @@ async def tilejson(
     tms: str,
     wanted: Annotated[Wishes, Depends(wishes)],
     layer: Layer = "color",
-    format: Annotated[TileFormat, Query(description="Of the tiles.")] = "png",
+    format: Annotated[PictureFormat, Query(description="Of the tiles.")] = "png",
 ) -> dict[str, Any]:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
 
@@ -92,11 +93,11 @@ async def plan(
     service: TheService,
     level: str,
     wanted: Annotated[Wishes, Depends(wishes)],
-    view: Annotated[str, Query(max_length=100, description="A view of the level.")] = "map",
+    view: View = None,
 ) -> dict[str, Any]:
     """What the selector chooses for a view, and why."""
     served = await service.level(level)
-    job = PlanJob(level=served.key, view=view, sun=wanted.sun, overrides=wanted.overrides)
+    job = PlanJob(level=served.key, view=served.view_named(view), sun=wanted.sun, overrides=wanted.overrides)
     answer = await unless_gone(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json))  # type: ignore[return-value]

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.answers import GIVEN_SUN_S, OWN_SUN_S, block_headers, cache_headers, is_fresh, reach_headers, tag_of
+from api.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.errors import NotServedError
-from api.jobs import Block, BlockJob
+from api.jobs import Block, BlockJob, PictureFormat
 from api.matrices import check_tile, doubles, matrix_set_of, off_data
-from api.parameters import PICTURE_PARAMETERS, Layer, TileFormat, Wishes, only, wishes
+from api.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
 from api.problems import problem_docs
 from api.service import Service, TheService, unless_gone
 from api.tiles import MEDIA_TYPES, block_of_tile, check_format, cut, empty_tile, encode
@@ -33,7 +33,7 @@ router = APIRouter(
     default_response_class=Response,
 )
 
-Format = Annotated[TileFormat, Path(description="WebP is lossless for `shadow` and `mask`; JPEG is for `color` alone.")]
+Format = Annotated[PictureFormat, Path(description="WebP is lossless for `shadow` and `mask`; JPEG is for `color` alone.")]
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
@@ -113,7 +113,7 @@ async def _answer(
     assert isinstance(block, Block)
     body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
     headers = cache_headers(tag_of(block.renderer, *asked), fresh_s)
-    headers |= block_headers(block, kept, encode_ms)
+    headers |= drawn_headers(block, "block", kept, encode_ms)
     return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
 
 

@@ -16,7 +16,7 @@ from api.layers import PictureLayer
 from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from shadows.registry import ALGORITHMS
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
-from terrain.level import LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
+from terrain.level import SUN, LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
 from terrain.scene import Scene, build_scene
 from terrain.sun import Sun, sun_of
 from terrain.world import LONGITUDE_LATITUDE, World, transformer
@@ -31,10 +31,11 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class ServedLevel:
-    """A level as the service knows it. ``version`` changes with the level's text and its raster.
+    """A level as the service knows it. ``version`` changes with the level's text and the files it names.
 
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
-    a flat world. ``zooms`` are by tile matrix set.
+    a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
+    whether the level names it or not), ``None`` for a view that cannot be drawn.
     """
 
     loaded: LoadedLevel
@@ -43,6 +44,7 @@ class ServedLevel:
     bounds: LonLatBounds | None
     data_bounds: LonLatBounds | None
     zooms: dict[str, ZoomRange]
+    view_sizes: dict[str, tuple[int, int] | None]
 
     @property
     def name(self) -> str:
@@ -66,6 +68,22 @@ class ServedLevel:
             raise NotServedError("tms", f"{self.name} lies outside of {matrix_set}; it has {', '.join(self.zooms)}.")
         return self.zooms[matrix_set]
 
+    def view_named(self, name: str | None) -> str:
+        """A view's name; where none is given ``map``, if the level lists it, else its first view. Raises ``InputError``."""
+        views = self.loaded.level.views
+        if name is None:
+            return "map" if "map" in views else next(iter(views), "map")
+        if name not in self.view_sizes:
+            raise InputError("view", name, ", ".join(self.view_sizes))
+        return name
+
+    def lights(self, spec: SunSpec | None) -> tuple[str, ...]:
+        """The lights of a picture under a request's sun (``None``: the level's own): the sun first, unless there are only
+        others."""
+        every = self.loaded.level.light_names
+        sunless = spec is None and self.loaded.level.sun == "none"
+        return every[1:] if sunless and len(every) > 1 else every
+
     def sun(self, spec: SunSpec | None) -> Sun | None:
         """The sun of a request, or the level's own; ``None`` where it has none. Raises ``InputError``."""
         own = self.loaded.level.sun
@@ -76,6 +94,7 @@ class ServedLevel:
         """What ``/levels`` says of it; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
         level, zooms = self.loaded.level, self.zooms.get(DEFAULT_MATRIX_SET)
         sun = None if level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
+        kinds = {**({} if sun is None else {SUN: SUN}), **{name: light.kind for name, light in level.lights.items()}}
         return {
             "name": self.name,
             "title": level.title or self.name,
@@ -84,6 +103,8 @@ class ServedLevel:
             "minzoom": zooms and zooms.first,
             "maxzoom": zooms and zooms.last,
             "views": list(level.views),
+            "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
+            "lights": {name: {"kind": kind} for name, kind in kinds.items()},
             "layers": list(get_args(PictureLayer)),
             "algorithms": list(SERVED_ALGORITHMS),
             "sun": sun,
@@ -168,7 +189,17 @@ def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
         zooms = {name: range_ for name, range_ in found.items() if range_ is not None}
     text = repr((loaded.digest, *(_stamp(Path(source)) for source in loaded.sources)))
     version = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return ServedLevel(loaded, version, world, bounds, data_bounds, zooms)
+    view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
+    return ServedLevel(loaded, version, world, bounds, data_bounds, zooms, view_sizes)
+
+
+def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
+    try:
+        view = scene.view(name)
+    except InputError as error:  # the level has tiles all the same
+        log.warning("level %s: view %s cannot be drawn: %s", scene.loaded.name, name, error)
+        return None
+    return view.cols, view.rows
 
 
 def _stamps(loaded: LoadedLevel) -> tuple[Any, ...]:

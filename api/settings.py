@@ -44,11 +44,12 @@ class Settings(BaseSettings):
         default=("*",), description="Origins whose pages may read the answers, separated by commas."
     )
     workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
-    queue_length: int = Field(default=32, ge=1, description="Blocks that may wait to be drawn; more are refused.")
-    render_timeout_s: float = Field(default=60.0, gt=0, description="A block that takes longer is given up.")
+    queue_length: int = Field(default=32, ge=1, description="Pictures that may wait to be drawn; more are refused.")
+    render_timeout_s: float = Field(default=60.0, gt=0, description="A picture that takes longer is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="A render process that starts longer is given up.")
-    recycle_blocks: int = Field(default=1000, ge=1, description="Blocks after which a render process is replaced.")
-    block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each).")
+    recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
+    block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each) and snapshots.")
+    max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
     empty_tile: Literal["transparent", "204", "404"] = Field(
         default="transparent", description="Answer for a tile inside the zooms but off the data."
     )

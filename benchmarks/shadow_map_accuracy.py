@@ -27,7 +27,8 @@ from terrain.descriptor import describe
 from terrain.errors import SkuggaError
 from terrain.geometry import map_geometry
 from terrain.gl import device
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
 
@@ -60,7 +61,7 @@ def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
         settings = plan.settings.get("sun", {}).get("relief")
         if settings is None:
             continue
-        visibility = shadow_map.fill(buffer, lit, casters, settings, PassLog())
+        visibility = shadow_map.fill(buffer, lit, "sun", ("relief",), casters, settings, PassLog())
         visibility[attached(buffer, lit)] = 0.0
         found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, settings, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))

@@ -238,7 +238,7 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         last_ring = int(np.searchsorted(polygon, i, side="right"))
         ends = ring_ends[first_ring:last_ring]
         here = slice(start, int(ends[-1]))
-        roof = _roof_triangles(blocks.polygons[i], xy[here] - xy[start], ends - start)
+        roof = _roof_triangles(xy[here] - xy[start], ends - start)
         triangles, is_roof = _block_triangles(roof, ends - start)
         origin = ground[start] + base_m * up[start]
         vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
@@ -254,9 +254,7 @@ def _block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarra
     Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings keep the building on their left.
     """
     count = int(ring_ends[-1])
-    here = np.arange(count)
-    following = here + 1
-    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
+    here, following = np.arange(count), _following(ring_ends)
     walls = np.concatenate([
         np.column_stack([here + count, following + count, following]), np.column_stack([here + count, following, here])
     ])  # fmt: skip
@@ -264,24 +262,40 @@ def _block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarra
     return triangles, np.arange(len(triangles)) < len(roof)
 
 
-def _roof_triangles(polygon: shapely.Polygon, xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
-    """Counter-clockwise triangles (m, 3) of a polygon's corners ``xy`` (n, 2), counted from its first one.
-
-    Every edge of every ring is the edge of one triangle. Ear clipping skips corners that become collinear on the way, which
-    would leave a gap between roof and wall; such polygons are cut by constrained Delaunay triangulation.
-    """
-    count = len(xy) + 2 * (len(ring_ends) - 1) - 2  # triangles of n corners and h holes: n + 2 h - 2
+def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
+    """Counter-clockwise triangles (m, 3) of a polygon's corners (n, 2). Every edge of every ring is the edge of one triangle."""
     clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
-    clipped = _facing_up(clipped.astype(np.int32), xy)
-    if len(clipped) == count:
-        return clipped
-    corners = shapely.get_coordinates(polygon)
-    origin = corners[0]
-    index = {tuple(point - origin): i for i, point in reversed(list(enumerate(xy + origin)))}
-    pieces = shapely.get_coordinates(shapely.constrained_delaunay_triangles(polygon)).reshape(-1, 4, 2)[:, :3] - origin
-    cut = np.array([[index.get(tuple(point), -1) for point in piece] for piece in pieces], np.int32).reshape(-1, 3)
-    cut = _facing_up(cut, xy) if (cut >= 0).all() else cut[:0]
-    return cut if len(cut) == count else clipped
+    triangles = _facing_up(clipped.astype(np.int32), xy)
+    # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
+    while len(triangles) < len(xy) + 2 * (len(ring_ends) - 1) - 2:  # n + 2 h - 2 triangles of n corners and h holes
+        whole = _with_skipped(triangles, xy, ring_ends)
+        if len(whole) == len(triangles):
+            break
+        triangles = whole
+    return triangles
+
+
+def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
+    """The triangles with the first one cut in two that has a corner of the polygon between the ends of an edge."""
+    rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
+    edges = {(a, b): (k, c) for k, (i, j, l) in enumerate(triangles.tolist()) for a, b, c in ((i, j, l), (j, l, i), (l, i, j))}
+    for (a, b), (k, c) in edges.items():
+        if (b, a) in edges or (a, b) in rings:
+            continue
+        along, off = xy[b] - xy[a], xy - xy[a]
+        share = off @ along / (along @ along)
+        aside = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
+        between = np.flatnonzero((aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9))
+        if len(between):
+            return np.vstack([np.delete(triangles, k, axis=0), [[a, between[0], c], [between[0], b, c]]]).astype(np.int32)
+    return triangles
+
+
+def _following(ring_ends: np.ndarray) -> np.ndarray:
+    """The index (n,) of the corner after each corner of its ring."""
+    following = np.arange(1, int(ring_ends[-1]) + 1)
+    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
+    return following
 
 
 def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:

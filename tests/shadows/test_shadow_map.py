@@ -10,7 +10,8 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from terrain.geometry import map_geometry
 from terrain.grid import MapView
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
 from terrain.world import FRAME_PITCH_DEG, LocalFrame, geocentric
@@ -28,7 +29,7 @@ def visibility(scene: Scene, view: MapView, frame: LocalFrame, bias_scale: float
     settings = plan_of(scene, view, **overrides).settings["sun"]["relief"]
     settings = settings.model_copy(update={"bias_scale": bias_scale})
     buffer = map_geometry(scene.surface(view.grid), view, frame)
-    seen = shadow_map.fill(buffer, scene, casters_of(scene, buffer), settings, PassLog())
+    seen = shadow_map.fill(buffer, scene, "sun", ("relief",), casters_of(scene, buffer), settings, PassLog())
     seen[attached(buffer, scene)] = 0.0
     seen[~buffer.there] = np.nan
     return seen

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from api.layers import layer_of
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.scene import build_scene
 from tests import golden
 from tests.golden import assert_golden
@@ -31,7 +32,7 @@ def test_map_views(gl, level, sun, layer, request):
     azimuth, altitude = SUNS[sun]
     scene = build_scene(load_level(f"configs/{level}.yaml")).with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     frame = render(scene, scene.view(size=(300, 300)))
-    picture = layer_of(frame, layer)
+    picture = layer_of(scene, frame, layer)
     assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -39,7 +40,7 @@ def test_tiles_of_a_block(gl, request):
     """Four tiles round the corner of a ridge at zoom 13, cut from their block."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.58, 13).part(256, 256, 512, 512)
-    picture = layer_of(render(scene, view), "color")
+    picture = layer_of(scene, render(scene, view), "color")
     assert_golden("jacksboro-tiles-13", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 

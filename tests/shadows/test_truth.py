@@ -13,7 +13,8 @@ from shadows.passes import PassLog
 from shadows.truth import Truth, coverage_truth, fill, soft_truth, sub_views, sun_disc, surface_error, truth_of
 from terrain.geometry import GeometryBuffer, map_geometry
 from terrain.grid import MapView
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.reach import Casters, casters_of
 from terrain.scene import Scene, build_scene
 from tests.conftest import ENGINEERING
@@ -51,7 +52,7 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
     if not patches:
         casters = Casters((), casters.reach)
     settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
-    seen = shadow_map.fill(buffer, scene, casters, settings.model_copy(update={"bias_scale": bias_scale}), PassLog())
+    seen = shadow_map.fill(buffer, scene, "sun", ("relief",), casters, settings.model_copy(update={"bias_scale": bias_scale}), PassLog())
     seen[attached(buffer, scene)] = 0.0
     return seen
 
@@ -163,7 +164,7 @@ def test_soft_truth_is_between_the_classes_and_hard_far_from_edges(scene, view, 
     buffer, casters = geometry(scene, view)
     soft = soft_truth(buffer, scene, casters, samples=16)
     assert ((soft > 0) & (soft < 1)).mean() > 0.005
-    hard = fill(buffer, scene, casters, truth.TruthSettings(), PassLog())
+    hard = fill(buffer, scene, "sun", ("relief",), casters, truth.TruthSettings(), PassLog())
     assert soft_error(np.where(buffer.there, hard, np.nan), soft) < 0.1
     assert ((soft < 0.5) == ~real.lit)[real.decidable].mean() > 0.97
 

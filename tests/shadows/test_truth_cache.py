@@ -6,7 +6,8 @@ import numpy as np
 
 from shadows.truth_cache import cached_truth, content_key
 from terrain.geometry import map_geometry
-from terrain.level import SunSpec, load_level
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
 from terrain.reach import Casters, casters_of
 from terrain.scene import build_scene
 
@@ -19,20 +20,20 @@ def test_the_same_content_is_made_once(tmp_path):
     casters = casters_of(scene, buffer)
     made = []
 
-    def make(*args):
+    def make(*args, **keys):
         from shadows.truth import truth_of
 
         made.append(args)
-        return truth_of(*args)
+        return truth_of(*args, **keys)
 
-    one = cached_truth(buffer, scene, casters, 4, tmp_path, make)
-    again = cached_truth(buffer, scene, casters, 4, tmp_path, make)
+    one = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
+    again = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     assert len(made) == 1 and one.decidable.any()
     for name in ("lit", "attached", "decidable", "there"):
         np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
     (stored,) = tmp_path.glob("*.npz")
     stored.write_bytes(b"damaged")
-    cached_truth(buffer, scene, casters, 4, tmp_path, make)
+    cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     assert len(made) == 2
     keys = {
         content_key(buffer, scene, casters, 4),

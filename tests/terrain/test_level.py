@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from pydantic_core import PydanticCustomError
 
 from api.catalogue import bundled_levels
 from shadows.registry import ALGORITHMS
@@ -39,8 +40,8 @@ def test_bundled_levels_load():
     ("text", "key", "value", "allowed"),
     [
         ("terrain: {source: jacksboro}\n", "version", "nothing", "required"),
-        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, sun, views"),
-        ("version: 1\nterrain: {sourc: x}\n", "terrain.sourc", "unknown key", "source, bounds"),
+        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, forest, meshes, sun, lights"),
+        ("version: 1\nterrain: {sourc: x}\n", "terrain.sourc", "unknown key", "source, flat, generate, bounds"),
         ("version: 2\nterrain: {source: x}\n", "version", "2", "1"),
         ("version: 1\nterrain: {source: x, units: yards}\n", "terrain.units", "yards", "'m', 'ft' or 'us-ft'"),
         ("version: 1\nterrain: {source: x, exaggeration: -2}\n", "terrain.exaggeration", "-2", "greater than 0"),
@@ -51,7 +52,14 @@ def test_bundled_levels_load():
         (GOOD + "shadows: {algorithm: magic}\n", "shadows.algorithm", "magic", "shadow_map"),
         (GOOD + "shadows: {map_size: 10}\n", "shadows.map_size", "10", "64"),
         (GOOD + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
-        (GOOD + "views: {a: {kind: perspective}}\n", "views.a.kind", "perspective", "map"),
+        (GOOD + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
+        (GOOD + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "nothing", "required"),
+        (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "apart from the eye"),
+        (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "names other than sun"),
+        (GOOD + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
+        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "my.yaml", "lamp", "a light (sun) or a caster kind"),
+        (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
+        ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
         (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
@@ -78,12 +86,15 @@ def test_a_missing_level_and_one_that_is_no_text(tmp_path):
 
 def test_overrides_are_spelt_out():
     assert algorithm_choice("auto") == {}
-    assert algorithm_choice("shadow_map") == {"sun": {"relief": "shadow_map"}}
+    every = {"relief": "shadow_map", "meshes": "shadow_map", "forest": "shadow_map"}
+    assert algorithm_choice("shadow_map") == {"sun": every}
+    assert algorithm_choice("shadow_map", ("sun", "lamp")) == {"sun": every, "lamp": every}
+    assert algorithm_choice({"forest": "none", "lamp": "shadow_map"}, ("sun", "lamp")) == {"sun": {"forest": "none"}, "lamp": every}
     assert algorithm_choice({"relief": "none"}) == {"sun": {"relief": "none"}}
     assert algorithm_choice({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
-    with pytest.raises(InputError, match="relief"):
-        parse_algorithm("leaves=shadow_map")
+    with pytest.raises(PydanticCustomError, match="relief"):
+        algorithm_choice(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
     with pytest.raises(InputError, match="shadow_map, truth, none, auto"):
         parse_algorithm("sweeep")
 

@@ -12,7 +12,7 @@ from scipy.ndimage import label
 from terrain.elevation import Elevation
 from terrain.erosion import drainage
 from terrain.level_parts import Terrain
-from terrain.made_ground import made_ground
+from terrain.made_ground import _made, made_ground
 from terrain.noise import fractal
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
@@ -57,7 +57,7 @@ def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
 def test_a_seed_is_one_ground_and_another_seed_another(kind):
     first = generated(kind, seed=7)
     assert not np.array_equal(first, generated(kind, seed=8))
-    made_ground.__globals__["_made"].cache_clear()
+    _made.cache_clear()
     np.testing.assert_array_equal(first, generated(kind, seed=7))
 
 

@@ -119,7 +119,7 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
     """
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.58, 12).part(300, 300, 200, 200) if tile else scene.view()
-    position = layer_of(render(scene, view, algorithm="none"), "position")
+    position = layer_of(scene, render(scene, view, algorithm="none"), "position")
     known = np.isfinite(position[..., 2])
     assert known.sum() > 10_000
     x, y, height = position[known].T

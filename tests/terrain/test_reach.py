@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from terrain.geometry import map_geometry
-from terrain.level import SunSpec
+from terrain.level_parts import SunSpec
 from terrain.reach import casters_of, longest_shadow_m
 from terrain.scene import Scene
 from tests.conftest import ENGINEERING

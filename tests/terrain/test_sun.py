@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from terrain.errors import InputError
-from terrain.level import SunSpec
+from terrain.level_parts import SunSpec
 from terrain.light_space import light_space
 from terrain.sun import apparent_position, direction_enu, position_at, sun_of
 from terrain.world import LONGITUDE_LATITUDE, World, geocentric

@@ -1,0 +1,67 @@
+"""Snapshots: a level's view as one picture."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+
+from api.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.jobs import PictureFormat, Snapshot, SnapshotJob
+from api.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, check_pixels, only, parse_size, wishes
+from api.routes_tiles import PICTURE_DOCS
+from api.service import TheService, unless_gone
+from api.tiles import MEDIA_TYPES, check_format
+from terrain.errors import InputError
+
+router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
+
+
+@router.get(
+    "/levels/{level}/snapshot.{format}",
+    summary="A view of a level",
+    dependencies=[Depends(only("view", "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+)
+async def snapshot(
+    request: Request,
+    service: TheService,
+    level: str,
+    format: Annotated[PictureFormat, Path(description="PNG and WebP are lossless; JPEG is for `color` alone.")],
+    wanted: Annotated[Wishes, Depends(wishes)],
+    view: View = None,
+    size: Annotated[str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.")] = None,
+    layer: Layer = "color",
+    light: Annotated[
+        str | None, Query(max_length=100, description="The light that `shadow` and `mask` show; default: the sun, else the first.")
+    ] = None,
+    seconds: Annotated[
+        float | None, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.")
+    ] = None,
+) -> Response:
+    """A map or perspective view as the level has it, but for what the query asks."""
+    served = await service.level(level)
+    check_format(layer, format)
+    name = served.view_named(view)
+    given_size = None if size is None else parse_size(size)
+    pixels = given_size or served.view_sizes[name]
+    if pixels is not None:
+        check_pixels(pixels, service.settings.max_snapshot_pixels)
+    lights = served.lights(wanted.sun)
+    if light is not None and light not in lights:
+        raise InputError("light", light, ", ".join(lights))
+    job = SnapshotJob(
+        level=served.key, view=name, layer=layer, format=format, size=given_size,
+        light=None if layer == "color" else light, seconds=seconds, sun=wanted.sun, overrides=wanted.overrides,
+    )  # fmt: skip
+
+    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}))
+    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
+    headers = cache_headers(tag_of(service.pool.renderer, *asked), fresh_s)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    kept = service.pool.finished(job) is not None
+    drawn = await unless_gone(request, service.pool.run(job))
+    assert isinstance(drawn, Snapshot)
+    headers = cache_headers(tag_of(drawn.renderer, *asked), fresh_s)
+    headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
+    return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])

@@ -1,0 +1,335 @@
+"""Snapshots over HTTP, drawn by a real render process."""
+
+import io
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from api.app import create_app
+from api.jobs import LevelKey
+from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_of
+from api.render_worker import MAX_PROCESS_BYTES, Scenes, resident_bytes
+from api.served import ServedLevels
+from api.settings import Settings
+from api.snapshot import snapshot
+from terrain.level_parts import SunSpec
+from tests.api import fake_workers
+from tests.api.conftest import Client, running
+from tests.api.test_problems import check_problem
+
+YARD = "/levels/yard/snapshot"
+WIDTH, HEIGHT = 160, 120
+LEVEL = {
+    "version": 1,
+    "terrain": {"flat": {"size": [200, 200], "cells": [8, 8]}},
+    "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}],
+    "sun": {"azimuth": 240, "altitude": 35},
+    "lights": {"lamp": {"kind": "spot", "position": [15, 12, 70], "target": [0, 0, 0], "cutoff": 40}},
+    "views": {
+        "across": {"kind": "perspective", "eye": [-60, -70, 45], "target": [0, 0, 5], "fov": 60, "size": [WIDTH, HEIGHT]},
+        "low": {"kind": "perspective", "eye": [-60, -70, 20], "target": [0, 0, 18], "fov": 60, "size": [WIDTH, HEIGHT]},
+    },
+}
+"""A figure that turns on a floor, under the sun and a lamp."""
+
+
+def write_yard(folder: Path, name: str = "yard", **keys) -> Path:
+    path = folder / f"{name}.yaml"
+    path.write_text(json.dumps({**LEVEL, **keys}), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_yard(tmp_path_factory.mktemp("yard"))
+
+
+@pytest.fixture(scope="module")
+def yards(yard: Path) -> Iterator[Client]:
+    """A service of ``yard``, and of ``cellar`` where the lamp alone shines, with one real render process."""
+    cellar = write_yard(yard.parent, "cellar", sun="none", views={**LEVEL["views"], "map": {"kind": "map", "size": [90, 70]}})
+    with running(create_app(Settings(workers=1), [yard, cellar])) as client:
+        yield client
+
+
+def pixels(answer: httpx.Response) -> np.ndarray:
+    assert answer.status_code == 200, answer.content[:300]
+    return np.asarray(Image.open(io.BytesIO(answer.content)))
+
+
+@pytest.mark.parametrize(
+    ("format", "layer", "mode", "kind"),
+    [
+        ("png", "color", "RGBA", "PNG"), ("png", "shadow", "RGBA", "PNG"), ("png", "mask", "L", "PNG"),
+        ("webp", "color", "RGB", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
+    ],
+)  # fmt: skip
+def test_formats(yards: Client, format: str, layer: str, mode: str, kind: str):
+    answer = yards.get(f"{YARD}.{format}", params={"view": "across", "layer": layer})
+    image = Image.open(io.BytesIO(answer.content))
+    assert (image.size, image.mode, image.format) == ((WIDTH, HEIGHT), mode, kind)
+    assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
+
+
+@pytest.mark.parametrize("view", ["across", "map"])
+def test_a_snapshot_is_what_is_drawn_in_this_process(yards: Client, yard: Path, view: str):
+    size = None if view == "across" else (64, 48)
+    asked = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
+    overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
+    _, frame = snapshot(yard, view, SunSpec(azimuth=200, altitude=30), overrides, size, seconds=1.5)
+    asked |= {} if size is None else {"size": "64x48"}
+    for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
+        answer = yards.get(f"{YARD}.{format}", params={**asked, "layer": layer})
+        assert answer.content == encode_picture(picture_of(frame, layer), f".{format}"), (layer, format)
+    lamp = yards.get(f"{YARD}.png", params={**asked, "layer": "mask", "light": "lamp"})
+    assert lamp.content == encode_picture(picture_of(frame.under("lamp"), "mask"), ".png")
+
+
+def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):
+    color, shadow, mask = (
+        pixels(yards.get(f"{YARD}.png", params={"view": "low", "layer": name})) for name in ("color", "shadow", "mask")
+    )
+    sky = mask == MASK_NO_SURFACE
+    assert sky[0].all() and not sky[-1].any()
+    assert set(np.unique(mask)) == {MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT}
+    assert (color[..., 3] == 255).all() and color[sky][:, :3].min() > 0
+    assert (shadow[sky] == 0).all()
+
+
+def test_the_default_view_is_the_map_where_it_is_listed_and_else_the_first(yards: Client):
+    first, named = (yards.get(f"{YARD}.png", params=query) for query in ({}, {"view": "across"}))
+    assert (first.content, first.headers["etag"]) == (named.content, named.headers["etag"])
+    assert pixels(yards.get("/levels/cellar/snapshot.png")).shape == (70, 90, 4)
+    assert yards.get("/levels/yard/plan").json()["view"] == "across"
+    assert yards.get("/levels/cellar/plan").json()["view"] == "map"
+
+
+def test_size(yards: Client):
+    assert pixels(yards.get(f"{YARD}.png", params={"view": "across", "size": "50x33"})).shape == (33, 50, 4)
+    assert pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "50x33"})).shape == (33, 50, 4)
+
+
+def test_the_light_of_the_query_is_whose_shadow_is_shown(yards: Client):
+    def mask(**query) -> np.ndarray:
+        return pixels(yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", **query}))
+
+    own, sun, lamp = mask(), mask(light="sun"), mask(light="lamp")
+    assert np.array_equal(own, sun)
+    assert (sun != lamp).mean() > 0.01
+    assert np.array_equal(lamp == MASK_NO_SURFACE, sun == MASK_NO_SURFACE)
+    before = yards.service.pool.tally.answered
+    sunlit, lamplit = (yards.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
+    assert sunlit.content == lamplit.content  # light is of shadow and mask: colour is under all lights
+    assert yards.service.pool.tally.answered - before <= 1
+
+
+def test_a_level_without_a_sun_shows_its_lamp(yards: Client):
+    cellar = "/levels/cellar/snapshot.png"
+    own, lamp = (yards.get(cellar, params={"layer": "mask", **query}) for query in ({}, {"light": "lamp"}))
+    assert own.content == lamp.content
+    problem = check_problem(yards.get(cellar, params={"light": "sun"}), 422, "invalid_parameter", "light")
+    assert problem["detail"].endswith("allowed: lamp")
+    lit = yards.get(cellar, params={"layer": "mask", "light": "sun", "azimuth": 90, "altitude": 40})
+    assert MASK_LIT in pixels(lit)
+
+
+def test_the_clock_turns_what_moves(yards: Client):
+    def mask(seconds: float) -> np.ndarray:
+        return pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "100x100", "layer": "mask", "seconds": seconds}))
+
+    still, turned, round_ = mask(0), mask(2), mask(12)
+    assert (still != turned).mean() > 0.002
+    assert (still != round_).mean() < 0.0005  # 12 s of 30 degrees are once round
+
+
+def test_headers(yards: Client):
+    answer = yards.get(f"{YARD}.png", params={"view": "across"})
+    plan = yards.get("/levels/yard/plan", params={"view": "across"}).json()
+    assert plan["view"] == "across"
+    assert set(plan["algorithm"]) == {"sun", "lamp"}
+    timings = [part.split(";")[0] for part in answer.headers["server-timing"].split(", ")]
+    assert len(timings) == len(plan["passes"]) + 2
+    assert (timings[0], timings[-3:]) == ("geometry", ["shading", "encode", "snapshot"])
+    assert "lamp-meshes" in answer.headers["server-timing"]
+    words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
+    assert set(words) == {"used", "needed", "clipped"}
+    assert "shadow_map" in answer.headers["x-skugga-algorithm"]
+    assert answer.headers["cache-control"] == "public, max-age=3600"
+    given = yards.get(f"{YARD}.png", params={"view": "across", "azimuth": 100, "altitude": 40})
+    assert given.headers["cache-control"] == "public, max-age=86400"
+    elsewhere = yards.get(f"{YARD}.png", params={"view": "across"}, headers={"Origin": "https://map.example"})
+    assert elsewhere.headers["access-control-allow-origin"] == "*"
+
+
+def test_algorithms_of_the_query(yards: Client):
+    def answer(algorithm: str) -> httpx.Response:
+        return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm})
+
+    assert answer("none").headers["x-skugga-algorithm"] == "none"
+    assert answer("lamp=none").headers["x-skugga-algorithm"].endswith("lamp=none")
+    assert (pixels(answer("none")) == MASK_SHADOW).sum() < (pixels(answer("shadow_map")) == MASK_SHADOW).sum()
+
+
+def test_what_the_client_has_costs_no_rendering(yards: Client):
+    query = {"view": "across", "size": "40x30", "seconds": 0.25}
+    tag = yards.get(f"{YARD}.png", params=query).headers["etag"]
+    before = yards.service.pool.tally.answered
+    for given in (tag, f'"other", W/{tag}', "*"):
+        answer = yards.get(f"{YARD}.png", params=query, headers={"If-None-Match": given})
+        assert (answer.status_code, answer.content, answer.headers["etag"]) == (304, b"", tag)
+    again = yards.get(f"{YARD}.png", params=query)
+    assert "snapshot;desc=kept" in again.headers["server-timing"]
+    head = yards.head(f"{YARD}.png", params=query)
+    assert (head.status_code, head.content) == (200, b"")
+    for name in ("etag", "content-length", "content-type", "cache-control"):
+        assert head.headers[name] == again.headers[name]
+    assert yards.service.pool.tally.answered == before
+
+
+def test_tags_tell_pictures_apart(yards: Client):
+    queries = [
+        "png?view=across", "webp?view=across", "png?view=low", "png?view=across&layer=mask", "png?view=across&layer=shadow",
+        "png?view=across&layer=mask&light=lamp", "png?view=across&seconds=1", "png?view=across&size=10x10",
+        "png?view=across&azimuth=1&altitude=20", "png?view=across&algorithm=none", "png?view=across&filter=1",
+    ]  # fmt: skip
+    tags = [tag_of(yards, f"{YARD}.{query}") for query in [*queries, *queries]]
+    assert len(set(tags)) == len(queries)
+
+
+def tag_of(client: Client, address: str) -> str:
+    """The tag of a picture that is not drawn for it."""
+    answer = client.get(address, headers={"If-None-Match": "*"})
+    assert answer.status_code == 304
+    return answer.headers["etag"]
+
+
+def test_equal_snapshots_at_once_are_one_render(yards: Client):
+    before = yards.service.pool.tally.answered
+    query = {"view": "across", "azimuth": 33, "altitude": 44}  # that nobody has asked for yet
+    with ThreadPoolExecutor(4) as threads:
+        answers = list(threads.map(lambda _: yards.get(f"{YARD}.png", params=query), range(4)))
+    assert len({answer.content for answer in answers}) == 1
+    assert [answer.status_code for answer in answers] == [200] * 4
+    assert yards.service.pool.tally.answered - before == 1
+
+
+@pytest.mark.parametrize(
+    ("query", "parameter", "said"),
+    [
+        ("png?view=ridge", "view", "map, across, low"),
+        ("png?size=0x10", "size", "WxH"),
+        ("png?size=10", "size", "WxH"),
+        ("png?size=10x20x30", "size", "WxH"),
+        ("png?size=-5x20", "size", "WxH"),
+        ("png?size=5000x10", "size", "4096"),
+        ("png?size=4096x1025", "size", "4194304 pixels"),
+        ("png?layer=depth", "layer", "mask"),
+        ("jpg?layer=mask", "format", "webp"),
+        ("tif", "format", "webp"),
+        ("png?light=moon", "light", "sun, lamp"),
+        ("png?seconds=soon", "seconds", "number"),
+        ("png?seconds=nan", "seconds", "finite"),
+        ("png?seconds=1e300", "seconds", "1000000000"),
+        ("png?azimuth=10", "azimuth, altitude", "altitude"),
+        ("png?time=yesterday", "time", "offset"),
+        ("png?map_size=63", "map_size", "64"),
+        ("png?depth_bits=17", "depth_bits", "24"),
+        ("png?filter=4", "filter", "5"),
+        ("png?bounds=1,2,3,4", "bounds", "size"),
+        ("png?view=across&view=low", "view", "more than once"),
+        ("png?algorithm=truth", "algorithm", "shadow_map"),
+        ("png?algorithm=lamp%3Dtruth", "algorithm", "shadow_map"),
+        ("png?algorithm=meshes%3Dtruth,lamp%3Dshadow_map", "algorithm", "shadow_map"),
+        ("png?algorithm=moon%3Dshadow_map", "algorithm", "lamp"),
+    ],
+)
+def test_wrong_parameters(yards: Client, query: str, parameter: str, said: str):
+    problem = check_problem(yards.get(f"{YARD}.{query}"), 422, "invalid_parameter", parameter)
+    assert parameter in problem["detail"] and said in problem["detail"]
+
+
+def test_an_unknown_level(yards: Client):
+    check_problem(yards.get("/levels/attic/snapshot.png"), 404, "not_found", "level")
+
+
+def test_truth_is_refused_of_plans_too(yards: Client):
+    check_problem(yards.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
+
+
+def test_a_level_tells_its_views_and_lights(yards: Client):
+    yard, cellar = (yards.get(f"/levels/{name}").json() for name in ("yard", "cellar"))
+    assert yard["views"] == ["across", "low"]
+    assert yard["view_kinds"] == {name: {"kind": "perspective", "size": [WIDTH, HEIGHT]} for name in ("across", "low")}
+    assert cellar["view_kinds"]["map"] == {"kind": "map", "size": [90, 70]}
+    assert yard["lights"] == {"sun": {"kind": "sun"}, "lamp": {"kind": "spot"}}
+    assert cellar["lights"] == {"lamp": {"kind": "spot"}}
+
+
+def test_pixels_are_bounded_by_a_setting(serve_with):
+    client = serve_with(fake_workers.obedient, max_snapshot_pixels=10_000)
+    for query in ("", "?size=101x100"):  # the view's own size is no way round it
+        problem = check_problem(client.get(f"/levels/hills/snapshot.png{query}"), 422, "invalid_parameter", "size")
+        assert "10000" in problem["detail"] and "SKUGGA_MAX_SNAPSHOT_PIXELS" in problem["detail"]
+    assert tag_of(client, "/levels/hills/snapshot.png?size=100x100")
+
+
+def test_a_snapshot_that_takes_too_long(serve_with):
+    client = serve_with(fake_workers.hanging, render_timeout_s=0.3)
+    check_problem(client.get("/levels/hills/snapshot.png"), 504, "render_timeout", None)
+
+
+def test_a_view_that_cannot_be_drawn_is_the_operators_fault(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """The level is served all the same; the log names the view at once."""
+    outside = {"kind": "perspective", "eye": [5000, 0, 10], "target": [0, 0, 0]}
+    levels = ServedLevels([write_yard(tmp_path, views={**LEVEL["views"], "outside": outside})])
+    assert levels.get("yard").view_sizes == {
+        "map": (1024, 1024),
+        "across": (WIDTH, HEIGHT),
+        "low": (WIDTH, HEIGHT),
+        "outside": None,
+    }
+    assert "views.outside.eye" in caplog.text
+
+
+def test_a_changed_forest_is_another_picture(tmp_path: Path):
+    stand = tmp_path / "stand.geojson"
+    tree = {"type": "Feature", "properties": {"h": 9}, "geometry": {"type": "Point", "coordinates": [20, 5]}}
+    stand.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
+    path = write_yard(tmp_path, forest=[{"source": stand.name, "height": "h"}])
+    with running(create_app(Settings(workers=1), [path], fake_workers.obedient)) as client:
+        while not client.service.pool.ready:
+            client.get("/readyz")
+        address = f"{YARD}.png?view=across"
+        before = tag_of(client, address)
+        assert tag_of(client, address) == before
+        later = stand.stat().st_mtime_ns + 10**9
+        os.utime(stand, ns=(later, later))
+        after = tag_of(client, address)
+    assert after != before
+
+
+def test_a_process_that_grows_keeps_only_the_level_that_it_draws(tmp_path: Path):
+    grown = False
+    scenes = Scenes(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if grown else 0)
+    keys = [LevelKey(path=write_yard(tmp_path, name), version="1") for name in ("a", "b")]
+    first, second = (scenes.get(key) for key in keys)
+    assert scenes.get(keys[0]) is first
+    grown = True
+    assert scenes.get(keys[1]) is second
+    assert len(scenes) == 1
+    assert scenes.get(keys[1]) is second  # alone it is kept however large it is
+
+
+def test_memory_of_this_process():
+    before = resident_bytes()
+    if not before:
+        pytest.skip("this system has no /proc")
+    block = np.ones(2**24)
+    assert 0.9 * block.nbytes < resident_bytes() - before < 1.5 * block.nbytes
