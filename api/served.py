@@ -196,7 +196,7 @@ def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
     try:
         view = scene.view(name)
-    except InputError as error:  # the level has tiles all the same
+    except SkuggaError as error:  # the level has tiles all the same
         log.warning("level %s: view %s cannot be drawn: %s", scene.loaded.name, name, error)
         return None
     return view.cols, view.rows

@@ -11,7 +11,7 @@ from shadows import shadow_map, truth
 from shadows.attached import attached
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
-from terrain.antialias import NO_PIXELS, Sampled, sampled
+from terrain.antialias import Sampled, sampled
 from terrain.camera import PerspectiveView
 from terrain.errors import InputError, RenderError
 from terrain.grid import MapView, blocks_of
@@ -125,9 +125,8 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
 
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
     with log.run(GEOMETRY_PASS):
-        own = geometry_of(scene, view)
-        picture = Sampled(own, view.rows, NO_PIXELS) if isinstance(view, MapView) else sampled(scene, view, own)
-        buffer = picture.buffer
+        picture = Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
+        buffer, own = picture.buffer, picture.own
     with log.run(CASTERS_PASS):
         casters = casters_of(scene, own)
     visibilities = {light: np.ones(buffer.there.shape, np.float32) for light in plan.lights}
@@ -151,14 +150,9 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
 
 def _put_sky(scene: Scene, view: PerspectiveView, picture: Sampled, linear: np.ndarray) -> None:
     """Colour the pixels and samples that show nothing."""
-    row, col = (index.astype(np.float64) for index in np.mgrid[: view.rows, : view.cols])
-    places = []
-    for own, of_samples in zip((row, col), picture.pixels, strict=True):
-        below = np.zeros((linear.shape[0] - view.rows) * view.cols)
-        below[: 4 * len(of_samples)] = np.repeat(of_samples, 4)
-        places.append(np.concatenate([own.ravel(), below]).reshape(linear.shape[:2]))
-    empty = ~picture.buffer.there
-    linear[empty] = sky(scene, view, places[0][empty], places[1][empty])
+    row, col = np.nonzero(~picture.buffer.there)
+    pixel_row, pixel_col = picture.pixels_of(row, col)
+    linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 
 
 def _worse(a: Reach, b: Reach) -> Reach:

@@ -139,8 +139,7 @@ def _sun_map(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, 
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel)
-    extent_m = float(np.abs(buffer.position_frame_m[buffer.there]).max() + np.abs(high - low).max())
-    error_m = 8.0 * np.finfo(np.float32).eps / 2 * extent_m
+    error_m = _position_error_m(buffer, float(np.abs(high - low).max()))
     step_m = settings.depth_step_m
     before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     steps = _steps(settings.depth_bits)
@@ -179,14 +178,13 @@ def _lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tre
     if not near_far[1] > 0.0:
         return None
     near, far = max(0.98 * near_far[0], NEAREST_SHARE * near_far[1]), 1.02 * near_far[1]
-    extent_m = float(np.abs(buffer.position_frame_m[buffer.there]).max() + np.abs(position).max())
     uniforms = {
         "lamp": True,
         "light_from_frame": tuple(rotation.T.ravel()),
         "light_offset_m": tuple(-rotation @ position),
         "tangent": tangent,
         "near_far_m": (near, far),
-        "error_m": 8.0 * np.finfo(np.float32).eps / 2 * extent_m,
+        "error_m": _position_error_m(buffer, float(np.abs(position).max())),
         "depth_step": 1.0 / _steps(settings.depth_bits),
     }
     return _Map(uniforms, (size, size), faces, settings.depth_bits, trees)
@@ -284,6 +282,12 @@ def _turned(uniforms: dict, face: np.ndarray) -> dict:
     """A lamp's rotation and offset, turned to one of its faces."""
     rotation = face @ np.array(uniforms["light_from_frame"]).reshape(3, 3).T
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}
+
+
+def _position_error_m(buffer: GeometryBuffer, more_m: float) -> float:
+    """Bound of what float32 makes of positions: 8 units in the last place of the coordinates' extent and ``more_m``."""
+    low, high = light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))
+    return 4.0 * float(np.finfo(np.float32).eps) * (float(np.abs([low, high]).max()) + more_m)
 
 
 def _steps(depth_bits: int) -> int:

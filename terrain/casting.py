@@ -47,11 +47,8 @@ def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> Stand
 
 def trees_in_the_way(stand: Stand, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> Stand:
     """Those trees that reach into light-space bounds (3,) or lie before them, towards the sun."""
-    middle = stand.base_frame_m + np.array([0.0, 0.0, 0.5]) * stand.shape[:, 2:3]
-    radius = np.hypot(stand.shape[:, :2].max(axis=1) * 1.5, 0.5 * stand.shape[:, 2])[:, None]
-    at = middle @ rotation.T + translation
-    can = (at[:, :2] + radius >= low[:2]) & (at[:, :2] - radius <= high[:2])
-    return stand.some(np.flatnonzero(can.all(axis=1) & (at[:, 2] - radius[:, 0] <= high[2])))
+    before = np.array([low[0], low[1], -np.inf])
+    return stand.some(stand.reaching(rotation, translation, before, high))
 
 
 @lru_cache(maxsize=4)

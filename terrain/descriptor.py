@@ -16,7 +16,7 @@ from terrain.grid import BLOCK_PX, MapView
 from terrain.ground_mesh import ground_mesh
 from terrain.level import CasterKind
 from terrain.light_space import light_bounds
-from terrain.picture import geometry_of
+from terrain.picture import Visible, buffer_of
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
 from terrain.surface import step_at_anchor_m
@@ -94,9 +94,9 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
 
 
 def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
-    """From a coarse look at the ground: every ``LOOK_PX``-th pixel."""
+    """From a coarse look at everything but the trees: every ``LOOK_PX``-th pixel."""
     coarse = replace(view, step=view.step * LOOK_PX, rows=-(-view.rows // LOOK_PX), cols=-(-view.cols // LOOK_PX))
-    looked = geometry_of(scene, coarse)
+    looked = buffer_of(scene, coarse, Visible(scene, coarse, view.frame(scene.world), kinds=("relief", "meshes")))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(looked.frame)
     away_m = float(np.median(np.linalg.norm(points - eye, axis=-1))) if len(points) else 1.0
@@ -104,6 +104,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
     if scene.light is not None:
         low, high = light_bounds(looked.position_frame_m, looked.there, *scene.light.from_frame(looked.frame))
         seen = np.maximum(high - low, away_m * view.pixel) if len(points) else np.full(3, away_m * view.pixel)
+        seen += scene.population.tallest_m * np.array([0.0, 1.0, 1.0])  # trees rise above what was looked at
         extent = tuple(float(v) for v in STEP ** np.ceil(np.log(seen * LOOK_MARGIN) / np.log(STEP)))
     grid = ground_mesh(scene, view).grid
     return {

@@ -1,7 +1,7 @@
 """The ground of a perspective view: a conforming mesh of the level's nodes, decimated by what an eye can see of it.
 
 The nodes are the raster's own cells where they are square and its CRS can be drawn in, else those of the level's map grid.
-A ground of up to ``MAX_TRIANGLES`` is drawn whole; a larger one is decimated with the distance from the eye, never with
+A ground of up to ``WHOLE_TRIANGLES`` is drawn whole; a larger one is decimated with the distance from the eye, never with
 the direction of view, so that turning the camera changes no triangle. What is drawn casts, in front of the eye and behind it.
 """
 
@@ -24,6 +24,9 @@ from terrain.world import World, transformer
 
 MAX_TRIANGLES = 2_000_000
 """Most triangles of a perspective view's ground."""
+
+WHOLE_TRIANGLES = 250_000
+"""A ground of no more triangles is not decimated."""
 
 MAX_SIDE_NODES = 4096
 """Most nodes along a side before decimation; a larger level is read at 2, 4, ... nodes' average."""
@@ -111,7 +114,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     surface = Surface(world, elevation, grid)
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
-    whole = 2 * (rows - 1) * (cols - 1) <= max_triangles
+    whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_TRIANGLES else max_triangles)
     return _Nodes(surface, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
 
 

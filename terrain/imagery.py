@@ -32,7 +32,9 @@ class Imagery:
                 data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)
                 valid = dataset.dataset_mask(out_shape=shape) > 0
                 self.crs = CRS.from_user_input(dataset.crs.to_wkt())
-                self._cell_from_crs = ~(dataset.transform * dataset.transform.scale(dataset.width / shape[1], dataset.height / shape[0]))
+                self._cell_from_crs = ~(
+                    dataset.transform * dataset.transform.scale(dataset.width / shape[1], dataset.height / shape[0])
+                )
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
             raise SourceError(source, reason, "an RGB raster that GDAL reads") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -13,6 +14,7 @@ from terrain.geometry import GeometryBuffer, map_geometry
 from terrain.grid import MapView
 from terrain.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
 from terrain.imagery import Imagery
+from terrain.level import CasterKind
 from terrain.population import Population
 from terrain.resolve import RELIEF, resolve_map, resolve_perspective
 from terrain.scene import Scene
@@ -49,53 +51,66 @@ def geometry_of(
 
 
 class Visible:
-    """What a camera sees, before it is resolved to points."""
+    """What a camera sees of some kinds of things, before it is resolved to points."""
 
-    def __init__(self, scene: Scene, view: PerspectiveView, frame: LocalFrame, max_triangles: int = MAX_TRIANGLES) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        view: PerspectiveView,
+        frame: LocalFrame,
+        max_triangles: int = MAX_TRIANGLES,
+        kinds: tuple[CasterKind, ...] = get_args(CasterKind),
+    ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
-        self.stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+        self.stand = None
+        if "forest" in kinds:
+            self.stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
         self.solids = solids_in(scene.population, frame)
         solids = scene.population.solids
         drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
         self.seen: Seen = seen_in_perspective(view, frame, self.ground, drawn, self.stand)
 
 
-def buffer_of(
-    scene: Scene, view: PerspectiveView, visible: Visible, pixels: tuple[np.ndarray, np.ndarray] | None = None
-) -> GeometryBuffer:
-    """The buffer of what a camera sees: of all pixels, or of some (rows and columns, arrays of one two-dimensional shape)."""
-    row, col = pixels if pixels is not None else tuple(np.mgrid[: view.rows, : view.cols])
-    tangent_x, tangent_y = (view.col0 + col * view.step) / view.focal_px, (view.row0 + row * view.step) / view.focal_px
-    seen = visible.seen
-    number = seen.number if pixels is None else seen.number[row, col]
-    root = seen.albedo_root if pixels is None or not seen.albedo_root.size else seen.albedo_root[row, col]
+Pixels = tuple[PerspectiveView, Visible, tuple[np.ndarray, np.ndarray]]
+"""A view, what is seen in it, and some of its pixels: rows and columns (n, cols)."""
+
+
+def buffer_of(scene: Scene, view: PerspectiveView, visible: Visible, below: Pixels | None = None) -> GeometryBuffer:
+    """The buffer of what a camera sees; ``below`` are pixels of a finer view of the camera that are put below its own."""
+    number, root = visible.seen.number, visible.seen.albedo_root
+    finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
+    if below is not None:
+        finer, seen, (row, col) = below
+        number = np.concatenate([number, seen.seen.number[row, col]])
+        root = np.concatenate([root, seen.seen.albedo_root[row, col]]) if root.size else root
     eye, camera_from_frame = view.in_frame(visible.frame)
+    tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
     ground, trees, solids = visible.ground, visible.stand, scene.population.solids
     image = imagery_of(scene)
-    cells = np.zeros((0, 2)) if image is None else _ground_cells(image, ground)
-    there, point, level, normal, shading, crease, kind, albedo, corners, at = resolve_perspective(
-        number, tangent_x, tangent_y, eye, np.ascontiguousarray(camera_from_frame.T),
-        ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease, cells,
-        *(
-            (_NO_POINTS, np.zeros(0), *_NO_SOLIDS)
-            if solids is None or visible.solids is None
-            else (visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], *_solid_faces(scene.population, visible.frame))
+    points = resolve_perspective(
+        number,
+        (*tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
+        (
+            ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease,
+            np.zeros((0, 2)) if image is None else _ground_cells(image, ground),
         ),
-        *(
-            (_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN)
-            if trees is None
-            else (trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn)
-        ),
-        scene.world.curvature, root,
+        (_NO_POINTS, np.zeros(0), *_NO_SOLIDS)
+        if solids is None or visible.solids is None
+        else (visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], *_solid_faces(scene.population, visible.frame)),
+        (_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
+        if trees is None
+        else (trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
+        root,
     )  # fmt: skip
+    albedo = points.albedo
     if image is not None:
-        away_m = np.linalg.norm(point - eye, axis=-1)
-        pixel_cells = away_m * view.pixel / image.cell_m(scene.world)
-        albedo = np.where((kind == RELIEF)[..., None], image.albedo(at, np.nan_to_num(pixel_cells, nan=1.0)), albedo)
+        cells_per_pixel = np.linalg.norm(points.position - eye, axis=-1) * view.pixel / image.cell_m(scene.world)
+        draped = image.albedo(points.cells, np.nan_to_num(cells_per_pixel, nan=1.0))
+        albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
-        view, visible.frame, there, point, level, normal, shading, crease, kind, ground=ground, corners_frame_m=corners,
-        albedo=albedo, stand=trees, solids_frame_m=visible.solids,
+        view, visible.frame, points.there, points.position, points.height, points.normal, points.shading, points.crease,
+        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, stand=trees, solids_frame_m=visible.solids,
     )  # fmt: skip
 
 

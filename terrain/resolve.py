@@ -6,47 +6,86 @@ triangle's plan. Barycentric coordinates are held inside the triangle, since ras
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+
 import numpy as np
 
 from terrain.compiled import compiled
 from terrain.stand import tree_corner
 
+THREADS = min(os.cpu_count() or 1, 8)
+"""Threads that share the pixels of a perspective view."""
+
 NOTHING, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """What a pixel shows."""
 
 
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What a geometry buffer holds, per pixel; see ``terrain.geometry``. ``cells`` are places in the ground's imagery."""
+
+    there: np.ndarray
+    position: np.ndarray
+    height: np.ndarray
+    normal: np.ndarray
+    shading: np.ndarray
+    crease: np.ndarray
+    kind: np.ndarray
+    albedo: np.ndarray
+    corners: np.ndarray
+    cells: np.ndarray
+
+
+def resolve_perspective(number: np.ndarray, camera: tuple, ground: tuple, solids: tuple, trees: tuple, root: np.ndarray) -> Points:
+    """The points that triangles (numbers (rows, cols)) show; the rest are the arguments of the loop below."""
+    size = number.shape
+    points = Points(
+        np.zeros(size, np.bool_), np.full((*size, 3), np.nan), np.full(size, np.nan, np.float32),
+        np.full((*size, 3), np.nan, np.float32), np.full((*size, 3), np.nan, np.float32), np.zeros(size, np.float32),
+        np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
+        np.full((*size, 2) if len(ground[-1]) else (0, 0, 2), np.nan, np.float32),
+    )  # fmt: skip
+    arrays = tuple(getattr(points, item.name) for item in fields(Points))
+    parts = np.linspace(0, size[0], THREADS + 1).astype(int)
+
+    def some(first: int, last: int) -> None:
+        _resolve(first, last, number, *camera, *ground, *solids, *trees, root, *arrays)
+
+    with ThreadPoolExecutor(THREADS) as pool:  # the loop holds no lock
+        list(pool.map(some, parts[:-1], parts[1:]))
+    return points
+
+
 @compiled
-def resolve_perspective(
-    number, tangent_x, tangent_y, eye, frame_from_camera,
+def _resolve(
+    first, last, number, tangents, finer_tangents, finer_row, finer_col, own_rows, eye, frame_from_camera,
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells,
     solid_position, solid_height, solid_triangles, solid_albedo, solid_normals, solid_crease,
     tree_base, tree_height, tree_shape, tree_turn, curvature, albedo_root,
+    there, point, level, normal, shading, crease, kind, albedo, corners, cells,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Everything a geometry buffer holds, per pixel of ``number`` (rows, cols); see ``terrain.picture``."""
-    rows, cols = number.shape
-    there = np.zeros((rows, cols), np.bool_)
-    point = np.full((rows, cols, 3), np.nan)
-    level = np.full((rows, cols), np.nan, np.float32)
-    normal = np.full((rows, cols, 3), np.nan, np.float32)
-    shading = np.full((rows, cols, 3), np.nan, np.float32)
-    crease = np.zeros((rows, cols), np.float32)
-    kind = np.zeros((rows, cols), np.uint8)
-    albedo = np.full((rows, cols, 3), np.nan, np.float32)
-    corners = np.zeros((rows, cols, 9), np.float32)
-    cells = np.full((rows, cols, 2), np.nan, np.float32)
+    """Rows ``first`` to ``last`` of everything. ``tangents`` are those of the first pixel and their step, for the picture's
+    ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
+    """
+    cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
     p = np.empty((3, 3))
     ray = np.empty(3)
-    for i in range(rows):
+    for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
             if t < 0:
                 continue
             there[i, j] = True
+            if i < own_rows:
+                x, y = tangents[0] + j * tangents[2], tangents[1] + i * tangents[2]
+            else:
+                x = finer_tangents[0] + finer_col[i - own_rows, j] * finer_tangents[2]
+                y = finer_tangents[1] + finer_row[i - own_rows, j] * finer_tangents[2]
             for k in range(3):
-                ray[k] = (
-                    frame_from_camera[k, 0] * tangent_x[i, j] + frame_from_camera[k, 1] * tangent_y[i, j] + frame_from_camera[k, 2]
-                )
+                ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
             if t < ground:
                 kind[i, j] = 1
                 for c in range(3):
@@ -80,8 +119,9 @@ def resolve_perspective(
                 s = t - ground
                 a, b, c = solid_triangles[s, 0], solid_triangles[s, 1], solid_triangles[s, 2]
                 level[i, j] = (1.0 - u - v) * solid_height[a] + u * solid_height[b] + v * solid_height[c]
+                n = solid_normals[s]
                 for k in range(3):
-                    shading[i, j, k] = (1.0 - u - v) * solid_normals[s, 0, k] + u * solid_normals[s, 1, k] + v * solid_normals[s, 2, k]
+                    shading[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
                     albedo[i, j, k] = solid_albedo[s, k]
                 crease[i, j] = solid_crease[s]
                 if normal[i, j, 0] * ray[0] + normal[i, j, 1] * ray[1] + normal[i, j, 2] * ray[2] > 0.0:
@@ -93,7 +133,6 @@ def resolve_perspective(
                 _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
                 level[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
             _unit(shading[i, j])
-    return there, point, level, normal, shading, crease, kind, albedo, corners, cells
 
 
 @compiled
@@ -139,8 +178,9 @@ def resolve_map(
             if t < solid:
                 kind[i, j] = 2
                 crease[i, j] = solid_crease[t]
+                n = solid_normals[t]
                 for k in range(3):
-                    shading[i, j, k] = (1.0 - u - v) * solid_normals[t, 0, k] + u * solid_normals[t, 1, k] + v * solid_normals[t, 2, k]
+                    shading[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
                     albedo[i, j, k] = solid_albedo[t, k]
                 if normal[i, j, 2] < 0.0:
                     for k in range(3):

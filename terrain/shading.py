@@ -23,6 +23,9 @@ TINT = (
 )
 """Hypsometric tint: share of the level's relief -> sRGB colour, from humid lowland to bare heights."""
 
+LEVEL_ALBEDO = 0.42
+"""Linear albedo of ground without any relief, which has no heights to tint."""
+
 SUNLIGHT = (1.00, 0.95, 0.86)
 SKYLIGHT = (0.62, 0.76, 1.00)
 """Linear colours of direct and sky light."""
@@ -69,9 +72,10 @@ def shade(buffer: GeometryBuffer, scene: Scene, visibilities: dict[str, np.ndarr
         row[:] = [*position, *axis, *(np.array(lamp.color) * strength), *rim]
     shines = np.stack([visibilities[lamp.name] for lamp in lamps]) if lamps else np.zeros((0, *dark.shape), np.float32)
     albedo = buffer.albedo if buffer.albedo is not None else np.zeros((0, 0, 3), np.float32)
+    tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
     linear = _shade(
         buffer.there, buffer.kind, buffer.height_m, buffer.shading_normal_frame, albedo, visibilities.get(SUN, dark), to_sun,
-        _up_centre(scene, buffer), buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint_table(),
+        _up_centre(scene, buffer), buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint,
         np.array(SUNLIGHT) * exposure, np.array(SKYLIGHT) * SKY_SHARE * exposure, scene.sun is not None, night, numbers, shines,
         LEAF_GLOW,
     )  # fmt: skip
@@ -80,18 +84,24 @@ def shade(buffer: GeometryBuffer, scene: Scene, visibilities: dict[str, np.ndarr
 
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     """Linear display colour (n, 3) of the sky in some pixels of a view: paler towards the horizon, dark by night."""
-    camera = np.stack(
-        [(view.col0 + cols * view.step) / view.focal_px, (view.row0 + rows * view.step) / view.focal_px, np.ones(len(rows))],
-        axis=-1,
-    )
-    ray = camera @ view.earth_from_camera.T
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    sine = np.clip(ray @ up / np.linalg.norm(ray, axis=-1), 0.0, 1.0)
-    share = (1.0 - np.exp(-4.0 * sine))[:, None]
     altitude = -90.0 if scene.sun is None else scene.sun.altitude_deg
     dusk = float(np.clip((altitude + 12.0) / 18.0, 0.0, 1.0))
     light = 0.02 + 0.98 * dusk * dusk * (3.0 - 2.0 * dusk)
-    return ((1.0 - share) * np.array(SKY_HORIZON) + share * np.array(SKY_ZENITH)) * light
+    tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
+    return _sky(rows, cols, tangents, up @ view.earth_from_camera, np.array(SKY_HORIZON) * light, np.array(SKY_ZENITH) * light)
+
+
+@compiled
+def _sky(rows, cols, tangents, up, horizon, zenith):  # type: ignore[no-untyped-def]
+    out = np.empty((rows.size, 3), np.float32)
+    for n in range(rows.size):
+        x, y = tangents[0] + cols[n] * tangents[2], tangents[1] + rows[n] * tangents[2]
+        sine = (x * up[0] + y * up[1] + up[2]) / np.sqrt(1.0 + x * x + y * y)
+        share = 1.0 - np.exp(-4.0 * max(sine, 0.0))
+        for k in range(3):
+            out[n, k] = (1.0 - share) * horizon[k] + share * zenith[k]
+    return out
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from terrain.population import Population
 from terrain.trees import Trees
 from terrain.world import LocalFrame
 
-WHOLE_PX = 6.0
+WHOLE_PX = 10.0
 """Height in pixels from which all trees of a perspective view are drawn."""
 
 WHOLE_CROWN_PX = 1.5
@@ -66,6 +66,17 @@ class Stand:
         """The trees at some indices or where a mask says."""
         arrays = (self.number, self.base_frame_m, self.base_height_m, self.shape, self.turn, self.look)
         return Stand(*(array[which] for array in arrays), self.curvature)
+
+    def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Indices of the trees whose bounding spheres, in the axes ``rotation @ point + translation``, reach into bounds (3,)."""
+        return _reaching(self.base_frame_m, self.shape, rotation, translation, low, high)
+
+    def in_cone(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+        """Indices of the trees whose bounding spheres reach into a pyramid from an eye along the third axis of ``rotation``.
+
+        ``tangents`` are its least and greatest x / z and y / z.
+        """
+        return _in_cone(self.base_frame_m, self.shape, eye, rotation, tangents)
 
     def corners(self) -> np.ndarray:
         """The quads' corners (n, 3, 4, 3) float64 in the frame: two upright ones, then the level one."""
@@ -131,6 +142,55 @@ def tree_corner(base, shape, turn, curvature, quad, corner):  # type: ignore[no-
         base[1] + along * sine + across * cosine + up * y,
         base[2] + up,
     )
+
+
+@compiled
+def _radius(shape):  # type: ignore[no-untyped-def]
+    """Radius of a sphere round the middle of a tree's stem that holds all of its quads."""
+    across = max(shape[0], 1.4143 * shape[1])
+    return np.sqrt(across * across + 0.25 * shape[2] * shape[2])
+
+
+@compiled
+def _reaching(base, shape, rotation, translation, low, high):  # type: ignore[no-untyped-def]
+    out = np.empty(len(base), np.int64)
+    count = 0
+    for n in range(len(base)):
+        radius = _radius(shape[n])
+        inside = True
+        for k in range(3):
+            v = (
+                rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2])
+                + translation[k]
+            )  # fmt: skip
+            inside = inside and v + radius >= low[k] and v - radius <= high[k]
+        if inside:
+            out[count] = n
+            count += 1
+    return out[:count].copy()
+
+
+@compiled
+def _in_cone(base, shape, eye, rotation, tangents):  # type: ignore[no-untyped-def]
+    out = np.empty(len(base), np.int64)
+    count = 0
+    at = np.empty(3)
+    for n in range(len(base)):
+        radius = _radius(shape[n])
+        for k in range(3):
+            at[k] = (
+                rotation[k, 0] * (base[n, 0] - eye[0]) + rotation[k, 1] * (base[n, 1] - eye[1])
+                + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2] - eye[2])
+            )  # fmt: skip
+        inside = at[2] > -radius
+        for axis in range(2):
+            low, high = tangents[axis, 0], tangents[axis, 1]
+            inside = inside and at[axis] - low * at[2] > -radius * np.sqrt(1.0 + low * low)
+            inside = inside and high * at[2] - at[axis] > -radius * np.sqrt(1.0 + high * high)
+        if inside:
+            out[count] = n
+            count += 1
+    return out[:count].copy()
 
 
 @compiled

@@ -30,11 +30,13 @@ GROUND_TRIANGLES = 1
 @dataclass(frozen=True, eq=False)
 class Seen:
     """``number`` uint32 (rows, cols), 0 where nothing is; ``albedo_root`` uint8 (rows, cols, 4), the roots of linear albedo
-    where a tree is seen.
+    where a tree is seen (empty without trees); ``depth`` float32 (rows, cols), in perspective ``NEAR_M`` over the distance
+    along the view's axis.
     """
 
     number: np.ndarray
     albedo_root: np.ndarray
+    depth: np.ndarray
 
 
 def shader(*parts: str) -> str:
@@ -67,7 +69,8 @@ def seen_in_perspective(
         if solids is not None:
             drawn += gl.draw_triangles(program, *solids, drawn)
         if stand is not None:
-            in_sight = _in_sight(stand, eye, camera_from_frame, view)
+            ends = np.array([[first[k] - 0.5 * view.step, first[k] + (size[k] - 0.5) * view.step] for k in (0, 1)])
+            in_sight = stand.in_cone(eye, camera_from_frame, ends / view.focal_px)
             _draw_trees(gl, stand, in_sight, stand.base_frame_m, {**uniforms, "in_map": False}, drawn)
     return _read(gl, target, stand, drawn, None if stand is None else in_sight)
 
@@ -104,22 +107,6 @@ def seen_in_map(
     return _read(gl, target, stand, drawn, chosen)
 
 
-def _in_sight(stand: Stand, eye: np.ndarray, camera_from_frame: np.ndarray, view: PerspectiveView) -> np.ndarray:
-    """Indices of the trees whose bounding sphere may be seen."""
-    middle = stand.base_frame_m + np.array([0.0, 0.0, 0.5]) * stand.shape[:, 2:3]
-    radius = np.hypot(stand.shape[:, :2].max(axis=1) * 1.5, 0.5 * stand.shape[:, 2])
-    camera = (middle - eye) @ camera_from_frame.T
-    can = camera[:, 2] > -radius
-    for axis, first, count in ((0, view.col0, view.cols), (1, view.row0, view.rows)):
-        for tangent, side in (
-            ((first - 0.5 * view.step) / view.focal_px, 1.0),
-            ((first + (count - 0.5) * view.step) / view.focal_px, -1.0),
-        ):
-            away = side * (camera[:, axis] - tangent * camera[:, 2]) / np.sqrt(1.0 + tangent**2)
-            can &= away > -radius
-    return np.flatnonzero(can)
-
-
 def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict, first: int) -> None:
     program = gl.program(shader("terrain/tree", "terrain/visible_tree.vert"), shader("terrain/visible_tree.frag"))
     texture = gl.layers(foliage().levels)
@@ -146,8 +133,9 @@ def set_uniforms(program: moderngl.Program, values: dict) -> None:
 def _read(gl: Device, target: moderngl.Framebuffer, stand: Stand | None, drawn: int, chosen: np.ndarray | None) -> Seen:
     number = gl.read(target, 0, "u4")
     if chosen is None or not len(chosen):
-        return Seen(number, np.zeros((*number.shape, 4), np.uint8) if stand is not None else np.zeros((0, 0, 4), np.uint8))
+        none = np.zeros((*number.shape, 4), np.uint8) if stand is not None else np.zeros((0, 0, 4), np.uint8)
+        return Seen(number, none, gl.read(target, -1))
     trees = number > drawn  # numbered among the trees in sight: now among all of them
     inside = number[trees].astype(np.int64) - drawn - 1
     number[trees] = (chosen[inside // 6] * 6 + inside % 6 + drawn + 1).astype(np.uint32)
-    return Seen(number, gl.read(target, 1, "f1", 4))
+    return Seen(number, gl.read(target, 1, "f1", 4), gl.read(target, -1))

@@ -43,13 +43,13 @@ bool is_lit(vec2 at, float depth) {
     return outside || min(depth, 1.0) <= texelFetch(depth_map, face_origin + ivec2(at), 0).r;
 }
 
-// Whether the light meets a triangle (corners from ``base``) in a texel's centre, and how far along its axis; the slack is what
-// the rasteriser's grid of 1/256 texel makes of the slope.
-bool meets(vec3 base, vec3 a, vec3 b, vec3 c, vec2 centre, bool either_side, out float z, out float slack) {
-    float around = length(b - a) + length(c - a);
+// Whether the light meets a triangle (a corner, and its sides from there) in a texel's centre, and how far along its axis; the
+// slack is what the rasteriser's grid of 1/256 texel makes of the slope. The sun's must face it, a lamp's may lie either way.
+bool meets(vec3 base, vec3 e, vec3 g, vec2 centre, out float z, out float slack) {
+    float around = length(e) + length(g);
     if (lamp) {
         vec3 ray = vec3((2.0 * centre / vec2(map_size) - 1.0) * tangent, 1.0);
-        vec3 p = base + a, q = base + b, r = base + c;
+        vec3 p = base, q = base + e, r = base + g;
         vec3 sides = vec3(dot(cross(q, r), ray), dot(cross(r, p), ray), dot(cross(p, q), ray));
         bool front = all(greaterThanEqual(sides, vec3(0.0))), back = all(lessThanEqual(sides, vec3(0.0)));
         vec3 normal = cross(q - p, r - p);
@@ -59,13 +59,11 @@ bool meets(vec3 base, vec3 a, vec3 b, vec3 c, vec2 centre, bool either_side, out
         slack = min(slope * (abs(z) * tangent / (64.0 * float(map_size.x)) + error_m), around);
         return along != 0.0 && z > 0.0 && (front || back);
     }
-    vec2 aside = centre * texel_m - base.xy - a.xy;
-    vec3 e = b - a, g = c - a;
+    vec2 aside = centre * texel_m - base.xy;
     float area = cross2(e.xy, g.xy);
     float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
-    if (either_side && area < 0.0) { area = -area; u = -u; v = -v; }
-    vec2 slope = vec2(e.z * g.y - g.z * e.y, g.z * e.x - e.z * g.x) / cross2(e.xy, g.xy);
-    z = base.z + a.z + dot(slope, aside);
+    vec2 slope = vec2(e.z * g.y - g.z * e.y, g.z * e.x - e.z * g.x) / area;
+    z = base.z + dot(slope, aside);
     slack = min(dot(abs(slope), texel_m / 128.0 + error_m), around);
     return area > 0.0 && u >= 0.0 && v >= 0.0 && u + v <= area;
 }
@@ -82,7 +80,9 @@ vec3 in_light(vec3 frame_m) { return light_from_frame * frame_m + light_offset_m
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec3 point = in_light(texelFetch(position_frame_m, pixel, 0).xyz);
+    vec3 seen = texelFetch(position_frame_m, pixel, 0).xyz;
+    if (seen.x != seen.x) { visibility = 1.0; return; }  // no surface
+    vec3 point = in_light(seen);
     vec4 facing = texelFetch(normal_frame, pixel, 0);
     vec3 normal = light_from_frame * facing.xyz;
     float crease = facing.w;
@@ -131,17 +131,40 @@ void main() {
     float rounding = 0.5 * depth_step;
     float lit = 0.0, counted = 0.0;
     vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
-    for (int row = 0; row < taps; row++) {
-        for (int col = 0; col < taps; col++) {
-            vec2 at = floor(corner) + vec2(col, row);
-            float weight = weight_of(col, row, fract(corner));
-            for (int k = 0; k < triangles; k++) {
-                float z, slack;
-                if (meets(middle, vec3(0.0), ring[k], ring[k + 1], at + 0.5, own, z, slack)) {
-                    float surface = mix(point.z, z, bias_scale);
-                    if (is_lit(at, depth_of(surface - slack - error_m) - rounding)) lit += weight;
+    vec2 first_tap = floor(corner), beyond = fract(corner);
+    if (own && !lamp) {  // as ``meets`` says, with all that the taps share taken out
+        vec3 e = ring[0], g = ring[1];
+        float area = cross2(e.xy, g.xy);
+        vec2 slope = vec2(e.z * g.y - g.z * e.y, g.z * e.x - e.z * g.x) / area;
+        float slack = min(dot(abs(slope), texel_m / 128.0 + error_m), length(e) + length(g)) + error_m;
+        g /= area;
+        e /= area;
+        for (int row = 0; row < taps; row++) {
+            for (int col = 0; col < taps; col++) {
+                vec2 at = first_tap + vec2(col, row);
+                vec2 aside = (at + 0.5) * texel_m - middle.xy;
+                float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
+                if (u >= 0.0 && v >= 0.0 && u + v <= 1.0) {
+                    float weight = weight_of(col, row, beyond);
+                    float surface = mix(point.z, middle.z + dot(slope, aside), bias_scale);
+                    if (is_lit(at, depth_of(surface - slack) - rounding)) lit += weight;
                     counted += weight;
-                    break;
+                }
+            }
+        }
+    } else {
+        for (int row = 0; row < taps; row++) {
+            for (int col = 0; col < taps; col++) {
+                vec2 at = first_tap + vec2(col, row);
+                for (int k = 0; k < triangles; k++) {
+                    float z, slack;
+                    if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {
+                        float weight = weight_of(col, row, beyond);
+                        float surface = mix(point.z, z, bias_scale);
+                        if (is_lit(at, depth_of(surface - slack - error_m) - rounding)) lit += weight;
+                        counted += weight;
+                        break;
+                    }
                 }
             }
         }
@@ -153,10 +176,12 @@ void main() {
         float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
         vec3 clear = point + normal * (bias_scale * offset_m + error_m);
         corner = texel_of(clear) - 0.5 * float(taps - 1);
+        first_tap = floor(corner);
+        beyond = fract(corner);
         for (int row = 0; row < taps; row++) {
             for (int col = 0; col < taps; col++) {
-                float weight = weight_of(col, row, fract(corner));
-                if (is_lit(floor(corner) + vec2(col, row), depth_of(clear.z - error_m) - rounding)) lit += weight;
+                float weight = weight_of(col, row, beyond);
+                if (is_lit(first_tap + vec2(col, row), depth_of(clear.z - error_m) - rounding)) lit += weight;
                 counted += weight;
             }
         }

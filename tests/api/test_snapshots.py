@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import socket
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -259,6 +260,14 @@ def test_an_unknown_level(yards: Client):
     check_problem(yards.get("/levels/attic/snapshot.png"), 404, "not_found", "level")
 
 
+def test_documentation(yards: Client):
+    described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
+    assert {each["name"] for each in described["parameters"]} == {
+        "level", "format", "view", "size", "layer", "light", "seconds",
+        "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter",
+    }  # fmt: skip
+
+
 def test_truth_is_refused_of_plans_too(yards: Client):
     check_problem(yards.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
 
@@ -283,6 +292,21 @@ def test_pixels_are_bounded_by_a_setting(serve_with):
 def test_a_snapshot_that_takes_too_long(serve_with):
     client = serve_with(fake_workers.hanging, render_timeout_s=0.3)
     check_problem(client.get("/levels/hills/snapshot.png"), 504, "render_timeout", None)
+
+
+def test_a_full_queue_refuses_and_a_client_that_goes_away_leaves_it(serve_with):
+    client = serve_with(fake_workers.never_ready, queue_length=1)
+    pool = client.service.pool
+    with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
+        gone.sendall(b"GET /levels/hills/snapshot.png HTTP/1.1\r\nHost: x\r\n\r\n")
+        while pool.queued < 1:
+            client.get("/healthz")
+        refused = client.get("/levels/hills/snapshot.png?size=64x64")
+        check_problem(refused, 503, "busy", None)
+        assert int(refused.headers["retry-after"]) >= 1
+    while pool.queued:
+        client.get("/healthz")
+    assert pool.tally.abandoned == 1
 
 
 def test_a_view_that_cannot_be_drawn_is_the_operators_fault(tmp_path: Path, caplog: pytest.LogCaptureFixture):

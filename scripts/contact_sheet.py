@@ -1,0 +1,102 @@
+"""Renders every view of every bundled level and puts the pictures, each with its name, on one sheet.
+
+Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.webp``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont, ImageOps
+
+from api.catalogue import bundled_levels
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.errors import SkuggaError
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+SHEET = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
+ASPECT = 5 / 4
+"""Width over height of a picture's place on the sheet: that of 1280 x 1024."""
+
+GAP_PX, LABEL_PX, TEXT_PX = 12, 28, 16
+PAPER, INK = (255, 255, 255), (32, 32, 32)
+QUALITIES = range(85, 9, -5)
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """A picture and the text under it."""
+
+    picture: Image.Image
+    label: str
+
+
+def pictures(levels: Sequence[Path], width: int) -> Iterator[Labelled]:
+    """Every view of some levels in its place, ``width`` pixels wide and ``width / ASPECT`` high."""
+    for path in levels:
+        scene = build_scene(load_level(path))
+        for name in scene.loaded.level.views:
+            print(f"{path.stem}: {name}", file=sys.stderr)
+            yield Labelled(rendered(scene, name, width), f"{path.stem}: {name}")
+
+
+def rendered(scene: Scene, name: str, width: int) -> Image.Image:
+    """A view of a scene in its own proportions, at most ``width`` pixels wide and ``width / ASPECT`` high."""
+    own = scene.view(name)
+    share = min(width / own.cols, width / ASPECT / own.rows)
+    size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
+    view = scene.view(name, size=size)
+    frame = render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level, {}))
+    return Image.fromarray(frame.color).convert("RGB")
+
+
+def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:
+    """The pictures row by row, ``columns`` of them ``width`` pixels wide in each, their labels beneath."""
+    height = round(width / ASPECT)
+    step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
+    rows = -(-len(entries) // columns)
+    page = Image.new("RGB", (columns * step_x + GAP_PX, rows * step_y + GAP_PX), PAPER)
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
+    for number, entry in enumerate(entries):
+        x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
+        page.paste(ImageOps.pad(entry.picture, (width, height), color=PAPER), (x, y))
+        draw.text((x, y + height + LABEL_PX // 2), entry.label, INK, font, anchor="lm")
+    return page
+
+
+def webp(page: Image.Image, most_bytes: int) -> bytes:
+    """The page as WebP in the best quality that keeps it within a size; in the least one if none does."""
+    for quality in QUALITIES:
+        buffer = BytesIO()
+        page.save(buffer, "WEBP", quality=quality, method=6)
+        if buffer.tell() <= most_bytes:
+            break
+    return buffer.getvalue()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Render every view of the bundled levels onto one sheet.")
+    parser.add_argument("levels", nargs="*", type=Path, help="level files; without any all bundled levels")
+    parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the WebP file to write")
+    parser.add_argument("--columns", type=int, default=4)
+    parser.add_argument("--width", type=int, default=480, help="pixels of a picture")
+    parser.add_argument("--most", type=int, default=600, help="kilobytes that the file may have")
+    given = parser.parse_args()
+    try:
+        entries = list(pictures(given.levels or bundled_levels(), given.width))
+    except SkuggaError as error:
+        parser.exit(1, f"contact_sheet: {error}\n")
+    given.output.write_bytes(webp(sheet(entries, given.columns, given.width), given.most * 1000))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
