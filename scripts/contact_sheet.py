@@ -15,6 +15,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from api.catalogue import bundled_levels
+from api.layers import picture_of
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
@@ -40,12 +41,13 @@ class Labelled:
 
 
 def pictures(levels: Sequence[Path], width: int) -> Iterator[Labelled]:
-    """Every view of some levels in its place, ``width`` pixels wide and ``width / ASPECT`` high."""
-    for path in levels:
-        scene = build_scene(load_level(path))
+    """Every view of some levels; those with the most views first, so that rows of four hold a level each."""
+    loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
+    for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
-            print(f"{path.stem}: {name}", file=sys.stderr)
-            yield Labelled(rendered(scene, name, width), f"{path.stem}: {name}")
+            label = f"{scene.loaded.name}: {name}"
+            print(label, file=sys.stderr)
+            yield Labelled(rendered(scene, name, width), label)
 
 
 def rendered(scene: Scene, name: str, width: int) -> Image.Image:
@@ -55,7 +57,8 @@ def rendered(scene: Scene, name: str, width: int) -> Image.Image:
     size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
     view = scene.view(name, size=size)
     frame = render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level, {}))
-    return Image.fromarray(frame.color).convert("RGB")
+    picture = Image.fromarray(picture_of(frame, "color")).convert("RGBA")
+    return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAPER, 255)), picture).convert("RGB")
 
 
 def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:

@@ -6,7 +6,7 @@ else is in the files.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from terrain.foliage import LOOKS
 from terrain.level import LoadedLevel
 from terrain.level_parts import ForestSpec, Species
 from terrain.scatter import HECTARE_M2, Places, joined, point_keys, scatter, shares
+from terrain.thinning import thinning_ranks
 from terrain.trees import Trees
 from terrain.vectors import Features, attribute_names, numbers, read_features
 from terrain.world import World, transformer
@@ -49,7 +50,7 @@ CROWN_SPREAD = 0.15
 FARTHEST_M = 5e6
 """Terrain that reaches farther than this from the anchor has no outline in the level's equal-area map."""
 
-_HEIGHT, _CROWN, _SPECIES, _LOOK, _TURN, _RANK, _SPREAD = range(7)  # streams of shares
+_HEIGHT, _CROWN, _SPECIES, _LOOK, _TURN, _SPREAD = range(6)  # streams of shares
 _BLOCK = 1024  # cells a side whose heights are read at a time
 
 
@@ -130,7 +131,9 @@ def plant(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | No
         stands.append(trees)
     if not count:
         return None
-    return Trees(**{name: np.concatenate([getattr(s, name) for s in stands]) for name in Trees.__dataclass_fields__})
+    trees = Trees(**{name: np.concatenate([getattr(s, name) for s in stands]) for name in Trees.__dataclass_fields__})
+    east, north, _ = world.earth_from_anchor.T @ (trees.base_earth_m - world.anchor_earth_m).T
+    return replace(trees, rank=thinning_ranks(east, north))
 
 
 def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
@@ -244,7 +247,7 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         crown_m=crown_m.astype(np.float32),
         turn_deg=(180.0 * shares(key, _TURN)).astype(np.float32) % np.float32(180.0),
         look=look,
-        rank=np.minimum(shares(key, _RANK).astype(np.float32), np.nextafter(np.float32(1.0), np.float32(0.0))),
+        rank=np.zeros(len(key), np.float32),  # given to all stands together
     )
 
 

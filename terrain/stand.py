@@ -1,9 +1,9 @@
 """The trees as a view draws them: thinned out where they are too small to be told apart, their shade kept.
 
-A tree whose crown or height falls below a few pixels is drawn with a share k of its fellows, those of ``rank`` below k. What
-remains is made wider: the upright quads by 1/k, so that the area a stand turns to a level look or a low sun stays what it
-was, and the level crown quad by the root of 1/k, so that the area that it turns to the zenith does. Heights stay, and with
-them the lengths of shadows. The same trees are seen, cast and are met by rays.
+Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``terrain.thinning``), and what
+remains is drawn larger by the root of 1/k in all directions: a stand of the same shape on a coarser scale. Light falls on and
+through the two alike, from whatever direction, so that the share of the stand and its ground that lies in shadow holds; the
+grain and the length of single trees' shadows do not. The same trees are seen, cast and are met by rays.
 
 In perspective k follows the distance from the eye (not the direction of view); in a map it is one for all of a zoom.
 """
@@ -21,7 +21,7 @@ from terrain.population import Population
 from terrain.trees import Trees
 from terrain.world import LocalFrame
 
-WHOLE_PX = 10.0
+WHOLE_PX = 7.0
 """Height in pixels from which all trees of a perspective view are drawn."""
 
 WHOLE_CROWN_PX = 1.5
@@ -115,7 +115,7 @@ def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.nda
         number=number,
         base_frame_m=base,
         base_height_m=population.tree_heights_m[number],
-        shape=np.stack([half / share, half / np.sqrt(share), height, height * crown_height], axis=1).astype(np.float32),
+        shape=(np.stack([half, half, height, height * crown_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
         turn=np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32),
         look=trees.look[number].astype(np.int32),
         curvature=population.world.curvature,

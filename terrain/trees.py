@@ -22,8 +22,7 @@ class Trees:
     look
         uint8 (n,), index into ``terrain.foliage.LOOKS``.
     rank
-        float32 (n,) in [0, 1), evenly spread and unrelated to anything else: which trees a thinned stand keeps (those below
-        the kept share).
+        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see ``terrain.thinning``.
     """
 
     base_earth_m: np.ndarray

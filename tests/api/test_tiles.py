@@ -11,7 +11,7 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
-from api.layers import layer_of
+from api.layers import picture_of
 from api.tiles import encode
 from terrain.level import load_level
 from terrain.scene import build_scene
@@ -73,7 +73,7 @@ def test_tiles_of_four_blocks_are_a_direct_render_of_them_all(client: Client, hi
     frame = render(scene, scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512)))
     assert frame.there.any() and (frame.visibility == 0).any()
     for layer in ("color", "shadow", "mask"):
-        whole = layer_of(frame, layer)
+        whole = picture_of(frame, layer)
         for row in range(2):
             for col in range(2):
                 answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})

@@ -1,0 +1,155 @@
+"""Levels over real rasters and footprints: what stands there is what the data say, and it can be drawn; and a bundled one over
+real heights, whose woods and houses keep out of each other's way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+
+from configs import LEVELS_FOLDER
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.canopy import LEAST_HEIGHT_M
+from terrain.descriptor import describe
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+CITY = "urban/goteborg_1m"
+ROOF_M, SLOPE_M = 0.5, 3.0
+"""How far level roofs lie from the high parts of the surface in their footprints: most of them, and all, even on a hillside."""
+
+SCENES: dict[str, Scene] = {}
+"""Scenes made so far: a city's canopy takes seconds to plant."""
+
+
+@dataclass(frozen=True)
+class Town:
+    """Rasters of a place relative to the sample data, where an eye stands (degrees, metres above ground) and what it looks at."""
+
+    ground: str
+    canopy: str
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    casters: tuple[str, ...] = ("relief", "forest")
+    footprints: str | None = None
+    surface: str | None = None
+
+
+PLACES = {
+    "goteborg": Town(
+        f"{CITY}/DEM.tif", f"{CITY}/CDSM.tif", (11.9625, 57.7064, 80.0), (11.9639, 57.7073, 0.0),
+        ("relief", "meshes", "forest"), f"{CITY}/buildings.shp", f"{CITY}/DSM.tif",
+    ),
+    # Two resolutions, cells of 5.0012 m x 4.9992 m and 2.5021 m x 2.5024 m.
+    "bilbao": Town(
+        "urban/bilbao/DEM.tif", "urban/bilbao/CDSM.tif", (-2.9800, 43.3150, 100.0), (-2.9840, 43.3180, 0.0),
+    ),
+    "quebec": Town(
+        "forest/quebec_DTM.tif", "forest/quebec_CHM.tif", (-70.9165, 47.6079, 80.0), (-70.9163, 47.6089, 0.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def scene_of(shared_data: Path, make_scene):
+    """``scene_of(name)`` is the scene of a place in an afternoon's light."""
+
+    def make(name: str) -> Scene:
+        town = PLACES[name]
+        keys: dict = {"forest": [{"source": str(shared_data / town.canopy)}]}
+        if town.footprints and town.surface:
+            rasters = {"surface": str(shared_data / town.surface), "ground": str(shared_data / town.ground)}
+            keys["meshes"] = [{"source": str(shared_data / town.footprints), **rasters}]
+        keys["views"] = {"air": {"kind": "perspective", "eye": town.eye, "target": town.target, "size": [200, 150]}}
+        return make_scene(shared_data / town.ground, 225.0, 30.0, **keys)
+
+    return lambda name: SCENES.get(name) or SCENES.setdefault(name, make(name))
+
+
+def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
+    with rasterio.open(path) as dataset:
+        return dataset.read(1).astype(np.float64), dataset.transform
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_real_place_is_planned_and_drawn(scene_of, name):
+    town, scene = PLACES[name], scene_of(name)
+    assert scene.population.kinds == town.casters
+    for view in (scene.view("air"), scene.view("map", size=(128, 128))):
+        plan = choose(describe(scene, view, "view"), scene.loaded.level, {})
+        assert tuple(plan.algorithm["sun"]) == town.casters
+        frame = render_frame(scene, view, plan)
+        assert frame.there.mean() > 0.5
+        seen = frame.visibility[frame.there]
+        assert 0.02 < (seen < 0.5).mean() < 0.8, "neither without shadows nor all in shadow"
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_trees_are_the_canopys(scene_of, shared_data, name):
+    town, scene = PLACES[name], scene_of(name)
+    trees = scene.population.trees
+    canopy_m, transform = heights_of(shared_data / town.canopy)
+    canopy_m2 = (canopy_m >= LEAST_HEIGHT_M).sum() * abs(transform.determinant)
+    crowns_m2 = (np.pi / 4 * trees.crown_m.astype(np.float64) ** 2).sum()
+    assert 0.4 < crowns_m2 / canopy_m2 < 1.5
+    assert 0.8 * canopy_m.max() < trees.height_m.max() <= canopy_m.max() + 0.01
+    assert trees.height_m.min() >= LEAST_HEIGHT_M
+    x, y, foot_m = scene.population.trees_on(scene.elevation.crs).T
+    np.testing.assert_allclose(foot_m, scene.elevation.ground_m(x, y), atol=1e-3)
+    col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
+    inside = (row >= 0) & (row < canopy_m.shape[0]) & (col >= 0) & (col < canopy_m.shape[1])
+    assert inside.mean() > 0.999
+    # The cell below a tree, or one beside it where cells are coarse and trees are scattered over them.
+    nearest = np.max([np.roll(canopy_m, shift, (0, 1)) for shift in np.ndindex(3, 3)], axis=0)
+    nearest = np.roll(nearest, (-1, -1), (0, 1))
+    assert (nearest[row[inside], col[inside]] >= LEAST_HEIGHT_M).mean() > 0.99
+
+
+def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(scene_of, shared_data):
+    town, scene = PLACES["goteborg"], scene_of("goteborg")
+    solids = scene.population.solids
+    assert all(solids.closed)
+    ground_m, transform = heights_of(shared_data / town.ground)
+    surface_m, _ = heights_of(shared_data / town.surface)
+    footprints = shapely.from_wkb(pyogrio.raw.read(shared_data / town.footprints)[2])
+    extent = shapely.box(*scene.elevation.bounds)
+    whole, touching = shapely.contains_properly(extent, footprints).sum(), shapely.intersects(extent, footprints).sum()
+    assert whole <= len(solids.closed) <= touching < len(footprints)
+
+    rows, cols = np.indices(ground_m.shape)
+    x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
+    vertex_m = scene.population.solids_on(scene.elevation.crs)
+    off = []
+    for body in range(len(solids.closed)):
+        corners = vertex_m[np.unique(solids.triangles[solids.body == body])]
+        (own,) = np.flatnonzero(shapely.distance(footprints, shapely.points(corners[:, :2])[:, None]).max(axis=0) < 0.01)
+        inside = shapely.contains_xy(footprints[own], x, y)
+        if not shapely.contains_properly(extent, footprints[own]) or inside.sum() < 20:
+            continue
+        assert corners[:, 2].min() < ground_m[inside].min() + 0.1, "walls reach down to the ground"
+        off.append(corners[:, 2].max() - np.percentile(surface_m[inside], 90))
+    assert len(off) >= 15
+    assert np.median(np.abs(off)) < ROOF_M
+    assert np.max(np.abs(off)) < SLOPE_M
+
+
+def test_the_wooded_valley_has_a_village_and_no_tree_in_a_house():
+    scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro_wooded.yaml"))
+    houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
+    footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]
+    assert scene.population.kinds == ("relief", "meshes", "forest")
+    assert len(footprints) == len(scene.population.solids.closed) > 100 and all(scene.population.solids.closed)
+    assert heights_m.min() > 2 and heights_m.max() < 25
+    x, y, _ = scene.population.trees_on(scene.elevation.crs).T
+    assert 60_000 < len(x) < 250_000
+    nearest = shapely.STRtree(footprints).query(shapely.points(x, y), predicate="intersects")
+    assert not nearest.size
+    west, south, east, north = scene.bounds_lon_lat
+    looked_at = shapely.box(west - 0.005, south - 0.005, east + 0.005, north + 0.005)
+    assert shapely.contains(looked_at, footprints).all()
