@@ -238,20 +238,22 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     """A texel's larger side on level ground in pixels (rows, cols); 0 for an algorithm without texels, and off the surface."""
     settings = None if step is None else step.settings
     texel_m: float | np.ndarray = 0.0
+    away_m: float | np.ndarray = 0.0
+    if isinstance(buffer.view, PerspectiveView):
+        eye, _ = buffer.view.in_frame(buffer.frame)
+        away_m = np.linalg.norm(buffer.position_frame_m - eye, axis=-1)
     if isinstance(settings, ShadowMapSettings) and scene.sun is not None:
         sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
-        texel_m = max(settings.texel_m[0], settings.texel_m[1] / sine)
+        sides = [max(cascade.texel_m[0], cascade.texel_m[1] / sine) for cascade in settings.cascades]
+        texel_m = np.array(sides)[np.searchsorted([cascade.far_m for cascade in settings.cascades[:-1]], away_m)]
     elif isinstance(settings, LampMapSettings) and step is not None:
         lamp = scene.lamps[step.light]
         position, _ = lamp_in_frame(buffer, lamp)
         way = position - buffer.position_frame_m
-        away_m = np.linalg.norm(way, axis=-1)
+        length_m = np.linalg.norm(way, axis=-1)
         tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
-        texel_m = 2.0 * tangent * away_m / settings.map_size * away_m / np.maximum(np.abs(way[..., 2]), 0.01 * away_m)
-    size_m: float | np.ndarray = pixel_m
-    if isinstance(buffer.view, PerspectiveView):
-        eye, _ = buffer.view.in_frame(buffer.frame)
-        size_m = np.linalg.norm(buffer.position_frame_m - eye, axis=-1) * buffer.view.pixel
+        texel_m = 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)
+    size_m = away_m * buffer.view.pixel if isinstance(buffer.view, PerspectiveView) else pixel_m
     return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
 
 

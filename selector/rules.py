@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from pydantic_core import PydanticCustomError
 
+from selector.map_settings import lamp_map_settings, sun_map_settings
 from shadows.passes import PassLog
-from shadows.plan import LampMapSettings, Plan, Reasoned, Settings, ShadowMapSettings, Target, TruthSettings
+from shadows.plan import Plan, Reasoned, Settings, Target, TruthSettings
 from shadows.registry import ALGORITHMS, LightKind, ViewKind
 from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
-from shadows.shadow_map import BORDER_TEXELS
-from terrain.descriptor import Descriptor, LampFacts
+from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import of_sun
 from terrain.errors import InputError, UnsupportedError
 from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override
-
-TEXEL_PX = 0.4
-"""A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
-
-DEPTH_PX = 0.25
-"""How far a depth step may shift a shadow on level ground, in pixels, before an automatic depth takes more bits."""
 
 
 def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | None = None) -> Plan:
@@ -111,59 +104,5 @@ def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Sh
     if name == "truth":
         return TruthSettings(), []
     if light == SUN:
-        return _shadow_map_settings(descriptor, asked)
-    return _lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)
-
-
-def _lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
-    """A texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
-    across_m = 2.0 * lamp.reference_m * np.tan(np.radians(min(lamp.cutoff_deg, 45.0 if lamp.kind == "omni" else 85.0)))
-    size, reasons = asked.map_size, []
-    if size == "auto":
-        wanted = across_m / descriptor.pixel_m / TEXEL_PX + 2 * BORDER_TEXELS
-        size = int(np.clip(2 ** np.ceil(np.log2(wanted)), 512, 2048 if lamp.kind == "omni" else 4096))
-        texel_px = across_m / (size - 2 * BORDER_TEXELS) / descriptor.pixel_m
-        reasons.append(
-            Reasoned(name=f"{lamp.name}: map_size {size}", reason=f"a texel covers {texel_px:.2g} pixels where it is aimed")
-        )
-    bits = 32 if asked.depth_bits == "auto" else asked.depth_bits
-    if asked.depth_bits == "auto":
-        why = "a perspective map's steps grow with the square of the distance: even ones need float"
-        reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
-    taps = 3 if asked.filter == "auto" else asked.filter
-    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
-
-
-def _shadow_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
-    assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
-    right, up, along = descriptor.receivers_light_m
-    altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
-    footprint_px = np.array([right, up / np.sin(altitude)]) / descriptor.pixel_m
-    reasons = []
-    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
-    if size == "auto":
-        wanted = float(footprint_px.max()) / TEXEL_PX + 2 * BORDER_TEXELS
-        size = int(np.clip(2 ** np.ceil(np.log2(wanted)), 512, 4096))
-        reasons.append(Reasoned(
-            name=f"map_size {size}",
-            reason=f"a texel covers {footprint_px.max() / (size - 2 * BORDER_TEXELS):.2f} pixels of level ground"
-            + (f", above the {TEXEL_PX} wished for: the largest automatic size" if wanted > 4096 else ""),
-        ))  # fmt: skip
-    texel = right / (size - 2 * BORDER_TEXELS), up / (size - 2 * BORDER_TEXELS)
-    range_m = along * 1.1 + 3 * BORDER_TEXELS * max(texel)
-    shift_px = range_m / (2**16 - 1) * np.cos(altitude) / descriptor.pixel_m
-    if bits == "auto":
-        bits = 16 if shift_px <= DEPTH_PX else 24
-        verdict = "at most" if bits == 16 else "more than"
-        reasons.append(Reasoned(
-            name=f"depth_bits {bits}",
-            reason=f"a 16-bit step of {range_m / (2**16 - 1):.3g} m shifts a shadow by {shift_px:.2g} pixels, "
-            f"{verdict} {DEPTH_PX}",
-        ))  # fmt: skip
-    if taps == "auto":
-        taps = 3
-        reasons.append(Reasoned(name="filter 3", reason="nine taps smooth the stairs of texels along shadow edges"))
-    steps = 2**16 - 1 if bits == 16 else 2**24 - 1
-    return ShadowMapSettings(
-        map_size=size, depth_bits=bits, filter=taps, texel_m=texel, depth_step_m=float(range_m / steps)
-    ), reasons
+        return sun_map_settings(descriptor, asked)
+    return lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)

@@ -21,19 +21,29 @@ class Reasoned(_Value):
     reason: str
 
 
+class Cascade(_Value):
+    """One of a sun's maps: for what lies up to ``far_m`` from the eye and beyond the cascade before (``None``: for all the rest).
+
+    ``texel_m`` are the sides of a texel in light space (right, up), ``depth_step_m`` the metres between two depths that the map
+    can tell apart.
+    """
+
+    far_m: float | None
+    texel_m: tuple[float, float]
+    depth_step_m: float = Field(gt=0)
+
+
 class ShadowMapSettings(_Value):
     """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
 
-    ``texel_m`` are the sides of a texel in light space (right, up), ``depth_step_m`` the metres between two depths that
-    the map can tell apart, ``filter`` the taps a side. ``bias_scale`` multiplies the derived normal offset (1 is right;
-    less shows acne).
+    ``map_size`` are the texels a side of each of the ``cascades``, from the nearest on (one in map views), ``filter`` the taps a
+    side. ``bias_scale`` multiplies the derived normal offset (1 is right; less shows acne).
     """
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
     filter: Literal[1, 2, 3, 5]
-    texel_m: tuple[float, float]
-    depth_step_m: float = Field(gt=0)
+    cascades: tuple[Cascade, ...] = Field(min_length=1, max_length=4)
     bias_scale: float = Field(default=1.0, ge=0)
 
 

@@ -7,6 +7,9 @@ and depth step are the plan's, one for all blocks of a level, zoom and sun; only
 Depth spans the receivers. Casters before it are clamped to depth 0: they are before every receiver. Casters beyond the
 last receiver cannot shade anything.
 
+**Cascades.** In perspective there may be several maps, each for the receivers at some distances from the eye, with texels of
+its own. A point belongs to one of them alone.
+
 **Window of a lamp's map.** It covers the spot's cone, or a sixth of the sphere, and a border of texels. Depth lies between the
 nearest and the farthest receiver; what is nearer casts as well, clamped to depth 0.
 
@@ -48,7 +51,9 @@ import numpy as np
 
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import LampMapSettings, ShadowMapSettings
+from terrain.camera import PerspectiveView
 from terrain.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
+from terrain.compiled import compiled
 from terrain.foliage import THRESHOLD, foliage
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device, device
@@ -69,6 +74,12 @@ BORDER_TEXELS = 12
 
 SIZE_STEP = 64
 """Maps are allocated in multiples of this, so that blocks of one level share them."""
+
+FAR_M = 1e30
+"""Farther than anything."""
+
+MAP_UNIT = 4
+"""Texture unit of the depth map."""
 
 NEAREST_SHARE = 1e-4
 """The nearest receiver of a lamp counts as no nearer than this share of the farthest one's distance."""
@@ -113,40 +124,73 @@ def fill(
     Where there is no surface the value means nothing. Raises ``GraphicsError``.
     """
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
-    rows, cols = buffer.there.shape
     trees = caster_trees(buffer, kinds)
+    maps: list[_Map] = []
     if isinstance(settings, ShadowMapSettings):
-        drawn = _sun_map(buffer, scene, settings, trees) if buffer.there.any() else None
-    else:
-        drawn = _lamp_map(buffer, scene.lamps[light], settings, trees)
-    if drawn is None:  # no receivers
+        maps = _sun_maps(buffer, scene, settings, trees)
+    elif (lit := _lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
+        maps = [lit]
+    if not maps:  # no receivers
         with log.run(depth_pass), log.run(visibility_pass):
-            return np.ones((rows, cols), np.float32)
+            return np.ones(buffer.there.shape, np.float32)
     gl = device()
-    with log.run(depth_pass) as record:
-        target = _draw(gl, drawn, buffer, scene, kinds, casters, record)
+    with log.run(visibility_pass):
+        looked_up = _Look(gl, buffer, settings)
+    log.records[depth_pass] = log.records.get(depth_pass, PassRecord(depth_pass))
+    for drawn in maps:
+        with log.run(depth_pass) as record:
+            target = _draw(gl, drawn, buffer, scene, kinds, casters, record)
+        with log.run(visibility_pass) as record:
+            looked_up.fill_in(drawn, target, record)
     with log.run(visibility_pass) as record:
-        return _look_up(gl, drawn, target, buffer, settings, record)
+        return looked_up.read(record)
 
 
-def _sun_map(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> _Map:
+def _sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> list[_Map]:
+    """The maps of the cascades that have receivers."""
+    if len(settings.cascades) == 1 or not isinstance(buffer.view, PerspectiveView):
+        return [_sun_map(buffer, buffer.there, scene, settings, 0, (-1.0, FAR_M), trees)] if buffer.there.any() else []
+    eye, _ = buffer.view.in_frame(buffer.frame)
+    away_m = distances(buffer.position_frame_m, eye)
+    maps, near_m = [], -1.0
+    for number, cascade in enumerate(settings.cascades):
+        far_m = FAR_M if cascade.far_m is None else cascade.far_m
+        here = (away_m > near_m) & (away_m <= far_m)
+        if here.any():
+            maps.append(_sun_map(buffer, here, scene, settings, number, (near_m, far_m), trees))
+        near_m = far_m
+    return maps
+
+
+def _sun_map(
+    buffer: GeometryBuffer,
+    here: np.ndarray,
+    scene: Scene,
+    settings: ShadowMapSettings,
+    number: int,
+    range_m: tuple[float, float],
+    trees: Stand | None,
+) -> _Map:
+    """The map of a cascade, whose receivers are ``here``, at distances in ``range_m`` from the eye."""
     assert scene.light is not None
+    cascade = settings.cascades[number]
     rotation, translation = scene.light.from_frame(buffer.frame)
-    low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
-    texel = np.array(settings.texel_m)
+    low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
+    texel = np.array(cascade.texel_m)
     first, size = _window(low, high, texel)
     for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel)
     error_m = _position_error_m(buffer, float(np.abs(high - low).max()))
-    step_m = settings.depth_step_m
+    step_m = cascade.depth_step_m
     before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     steps = _steps(settings.depth_bits)
     near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
     while near + steps * step_m < high[2]:  # a block deeper than the plan foresaw keeps its depths, more coarsely
         step_m *= 2.0
         near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    eye = np.zeros(3) if isinstance(buffer.view, MapView) else buffer.view.in_frame(buffer.frame)[0]
     uniforms = {
         "lamp": False,
         "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
@@ -155,6 +199,8 @@ def _sun_map(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, 
         "texel_m": tuple(texel),
         "error_m": error_m,
         "depth_step": 1.0 / steps,
+        "eye_frame_m": tuple(eye),
+        "range_m": range_m,
     }
     reached = None if trees is None else trees_in_the_way(trees, rotation, translation, low, high)
     return _Map(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, reached)
@@ -186,6 +232,7 @@ def _lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tre
         "near_far_m": (near, far),
         "error_m": _position_error_m(buffer, float(np.abs(position).max())),
         "depth_step": 1.0 / _steps(settings.depth_bits),
+        "range_m": (-1.0, FAR_M),
     }
     return _Map(uniforms, (size, size), faces, settings.depth_bits, trees)
 
@@ -240,42 +287,65 @@ def _draw(
     return target
 
 
-def _look_up(gl: Device, drawn: _Map, target, buffer: GeometryBuffer, settings, record: PassRecord) -> np.ndarray:  # type: ignore[no-untyped-def]
-    rows, cols = buffer.there.shape
-    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/shadow_map.frag"))
-    facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
-    arrays = [buffer.position_frame_m, facing]
-    nodes = {}
-    if buffer.surface is not None and isinstance(buffer.view, MapView):
-        view, window = buffer.view, buffer.surface
-        arrays.append(window.position_frame_m)
-        nodes = {
-            "node_frame_m": 2, "first_node": (view.col0 - window.col0, view.row0 - window.row0),
-            "node_step": (view.col_step, view.row_step),
-        }  # fmt: skip
-    if buffer.corners_frame_m is not None:
-        arrays.append(buffer.corners_frame_m.reshape(rows, cols * 3, 3))
-    set_uniforms(program, {
-        **drawn.uniforms, "position_frame_m": 0, "normal_frame": 1, "depth_map": 4, **nodes, "on_nodes": bool(nodes),
-        "has_corners": buffer.corners_frame_m is not None, "corner_frame_m": len(arrays) - 1, "map_size": drawn.size,
-        "faces": len(drawn.faces), "taps": settings.filter, "bias_scale": settings.bias_scale,
-    })  # fmt: skip
-    if "face_from_lamp" in program:
-        turns = [*drawn.faces, *([np.eye(3)] * (6 - len(drawn.faces)))]
-        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in turns]
-    textures = [gl.texture(array) for array in arrays]
-    for unit, texture in enumerate(textures):
-        texture.use(unit)
-    target.depth_attachment.use(4)
-    visible = gl.float_target(cols, rows)
-    gl.draw_pixels(program, visible)
-    record.draws += 1
-    visibility = gl.read(visible)
-    held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
-    record.bytes = max(record.bytes, drawn.nbytes + held + visibility.nbytes)
-    for texture in textures:
-        texture.release()
-    return visibility
+class _Look:
+    """A buffer's points on the device, and their visibility, filled in map by map."""
+
+    def __init__(self, gl: Device, buffer: GeometryBuffer, settings: ShadowMapSettings | LampMapSettings) -> None:
+        rows, cols = buffer.there.shape
+        self._gl = gl
+        self._program = gl.program(shader("shadows/pixels.vert"), shader("shadows/shadow_map.frag"))
+        facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
+        arrays = [buffer.position_frame_m, facing]
+        nodes = {}
+        if buffer.surface is not None and isinstance(buffer.view, MapView):
+            view, window = buffer.view, buffer.surface
+            arrays.append(window.position_frame_m)
+            nodes = {
+                "node_frame_m": 2, "first_node": (view.col0 - window.col0, view.row0 - window.row0),
+                "node_step": (view.col_step, view.row_step),
+            }  # fmt: skip
+        if buffer.corners_frame_m is not None:
+            arrays.append(buffer.corners_frame_m.reshape(rows, cols * 3, 3))
+        set_uniforms(self._program, {
+            "position_frame_m": 0, "normal_frame": 1, "depth_map": MAP_UNIT, **nodes, "on_nodes": bool(nodes),
+            "has_corners": buffer.corners_frame_m is not None, "corner_frame_m": len(arrays) - 1, "taps": settings.filter,
+            "bias_scale": settings.bias_scale,
+        })  # fmt: skip
+        self._textures = [gl.texture(array) for array in arrays]
+        self._visible = gl.float_target(cols, rows)
+        self._visible.clear(1.0)
+        self._held = rows * cols * 4 + sum(texture.width * texture.height * texture.components * 4 for texture in self._textures)
+
+    def fill_in(self, drawn: _Map, target, record: PassRecord) -> None:  # type: ignore[no-untyped-def]
+        """The visibility of the points that are a map's."""
+        set_uniforms(self._program, {**drawn.uniforms, "map_size": drawn.size, "faces": len(drawn.faces)})
+        if "face_from_lamp" in self._program:
+            turns = [*drawn.faces, *([np.eye(3)] * (6 - len(drawn.faces)))]
+            self._program["face_from_lamp"] = [tuple(face.T.ravel()) for face in turns]
+        for unit, texture in enumerate(self._textures):
+            texture.use(unit)
+        target.depth_attachment.use(MAP_UNIT)
+        self._gl.draw_pixels(self._program, self._visible)
+        record.draws += 1
+        record.bytes = max(record.bytes, drawn.nbytes + self._held)
+
+    def read(self, record: PassRecord) -> np.ndarray:
+        """The visibility (rows, cols) of all points."""
+        visibility = self._gl.read(self._visible)
+        for texture in self._textures:
+            texture.release()
+        return visibility
+
+
+@compiled
+def distances(points, eye):  # type: ignore[no-untyped-def]
+    """Distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN where there is no point."""
+    out = np.empty(points.shape[:2], np.float32)
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            p = points[i, j]
+            out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
+    return out
 
 
 def _turned(uniforms: dict, face: np.ndarray) -> dict:

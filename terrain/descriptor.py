@@ -15,7 +15,6 @@ from terrain.elevation import Elevation
 from terrain.grid import BLOCK_PX, MapView
 from terrain.ground_mesh import ground_mesh
 from terrain.level import CasterKind
-from terrain.light_space import light_bounds
 from terrain.picture import Visible, buffer_of
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
@@ -24,11 +23,8 @@ from terrain.surface import step_at_anchor_m
 LOOK_PX = 8
 """Distance of the pixels from which a perspective view is described."""
 
-LOOK_MARGIN = 1.05
-"""What a coarse look may miss at the rims."""
-
-STEP = 2.0**0.25
-"""Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
+NEAREST_M = 1.0
+"""What is nearer than this counts as this far away."""
 
 
 class LampFacts(BaseModel):
@@ -42,12 +38,24 @@ class LampFacts(BaseModel):
     reference_m: float
 
 
+class Band(BaseModel):
+    """What is seen at distances from ``near_m`` to ``far_m``, the next power of two: its bounds in light space, metres."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    near_m: float
+    far_m: float
+    low_light_m: tuple[float, float, float]
+    high_light_m: tuple[float, float, float]
+
+
 class Descriptor(BaseModel):
     """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
 
-    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen), ``casters`` the kinds
+    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent), ``casters`` the kinds
     there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the largest extent of a block's receivers
-    in light space: right, up and along the light, metres; ``None`` without a sun. ``highest_sun_deg`` is the sun's largest
+    in light space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows
+    under the sun, by distance. ``highest_sun_deg`` is the sun's largest
     altitude anywhere over the level.
     """
 
@@ -57,6 +65,7 @@ class Descriptor(BaseModel):
     view_kind: Literal["map", "perspective"]
     flat_world: bool
     pixel_m: float
+    pixel: float | None = None
     node_m: float
     casters: tuple[CasterKind, ...]
     lamps: tuple[LampFacts, ...] = ()
@@ -66,6 +75,7 @@ class Descriptor(BaseModel):
     sun_altitude_deg: float | None
     highest_sun_deg: float | None
     receivers_light_m: tuple[float, float, float] | None
+    bands: tuple[Band, ...] = ()
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
@@ -99,18 +109,43 @@ def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
     looked = buffer_of(scene, coarse, Visible(scene, coarse, view.frame(scene.world), kinds=("relief", "meshes")))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(looked.frame)
-    away_m = float(np.median(np.linalg.norm(points - eye, axis=-1))) if len(points) else 1.0
+    away_m = np.linalg.norm(points - eye, axis=-1)
+    median_m = float(np.median(away_m)) if len(points) else 1.0
+    bands: tuple[Band, ...] = ()
     extent = None
     if scene.light is not None:
-        low, high = light_bounds(looked.position_frame_m, looked.there, *scene.light.from_frame(looked.frame))
-        seen = np.maximum(high - low, away_m * view.pixel) if len(points) else np.full(3, away_m * view.pixel)
-        seen += scene.population.tallest_m * np.array([0.0, 1.0, 1.0])  # trees rise above what was looked at
-        extent = tuple(float(v) for v in STEP ** np.ceil(np.log(seen * LOOK_MARGIN) / np.log(STEP)))
+        light = points @ scene.light.from_frame(looked.frame)[0].T + scene.light.from_frame(looked.frame)[1]
+        bands = _bands(away_m, light, scene.population.tallest_m, view.pixel * LOOK_PX)
+        whole = joined(bands) if bands else None
+        span = np.full(3, median_m * view.pixel) if whole is None else np.subtract(whole.high_light_m, whole.low_light_m)
+        extent = tuple(span.tolist())
     grid = ground_mesh(scene, view).grid
     return {
-        "view_kind": "perspective", "pixel_m": away_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
+        "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
+        "pixel": view.pixel, "bands": bands,
         "block_relief_m": float(np.ptp(looked.height_m[looked.there])) if len(points) else 0.0, "receivers_light_m": extent,
     }  # fmt: skip
+
+
+def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: float) -> tuple[Band, ...]:
+    """Bands of points at distances (n,) with light-space coordinates (n, 3); ``slack`` is how far apart they lie, as a share of
+    their distance, and what stands on the ground may rise by ``tallest_m``.
+    """
+    octave = np.ceil(np.log2(np.maximum(away_m, NEAREST_M)))
+    bands = []
+    for number in np.unique(octave):
+        here = light_m[octave == number]
+        margin = slack * 2.0**number + tallest_m * np.array([0.0, 1.0, 1.0])
+        low, high = (tuple(float(v) for v in bound) for bound in (here.min(axis=0) - margin, here.max(axis=0) + margin))
+        bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, low_light_m=low, high_light_m=high))
+    return tuple(bands)
+
+
+def joined(bands: tuple[Band, ...]) -> Band:
+    """The band of neighbouring bands."""
+    low = np.min([band.low_light_m for band in bands], axis=0)
+    high = np.max([band.high_light_m for band in bands], axis=0)
+    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, low_light_m=tuple(low.tolist()), high_light_m=tuple(high.tolist()))
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:

@@ -43,6 +43,7 @@ class Shadows(Model):
     max_error: float = Field(default=0.03, gt=0, le=1)
     max_ms: float | None = Field(default=None, gt=0)
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = "auto"
+    cascades: Literal["auto", 1, 2, 3, 4] = "auto"
     depth_bits: Literal["auto", 16, 24, 32] = "auto"
     filter: Literal["auto", 1, 2, 3, 5] = "auto"
 

@@ -50,7 +50,7 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
     The foot is one cell wider than the roof on each side, since a raster's walls are a cell wide.
     """
     plan = plan_of(scene, view, filter=1, map_size=1024)
-    texel = plan.settings["sun"]["relief"].texel_m
+    texel = plan.settings["sun"]["relief"].cascades[0].texel_m
     texel_m = max(texel[0], texel[1] / np.sin(np.radians(ALTITUDE)))
     assert texel_m < 1.5
     frame = render(scene, view, filter=1, map_size=1024)
@@ -100,7 +100,7 @@ def test_length_of_a_block_s_shadow(gl, place, write_raster, make_scene):
     half = 3 * cell
     view = scene.view(bounds=(tip[0] - half, tip[1] - half, tip[0] + half, tip[1] + half), crs=crs, size=(800, 800))
     plan = plan_of(scene, view, filter=1, map_size=256)
-    texel_m = plan.settings["sun"]["relief"].texel_m[1] / np.sin(np.radians(ALTITUDE))
+    texel_m = plan.settings["sun"]["relief"].cascades[0].texel_m[1] / np.sin(np.radians(ALTITUDE))
     assert texel_m < 1.2
     seen = shadow(render(scene, view, filter=1, map_size=256))
     for col in (350, 400, 450):  # under the roof's middle

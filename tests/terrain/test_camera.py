@@ -1,0 +1,159 @@
+"""The pinhole camera: which way it looks, and that its parts, shifts and finer pictures have the rays of the whole one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import CRS
+
+from terrain.camera import PerspectiveView, look_at
+from terrain.errors import InputError
+from terrain.world import World, geocentric
+from tests.conftest import ENGINEERING
+
+UP = np.array([0.0, 0.0, 1.0])
+FLAT = World(CRS.from_user_input(ENGINEERING), True, 0.0, 0.0)
+
+sizes = st.integers(1, 40)
+offsets = st.integers(-50, 50)
+views = st.builds(
+    lambda fov, rows, cols, azimuth: look_at(
+        np.array([3.0, -7.0, 12.0]), np.array([3.0 + np.sin(azimuth), -7.0 + np.cos(azimuth), 11.5]), UP, fov, rows, cols
+    ),
+    st.floats(1.0, 170.0), sizes, sizes, st.floats(0.0, 6.28),
+)  # fmt: skip
+
+
+def rays(view: PerspectiveView) -> np.ndarray:
+    """The pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
+    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x, y = (v[..., None] for v in np.meshgrid(x, y))
+    right, down, forward = view.earth_from_camera.T
+    return x * right + y * down + forward
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two vectors, exact for small ones."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+@given(views, offsets, offsets, sizes, sizes)
+def test_a_part_has_the_very_rays_of_the_whole(view, row, col, rows, cols):
+    """Bit by bit; beyond the picture they go on evenly."""
+    around = view.part(min(row, 0), min(col, 0), rows + abs(row) + view.rows, cols + abs(col) + view.cols)
+    top, left = row - min(row, 0), col - min(col, 0)
+    np.testing.assert_array_equal(rays(view.part(row, col, rows, cols)), rays(around)[top : top + rows, left : left + cols])
+    top, left = -min(row, 0), -min(col, 0)
+    np.testing.assert_array_equal(rays(view), rays(around)[top : top + view.rows, left : left + view.cols])
+
+
+@given(views, offsets, offsets)
+def test_a_shift_by_whole_pixels_is_a_part(view, rows, cols):
+    np.testing.assert_array_equal(rays(view.shifted(rows, cols)), rays(view.part(rows, cols, view.rows, view.cols)))
+
+
+@given(views, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_a_shift_within_a_pixel_lies_between_its_neighbours(view, down, right):
+    around = rays(view.part(-1, -1, view.rows + 2, view.cols + 2))
+    row, col = np.meshgrid(np.arange(view.rows) + 1, np.arange(view.cols) + 1, indexing="ij")
+    middle = around[row, col]
+    expected = middle + down * (around[row + 1, col] - middle) + right * (around[row, col + 1] - middle)
+    np.testing.assert_allclose(rays(view.shifted(down, right)), expected, atol=1e-12 * np.abs(around).max())
+
+
+@given(views, st.integers(1, 5))
+def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
+    """Its blocks' means are the pixels' own rays, its steps are even throughout, and it spans the same picture."""
+    fine = view.finer(side)
+    found = rays(fine)
+    blocks = found.reshape(view.rows, side, view.cols, side, 3).mean(axis=(1, 3))
+    scale = np.abs(found).max()
+    np.testing.assert_allclose(blocks, rays(view), atol=1e-12 * scale)
+    assert fine.pixel == pytest.approx(view.pixel / side)
+    for axis in (0, 1):
+        steps = np.diff(found, axis=axis)
+        assert not steps.size or np.allclose(steps, np.take(steps, [0], axis=axis), atol=1e-12 * scale)
+    assert (fine.row0 - fine.step / 2, fine.col0 - fine.step / 2) == pytest.approx((view.row0 - 0.5, view.col0 - 0.5))
+    part = view.part(1, 2, 3, 4).finer(side)
+    np.testing.assert_allclose(
+        rays(part), rays(view.finer(side).part(side, 2 * side, 3 * side, 4 * side)), atol=1e-12 * max(scale, np.abs(rays(part)).max())
+    )
+
+
+@given(st.floats(0.01, 179.0), st.integers(1, 3000), st.integers(1, 3000))
+def test_the_field_of_view_is_the_vertical_one(fov, rows, cols):
+    """From the first row's upper edge to the last one's lower edge, whatever the width."""
+    view = look_at(np.zeros(3), np.array([0.0, 1.0, 0.0]), UP, fov, rows, cols)
+    top, bottom = (view.row0 - 0.5) / view.focal_px, (view.row0 + rows - 0.5) / view.focal_px
+    assert np.degrees(np.arctan(bottom) - np.arctan(top)) == pytest.approx(fov, rel=1e-9)
+    assert top == pytest.approx(-bottom)
+    right = (view.col0 + cols - 0.5) / view.focal_px
+    assert right == pytest.approx(bottom * cols / rows) and view.col0 == -(cols - 1) / 2
+
+
+@given(
+    st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array), st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array), st.floats(1.0, 120.0)
+)
+def test_the_camera_is_upright_and_looks_at_its_target(eye, target, fov):
+    """The picture's middle shows the target, its rows are level, and what is above lies towards its top."""
+    if np.linalg.norm(target - eye) < 1e-3:
+        return
+    view = look_at(eye, target, UP, fov, 5, 7)
+    axes = view.earth_from_camera
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)  # right, down, forward: a right-handed system
+    way = (target - eye) / np.linalg.norm(target - eye)
+    assert angle_deg(rays(view)[2, 3], way) < 1e-9
+    assert axes[2, 0] == pytest.approx(0.0, abs=1e-12)
+    level = np.hypot(way[0], way[1])
+    assert axes[2, 1] == pytest.approx(-level, abs=1e-9)
+    assert rays(view)[0, 3] @ UP >= rays(view)[4, 3] @ UP
+
+
+@pytest.mark.parametrize("height", [-50.0, 50.0])
+def test_straight_down_and_up_the_top_is_north(height):
+    view = look_at(np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, height]), UP, 60.0, 4, 4)
+    right, down, forward = view.earth_from_camera.T
+    np.testing.assert_allclose(forward, [0, 0, np.sign(height)], atol=1e-15)
+    np.testing.assert_allclose(down, [0, -1, 0], atol=1e-15)
+    np.testing.assert_allclose(right, [-np.sign(height), 0, 0], atol=1e-15)  # from below east lies to the left
+
+
+@pytest.mark.parametrize(("lon", "lat"), [(15.0, 57.0), (-84.0, -36.0), (179.9, 0.0)])
+def test_straight_down_on_the_globe_the_top_is_north(lon, lat):
+    ground, up = geocentric(np.float64(lon), np.float64(lat))
+    north = geocentric(np.float64(lon), np.float64(lat + 1e-6))[0] - ground
+    view = look_at(ground + 800.0 * up, ground, up, 60.0, 4, 4)
+    assert angle_deg(-view.earth_from_camera[:, 1], north) < 1e-3
+    assert angle_deg(view.earth_from_camera[:, 2], -up) < 1e-9
+
+
+@pytest.mark.parametrize("lean", [1e-3, 1e-6, 1e-8])
+def test_nearly_straight_down_it_stays_upright(lean):
+    """No jump to north while there is a direction at all: the top is where it leans."""
+    view = look_at(np.zeros(3), np.array([lean, 0.0, -1.0]), UP, 60.0, 4, 4)
+    axes = view.earth_from_camera
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(-axes[:, 1], [1, 0, 0], atol=1.1 * lean)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-9, np.nan])
+def test_the_eye_itself_is_no_target(apart):
+    eye = np.array([3e6, 1e6, 5e6])
+    with pytest.raises(InputError, match="target") as caught:
+        look_at(eye, eye + np.array([apart, 0.0, 0.0]), UP, 50.0, 4, 4)
+    assert "\n" not in str(caught.value) and "apart from the eye" in str(caught.value)
+
+
+def test_a_frame_s_eye_and_axes_are_the_earth_s():
+    """A point's camera coordinates are the same by way of the frame; the frame's origin is near the eye."""
+    eye, target = np.array([40_000.0, -70_000.0, 300.0]), np.array([40_200.0, -69_000.0, 10.0])
+    view = look_at(eye, target, UP, 50.0, 10, 20)
+    frame = view.frame(FLAT)
+    assert np.abs((eye - frame.origin_earth_m)[:2]).max() <= 512.0
+    in_frame, camera_from_frame = view.in_frame(frame)
+    target_frame = frame.frame_from_earth @ (target - frame.origin_earth_m)
+    np.testing.assert_allclose(camera_from_frame @ (target_frame - in_frame), [0, 0, np.linalg.norm(target - eye)], atol=1e-9)
