@@ -64,6 +64,7 @@ def render(
     bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
     crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
     map_size: Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")] = None,
+    cascades: Annotated[int | None, typer.Option(help="Shadow maps of a perspective view, 1 to 4.")] = None,
     depth_bits: Annotated[int | None, typer.Option(help="16, 24 or 32.")] = None,
     filter: Annotated[int | None, typer.Option(help="Taps a side: 1, 2, 3 or 5.")] = None,
     light: Annotated[str | None, typer.Option(help="The light that shadow, mask and visibility are of.")] = None,
@@ -78,13 +79,13 @@ def render(
     overrides = {
         "algorithm": None if algorithm is None else parse_algorithm(algorithm, "--algorithm"),
         "map_size": map_size,
+        "cascades": cascades,
         "depth_bits": depth_bits,
         "filter": filter,
     }
     with _progress("Rendering") as advance:
-        scene, frame = snapshot(
-            find_level(level), view, parse_sun(time, azimuth, altitude), overrides, _size(size), _bounds(bounds), crs, advance, seconds
-        )
+        sun, shape = parse_sun(time, azimuth, altitude), _size(size)
+        scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")

@@ -14,8 +14,13 @@ from terrain.level import Shadows
 TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
 
-CASCADE_PX = 1.0
-"""What a texel of the largest automatic map may cover, in pixels, before a perspective view gets another cascade (up to 4)."""
+CASCADE_PX = 2.0
+"""What a texel of a perspective view may cover, in pixels, where its cascade is nearest to the eye: of the numbers of cascades
+(up to 4) and the automatic sizes that keep to it, those with the fewest texels are taken.
+"""
+
+FOLIAGE_PX = 3.0
+"""The same where trees cast: their many layers of alpha-tested texels make a map cost in proportion to its texels."""
 
 DEPTH_PX = 0.25
 """How far a depth step may shift a shadow on level ground, in pixels, before an automatic depth takes more bits."""
@@ -36,17 +41,13 @@ def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapS
     footprints_px = [float(_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
     size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
     if size == "auto":
-        wanted = max(footprints_px) / TEXEL_PX + 2 * BORDER_TEXELS
-        size = int(np.clip(2 ** np.ceil(np.log2(wanted)), SMALLEST, LARGEST))
-        reasons.append(Reasoned(
-            name=f"map_size {size}",
-            reason=f"a texel covers {max(footprints_px) / (size - 2 * BORDER_TEXELS):.2f} pixels of level ground"
-            + (f", above the {TEXEL_PX} wished for: the largest automatic size" if wanted > LARGEST else ""),
-        ))  # fmt: skip
+        wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
+        size = _power(max(footprints_px) / wished_px, LARGEST)
+        covers_px = max(footprints_px) / (size - 2 * BORDER_TEXELS)
+        more = f", above the {wished_px} wished for: the largest automatic size" if covers_px > wished_px else ""
+        reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
     texels = [extent[:2] / (size - 2 * BORDER_TEXELS) for _, extent, _ in runs]
-    ranges_m = [
-        extent[2] * 1.1 + 3 * BORDER_TEXELS * float(texel.max()) for (_, extent, _), texel in zip(runs, texels, strict=True)
-    ]
+    ranges_m = [run[1][2] * 1.1 + 3 * BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
     shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
     if bits == "auto":
         worst = int(np.argmax(shifts_px))
@@ -73,8 +74,7 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = asked.map_size, []
     if size == "auto":
-        wanted = across_m / descriptor.pixel_m / TEXEL_PX + 2 * BORDER_TEXELS
-        size = int(np.clip(2 ** np.ceil(np.log2(wanted)), SMALLEST, LARGEST // 2 if lamp.kind == "omni" else LARGEST))
+        size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST // 2 if lamp.kind == "omni" else LARGEST)
         texel_px = across_m / (size - 2 * BORDER_TEXELS) / descriptor.pixel_m
         why = f"a texel covers {texel_px:.2g} pixels where it is aimed"
         reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
@@ -89,7 +89,7 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
 def _cascades(
     descriptor: Descriptor, asked: Shadows, altitude: float, reasons: list[Reasoned]
 ) -> list[tuple[float | None, np.ndarray, float]]:
-    """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side there, metres."""
+    """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side, metres."""
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
@@ -100,18 +100,27 @@ def _cascades(
     def worst_px(bands: list[Band]) -> float:
         return max(float(_footprint(extent(band), altitude).max()) / (band.near_m * descriptor.pixel) for band in bands)
 
-    texels = (LARGEST if asked.map_size == "auto" else asked.map_size) - 2 * BORDER_TEXELS
-    counts = range(1, 5) if asked.cascades == "auto" else [asked.cascades]
-    best: list[Band] = []
-    for count in counts:
+    ways, wished_px = [], _wished_px(descriptor)
+    for count in range(1, 5) if asked.cascades == "auto" else [asked.cascades]:
         best = min(_splits(descriptor.bands, count), key=worst_px)
-        if worst_px(best) / texels <= CASCADE_PX:
-            break
+        size = _power(worst_px(best) / wished_px, LARGEST) if asked.map_size == "auto" else asked.map_size
+        covers_px = worst_px(best) / (size - 2 * BORDER_TEXELS)
+        ways.append((max(covers_px, wished_px), len(best) * size**2, covers_px, best))
+    _, _, covers_px, best = min(ways, key=lambda way: way[:2])
     if asked.cascades == "auto":
-        why = f"a texel of {texels + 2 * BORDER_TEXELS} a side covers at most {worst_px(best) / texels:.2g} pixels"
-        reasons.append(Reasoned(name=f"cascades {len(best)}", reason=why + f", {CASCADE_PX:g} wished for"))
+        why = f"a texel covers at most {covers_px:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
+        reasons.append(Reasoned(name=f"cascades {len(best)}", reason=why))
     far = [band.far_m for band in best[:-1]]
     return [(far_m, extent(band), band.near_m * descriptor.pixel) for far_m, band in zip([*far, None], best, strict=True)]
+
+
+def _wished_px(descriptor: Descriptor) -> float:
+    return FOLIAGE_PX if "forest" in descriptor.casters else CASCADE_PX
+
+
+def _power(texels: float, most: int) -> int:
+    """The automatic map size that holds so many texels and the border."""
+    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * BORDER_TEXELS)), SMALLEST, most))
 
 
 def _splits(bands: tuple[Band, ...], count: int) -> list[list[Band]]:

@@ -63,7 +63,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     used = {name for per_kind in algorithm.values() for name in per_kind.values()}
     plan = Plan(
         view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
-        rejected=[Reasoned(name=name, reason=_rejected(name, used, missing, who, choice)) for name in ALGORITHMS if name not in used],
+        rejected=[Reasoned(name=n, reason=_rejected(n, used, missing, who, choice)) for n in ALGORITHMS if n not in used],
         passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
     passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]

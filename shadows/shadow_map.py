@@ -48,10 +48,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from moderngl import Framebuffer, Program
 
 from shadows.passes import PassLog, PassRecord
-from shadows.plan import LampMapSettings, ShadowMapSettings
-from terrain.camera import PerspectiveView
+from shadows.plan import Cascade, LampMapSettings, ShadowMapSettings
 from terrain.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
 from terrain.compiled import compiled
 from terrain.foliage import THRESHOLD, foliage
@@ -75,8 +75,8 @@ BORDER_TEXELS = 12
 SIZE_STEP = 64
 """Maps are allocated in multiples of this, so that blocks of one level share them."""
 
-FAR_M = 1e30
-"""Farther than anything."""
+LOOK_COLS = 2048
+"""Points of a perspective view that are looked up side by side."""
 
 MAP_UNIT = 4
 """Texture unit of the depth map."""
@@ -93,13 +93,16 @@ CUBE = np.array([
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, and what bounds the trees in it."""
+    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, and trees, and in
+    perspective the points that it is for (flat indices).
+    """
 
     uniforms: dict
     size: tuple[int, int]
     faces: tuple[np.ndarray, ...]
     depth_bits: int
     near_trees: Stand | None
+    pixels: np.ndarray | None
 
     @property
     def texels(self) -> int:
@@ -134,30 +137,27 @@ def fill(
         with log.run(depth_pass), log.run(visibility_pass):
             return np.ones(buffer.there.shape, np.float32)
     gl = device()
-    with log.run(visibility_pass):
-        looked_up = _Look(gl, buffer, settings)
-    log.records[depth_pass] = log.records.get(depth_pass, PassRecord(depth_pass))
+    visibility = np.ones(buffer.there.shape, np.float32)
     for drawn in maps:
         with log.run(depth_pass) as record:
             target = _draw(gl, drawn, buffer, scene, kinds, casters, record)
         with log.run(visibility_pass) as record:
-            looked_up.fill_in(drawn, target, record)
-    with log.run(visibility_pass) as record:
-        return looked_up.read(record)
+            _look_up(gl, drawn, target, buffer, settings, visibility, record)
+    return visibility
 
 
 def _sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> list[_Map]:
     """The maps of the cascades that have receivers."""
-    if len(settings.cascades) == 1 or not isinstance(buffer.view, PerspectiveView):
-        return [_sun_map(buffer, buffer.there, scene, settings, 0, (-1.0, FAR_M), trees)] if buffer.there.any() else []
+    if len(settings.cascades) == 1 or isinstance(buffer.view, MapView):
+        return [_sun_map(buffer, buffer.there, scene, settings.cascades[0], settings, trees)] if buffer.there.any() else []
     eye, _ = buffer.view.in_frame(buffer.frame)
     away_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
-    for number, cascade in enumerate(settings.cascades):
-        far_m = FAR_M if cascade.far_m is None else cascade.far_m
+    for cascade in settings.cascades:
+        far_m = np.inf if cascade.far_m is None else cascade.far_m
         here = (away_m > near_m) & (away_m <= far_m)
         if here.any():
-            maps.append(_sun_map(buffer, here, scene, settings, number, (near_m, far_m), trees))
+            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees))
         near_m = far_m
     return maps
 
@@ -166,14 +166,12 @@ def _sun_map(
     buffer: GeometryBuffer,
     here: np.ndarray,
     scene: Scene,
+    cascade: Cascade,
     settings: ShadowMapSettings,
-    number: int,
-    range_m: tuple[float, float],
     trees: Stand | None,
 ) -> _Map:
-    """The map of a cascade, whose receivers are ``here``, at distances in ``range_m`` from the eye."""
+    """The map of a cascade, whose receivers are ``here``."""
     assert scene.light is not None
-    cascade = settings.cascades[number]
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
     texel = np.array(cascade.texel_m)
@@ -190,7 +188,6 @@ def _sun_map(
     while near + steps * step_m < high[2]:  # a block deeper than the plan foresaw keeps its depths, more coarsely
         step_m *= 2.0
         near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
-    eye = np.zeros(3) if isinstance(buffer.view, MapView) else buffer.view.in_frame(buffer.frame)[0]
     uniforms = {
         "lamp": False,
         "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
@@ -199,11 +196,10 @@ def _sun_map(
         "texel_m": tuple(texel),
         "error_m": error_m,
         "depth_step": 1.0 / steps,
-        "eye_frame_m": tuple(eye),
-        "range_m": range_m,
     }
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(here)
     reached = None if trees is None else trees_in_the_way(trees, rotation, translation, low, high)
-    return _Map(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, reached)
+    return _Map(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, reached, pixels)
 
 
 def _lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> _Map | None:
@@ -232,9 +228,9 @@ def _lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tre
         "near_far_m": (near, far),
         "error_m": _position_error_m(buffer, float(np.abs(position).max())),
         "depth_step": 1.0 / _steps(settings.depth_bits),
-        "range_m": (-1.0, FAR_M),
     }
-    return _Map(uniforms, (size, size), faces, settings.depth_bits, trees)
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
+    return _Map(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
 
 
 def _draw(
@@ -287,54 +283,76 @@ def _draw(
     return target
 
 
-class _Look:
-    """A buffer's points on the device, and their visibility, filled in map by map."""
-
-    def __init__(self, gl: Device, buffer: GeometryBuffer, settings: ShadowMapSettings | LampMapSettings) -> None:
+def _look_up(
+    gl: Device,
+    drawn: _Map,
+    target: Framebuffer,
+    buffer: GeometryBuffer,
+    settings: ShadowMapSettings | LampMapSettings,
+    visibility: np.ndarray,
+    record: PassRecord,
+) -> None:
+    """Fill in the visibility (rows, cols) of the points that are a map's."""
+    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/shadow_map.frag"))
+    set_uniforms(program, {
+        **drawn.uniforms, "map_size": drawn.size, "faces": len(drawn.faces), "taps": settings.filter,
+        "bias_scale": settings.bias_scale, "position_frame_m": 0, "normal_frame": 1, "depth_map": MAP_UNIT,
+    })  # fmt: skip
+    if "face_from_lamp" in program:
+        turns = [*drawn.faces, *([np.eye(3)] * (6 - len(drawn.faces)))]
+        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in turns]
+    arrays = [buffer.position_frame_m, np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)]
+    view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
+    if isinstance(view, MapView) and window is not None:
         rows, cols = buffer.there.shape
-        self._gl = gl
-        self._program = gl.program(shader("shadows/pixels.vert"), shader("shadows/shadow_map.frag"))
-        facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
-        arrays = [buffer.position_frame_m, facing]
-        nodes = {}
-        if buffer.surface is not None and isinstance(buffer.view, MapView):
-            view, window = buffer.view, buffer.surface
-            arrays.append(window.position_frame_m)
-            nodes = {
-                "node_frame_m": 2, "first_node": (view.col0 - window.col0, view.row0 - window.row0),
-                "node_step": (view.col_step, view.row_step),
-            }  # fmt: skip
-        if buffer.corners_frame_m is not None:
-            arrays.append(buffer.corners_frame_m.reshape(rows, cols * 3, 3))
-        set_uniforms(self._program, {
-            "position_frame_m": 0, "normal_frame": 1, "depth_map": MAP_UNIT, **nodes, "on_nodes": bool(nodes),
-            "has_corners": buffer.corners_frame_m is not None, "corner_frame_m": len(arrays) - 1, "taps": settings.filter,
-            "bias_scale": settings.bias_scale,
-        })  # fmt: skip
-        self._textures = [gl.texture(array) for array in arrays]
-        self._visible = gl.float_target(cols, rows)
-        self._visible.clear(1.0)
-        self._held = rows * cols * 4 + sum(texture.width * texture.height * texture.components * 4 for texture in self._textures)
+        first = (view.col0 - window.col0, view.row0 - window.row0)
+        nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step), "on_nodes": True}
+        set_uniforms(program, nodes)
+        arrays.append(window.position_frame_m)
+        if corners is not None:
+            arrays.append(corners.reshape(rows, cols * 3, 3))
+        set_uniforms(program, {"has_corners": corners is not None, "corner_frame_m": len(arrays) - 1})
+        visibility[:] = _drawn_pixels(gl, program, arrays, target, drawn, record)
+        return
+    assert corners is not None and drawn.pixels is not None
+    set_uniforms(program, {"on_nodes": False, "has_corners": True, "corner_frame_m": 2})
+    flat = [array.reshape(visibility.size, -1) for array in (*arrays, corners)]
+    own = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
+    split = int(np.searchsorted(drawn.pixels, own))
+    for chosen, taps in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], 1)):  # samples are averaged as it is
+        if len(chosen):
+            rows = -(-len(chosen) // LOOK_COLS)
+            some = [_rows_of(values, chosen, rows) for values in flat]
+            some[-1] = some[-1].reshape(rows, LOOK_COLS * 3, 3)
+            set_uniforms(program, {"taps": taps})
+            visibility.ravel()[chosen] = _drawn_pixels(gl, program, some, target, drawn, record).ravel()[: len(chosen)]
 
-    def fill_in(self, drawn: _Map, target, record: PassRecord) -> None:  # type: ignore[no-untyped-def]
-        """The visibility of the points that are a map's."""
-        set_uniforms(self._program, {**drawn.uniforms, "map_size": drawn.size, "faces": len(drawn.faces)})
-        if "face_from_lamp" in self._program:
-            turns = [*drawn.faces, *([np.eye(3)] * (6 - len(drawn.faces)))]
-            self._program["face_from_lamp"] = [tuple(face.T.ravel()) for face in turns]
-        for unit, texture in enumerate(self._textures):
-            texture.use(unit)
-        target.depth_attachment.use(MAP_UNIT)
-        self._gl.draw_pixels(self._program, self._visible)
-        record.draws += 1
-        record.bytes = max(record.bytes, drawn.nbytes + self._held)
 
-    def read(self, record: PassRecord) -> np.ndarray:
-        """The visibility (rows, cols) of all points."""
-        visibility = self._gl.read(self._visible)
-        for texture in self._textures:
-            texture.release()
-        return visibility
+def _drawn_pixels(
+    gl: Device, program: Program, arrays: list[np.ndarray], target: Framebuffer, drawn: _Map, record: PassRecord
+) -> np.ndarray:
+    """Run the look-up for points (rows, cols, 3), facings, and what else there is of them."""
+    rows, cols = arrays[0].shape[:2]
+    textures = [gl.texture(array) for array in arrays]
+    for unit, texture in enumerate(textures):
+        texture.use(unit)
+    target.depth_attachment.use(MAP_UNIT)
+    visible = gl.float_target(cols, rows)
+    gl.draw_pixels(program, visible)
+    found = gl.read(visible)
+    record.draws += 1
+    held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
+    record.bytes = max(record.bytes, drawn.nbytes + held + found.nbytes)
+    for texture in textures:
+        texture.release()
+    return found
+
+
+def _rows_of(values: np.ndarray, chosen: np.ndarray, rows: int) -> np.ndarray:
+    """Some of values (n, k) as float32 (rows, LOOK_COLS, k), filled up with zeros."""
+    out = np.zeros((rows * LOOK_COLS, values.shape[1]), np.float32)
+    out[: len(chosen)] = values[chosen]
+    return out.reshape(rows, LOOK_COLS, -1)
 
 
 @compiled

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.body import Body, Placed, moved, srgb_albedo, turn_about_up
-from terrain.buildings import bounds_text, buildings, ground_under
+from terrain.buildings import bounds_text, buildings
 from terrain.elevation import Elevation
 from terrain.errors import LevelError
 from terrain.level import LoadedLevel
@@ -41,16 +41,11 @@ class _Spot:
     earth_from_enu: np.ndarray
 
 
-def assemble(loaded: LoadedLevel, world: World, elevation: Elevation, seconds: float) -> Solids | None:
-    """The meshes of a level at a second of its clock; ``None`` if it has none.
+def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
+    """What a level's meshes are and where they stand, whatever its clock says.
 
     Raises ``LevelError`` for a key that does not fit or a place off the terrain, ``SourceError`` for a file that cannot be used.
     """
-    return solids(place(loaded, world, elevation), seconds) if loaded.level.meshes else None
-
-
-def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
-    """What stands where, whatever the clock says: the part of ``assemble`` that reads files. Raises as it does."""
     seen: list[Placed] = []
     casting: list[Placed] = []
     for number, spec in enumerate(loaded.level.meshes):
@@ -126,7 +121,7 @@ def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot]) -> list[Place
 def _spot(at: Point | None, where: str, world: World, elevation: Elevation) -> _Spot:
     """The ground at a place of a level, without one at the anchor. Raises ``LevelError`` off the terrain."""
     x, y = (world.anchor_x, world.anchor_y) if at is None else Place(world, elevation).xy(at)
-    height = float(ground_under(elevation, np.array([x]), np.array([y]))[0]) if np.isfinite([x, y]).all() else np.nan
+    height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
         raise LevelError(
             f"{where}.at", "nothing" if at is None else at, f"a place on the terrain: within {_extent(world, elevation)}"

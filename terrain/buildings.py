@@ -1,6 +1,7 @@
 """Buildings: footprints extruded to closed blocks with flat roofs.
 
-A roof lies level at the mean ground along the footprint's outline plus the building's height. Walls go down to
+A roof lies level at the mean ground along the footprint's outline plus the building's height; heights that are measured in a
+surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
 ``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block.
 "Level" is along the vertical at every corner: a long building follows the earth's curvature.
 """
@@ -8,6 +9,7 @@ A roof lies level at the mean ground along the footprint's outline plus the buil
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -41,13 +43,19 @@ USUAL_ATTRIBUTES = ("height_m", "height")
 """Attributes that heights are taken from where the level names none."""
 
 ROOF_PERCENTILE = 90.0
-"""Of surface minus ground in a footprint: below chimneys and overhanging crowns, above light wells and blurred eaves."""
+"""Of the surface in a footprint: below chimneys and overhanging crowns, above light wells and blurred eaves."""
+
+LEAST_MEASURED_M = 1.5
+"""Where a surface raster shows less above the ground there is no building: its noise, a terrace, one pulled down since."""
+
+LEAST_KNOWN = 0.5
+"""Share of a footprint that must have ground, or a surface, to stand on the terrain or to be measured."""
 
 SAMPLES_A_SIDE = 256
 """Most cells of a surface raster that are read along one side of a footprint."""
 
-BLOCK_CELLS = 1024
-"""Ground heights are read by blocks of this side, so that scattered buildings do not load a whole raster at once."""
+Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""From coordinates (x, y) in a CRS to those in another."""
 
 _POLYGON = 3  # shapely's type id
 
@@ -74,8 +82,9 @@ class _Blocks:
 def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[Placed]:
     """Closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
 
-    Heights are ``spec.height`` (metres, or an attribute's name), else ``spec.surface`` minus ``spec.ground``, else an attribute
-    ``height_m`` or ``height``. A footprint whose height is unknown or not above 0 is left out. ``where`` is the key's path.
+    Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else an
+    attribute ``height_m`` or ``height``. A footprint is left out whose height is unknown, not above 0, or measured and below
+    ``LEAST_MEASURED_M``, and one that has no ground under most of it. ``where`` is the key's path.
 
     Raises ``SourceError`` for a file that cannot be used, ``LevelError`` where nothing says how high buildings are.
     """
@@ -93,10 +102,12 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
     for i in np.flatnonzero(height > HIGHEST_M)[:1]:
         value = f"a height of {height[i]:.6g} m at feature {feature[i] + 1} of {len(features.geometry)}"
         raise SourceError(source, value, f"heights up to {HIGHEST_M:.0f} m")
-    tall = height > 0.0
+    tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
     if not tall.any():
-        origin = f"in the attribute '{attribute}'" if attribute else f"in {spec.surface} minus {spec.ground}"
-        raise SourceError(source, f"no footprint with a height above 0 {origin}", "heights in metres")
+        wanted = f"a height above 0 in the attribute '{attribute}'"
+        if spec.surface:
+            wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
+        raise SourceError(source, f"no footprint with {wanted}", "heights in metres")
     key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[tall]]
     mean_m, lowest_m = _ground_along(polygons[tall], elevation)
     standing = np.isfinite(mean_m)
@@ -107,25 +118,6 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         polygons[tall][standing], key[standing], (mean_m + height[tall])[standing], (lowest_m - FOOTING_M)[standing]
     )  # fmt: skip
     return _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color))
-
-
-def ground_under(elevation: Elevation, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Ground heights in metres, float64 (n,), at coordinates in the raster's CRS; NaN off it.
-
-    Holes are filled, as for casting: ground models often have them just where buildings stand.
-    """
-    if elevation.crs.is_geographic:
-        middle = float(elevation.xy(0, (elevation.cols - 1) / 2)[0])
-        x = x + 360.0 * np.rint((middle - x) / 360.0)
-    row, col = elevation.cell_of(x, y)
-    height = np.full(row.shape, np.nan)
-    near = np.flatnonzero(elevation.covers(x, y))
-    blocks = np.floor(np.column_stack([row[near], col[near]]) / BLOCK_CELLS).astype(np.int64)
-    _, block = np.unique(blocks, axis=0, return_inverse=True)
-    order = np.argsort(block.reshape(-1), kind="stable")
-    for some in np.split(near[order], np.flatnonzero(np.diff(block.reshape(-1)[order])) + 1):
-        height[some] = elevation.heights_at(0, row[None, some], col[None, some])[0][0]
-    return height
 
 
 def _attribute(spec: MeshSpec, where: str, source: str) -> str | None:
@@ -168,25 +160,33 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
 
 
 def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground: Elevation) -> np.ndarray:
-    """Height of each polygon: ``ROOF_PERCENTILE`` of surface minus ground over its cells, metres; NaN off the rasters.
-
-    Cells whose centres lie at least half a cell inside are taken, in narrow buildings all whose centres do, in tiny ones
-    the surface at a point inside.
+    """How far ``ROOF_PERCENTILE`` of the surface in each polygon lies above the mean ground along its outline, metres; NaN
+    where that is off the rasters.
     """
     with closing(surface), closing(ground):
-        to_surface, to_ground = _transform(crs, surface), _transform(surface.crs, ground)
-        heights = np.full(len(polygons), np.nan)
+        to_surface = _transform(crs, surface)
+        top = np.full(len(polygons), np.nan)
         for i, polygon in enumerate(polygons):
-            cells = shapely.transform(polygon, lambda xy: np.column_stack(surface.cell_of(*to_surface(*xy.T))))
-            if not np.isfinite(cells.bounds).all():
-                continue
-            row, col = _cells_inside(cells)
-            high, there = surface.heights_at(0, row[None], col[None])
-            low, _ = ground.heights_at(0, *ground.cell_of(*to_ground(*surface.xy(row[None], col[None]))))
-            above = np.where(there, high - low, np.nan)[np.isfinite(low) & there]
-            if above.size:
-                heights[i] = np.percentile(above, ROOF_PERCENTILE)
-    return heights
+            under = surface.ground_m(*_cells_under(polygon, surface, to_surface))
+            if np.isfinite(under).mean() >= LEAST_KNOWN:
+                top[i] = np.nanpercentile(under, ROOF_PERCENTILE)
+        outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
+        there = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
+        heights = np.full(len(polygons), np.nan)
+        heights[there] = top[there] - _ground_along(outlines[there], ground)[0]
+        return heights
+
+
+def _cells_under(polygon: shapely.Polygon, raster: Elevation, to_raster: Transform) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (n,) in a raster's CRS of the centres of cells that stand for a polygon, be they on the raster or beyond it.
+
+    Cells whose centres lie at least half a cell inside are taken, in narrow buildings all whose centres do, in tiny ones a
+    point inside. NaN where the polygon has no place in that CRS.
+    """
+    cells = shapely.transform(polygon, lambda x, y: raster.cell_of(*to_raster(x, y)), interleaved=False)
+    if not np.isfinite(cells.bounds).all():
+        return np.array([np.nan]), np.array([np.nan])
+    return raster.xy(*_cells_inside(cells))
 
 
 def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
@@ -202,27 +202,34 @@ def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
     return np.array([point.x]), np.array([point.y])
 
 
-def _transform(crs: CRS, raster: Elevation):  # type: ignore[no-untyped-def]
+def _transform(crs: CRS, raster: Elevation) -> Transform:
     """The function from coordinates in ``crs`` to the raster's. Raises ``SourceError`` if there is none."""
     if raster.crs == crs or (raster.crs.is_engineering and crs.is_engineering):
-        return lambda x, y: (x, y)
+        return _unmoved
     try:
         return transformer(crs, raster.crs).transform
     except ProjError:
         raise SourceError(raster.name, f"its CRS '{raster.crs.name}'", f"a CRS that '{crs.name}' can be transformed into") from None
 
 
+def _unmoved(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return x, y
+
+
 def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and lowest ground along each polygon's outer ring, metres; NaN where none of it lies on the terrain."""
+    """Mean and lowest ground along each polygon's outer ring, metres; the mean is NaN where most of the polygon has no ground."""
     corner, beside = elevation.xy(0, 0), elevation.xy(0, 1)
     cell = float(np.hypot(corner[0] - beside[0], corner[1] - beside[1]))
     outer = shapely.segmentize(shapely.get_exterior_ring(polygons), cell)
     xy, ring = shapely.get_coordinates(outer, return_index=True)
-    ground = ground_under(elevation, xy[:, 0], xy[:, 1])
+    ground = elevation.filled_ground_m(xy[:, 0], xy[:, 1])
     middle, length = (ground[1:] + ground[:-1]) / 2, np.hypot(*np.diff(xy, axis=0).T)
     known = (ring[1:] == ring[:-1]) & np.isfinite(middle)
     total, whole = (np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length))
     mean = np.divide(total, whole, out=np.full(len(polygons), np.nan), where=whole > 0)
+    for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # only there the outline leaves the ground
+        if np.isfinite(elevation.filled_ground_m(*_cells_under(polygons[i], elevation, _unmoved))).mean() < LEAST_KNOWN:
+            mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 
 

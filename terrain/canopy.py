@@ -21,7 +21,7 @@ from rasterio.windows import Window
 from scipy.spatial import cKDTree
 
 from terrain.compiled import compiled
-from terrain.elevation import _UNIT_WORDS
+from terrain.elevation import UNIT_WORDS
 from terrain.errors import SourceError
 from terrain.level_parts import METRES_PER_UNIT
 from terrain.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
@@ -92,7 +92,7 @@ class Canopy:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         if dataset.transform.determinant == 0:
             raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
-        unit = METRES_PER_UNIT[_UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
+        unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
         self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
         self.rows, self.cols = dataset.height, dataset.width
 

@@ -52,11 +52,11 @@ class Band(BaseModel):
 class Descriptor(BaseModel):
     """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
 
-    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent), ``casters`` the kinds
-    there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the largest extent of a block's receivers
-    in light space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows
-    under the sun, by distance. ``highest_sun_deg`` is the sun's largest
-    altitude anywhere over the level.
+    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its
+    tangent), ``casters`` the kinds there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the
+    largest extent of a block's receivers in light space: right, up and along the light, metres; ``None`` without a sun.
+    ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude
+    anywhere over the level.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -43,12 +43,16 @@ EXACT_HIGH_CELLS = 32_000_000
 """Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
 cells and not from overviews that somebody else made."""
 
+BLOCK_CELLS = 1024
+"""Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
+
 _NEIGHBOURHOOD = ((maximum_filter, -np.inf), (minimum_filter, np.inf))
 
-_UNIT_WORDS: dict[str, Units] = {
+UNIT_WORDS: dict[str, Units] = {
     "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "ft": "ft", "foot": "ft", "feet": "ft",
     "us-ft": "us-ft", "us survey foot": "us-ft", "ussurveyfoot": "us-ft", "ft-us": "us-ft",
 }  # fmt: skip
+"""What files call their units, in lower case."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,22 +157,43 @@ class Elevation:
 
     def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Whether coordinates in the raster's CRS lie on it (longitudes taken round the earth)."""
-        if self.crs.is_geographic:
-            middle = float(self.xy(0, (self.cols - 1) / 2)[0])
-            x = np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
-        row, col = self.cell_of(x, y)
+        row, col = self.cell_of(self._round_earth(x), y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
         return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
     def ground_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface."""
+        """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
+
+        Longitudes are taken round the earth. Cells are read by blocks of ``BLOCK_CELLS`` a side.
+        """
+        height, there = self._at_points(x, y)
+        return np.where(there, height, np.nan)
+
+    def filled_ground_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """As ``ground_m``, with holes filled as for casting; NaN off the raster and where nothing is near.
+
+        What stands on the ground takes this: ground models often have holes just where buildings are.
+        """
+        return self._at_points(x, y)[0]
+
+    def _round_earth(self, x: np.ndarray) -> np.ndarray:
+        """Longitudes moved by whole turns to those nearest to the raster's middle; other coordinates as they are."""
+        if not self.crs.is_geographic:
+            return x
+        middle = float(self.xy(0, (self.cols - 1) / 2)[0])
+        return np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
+
+    def _at_points(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights in metres (float64, holes filled, NaN where there are none) at coordinates, and where there is a surface."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-        if self.crs.is_geographic:
-            middle = float(self.xy(0, (self.cols - 1) / 2)[0])
-            x = x + 360.0 * np.rint((middle - x) / 360.0)
-        row, col = self.cell_of(x, y)
-        height, there = self.heights_at(0, row.reshape(-1, 1), col.reshape(-1, 1))
-        return np.where(there, height, np.nan).reshape(x.shape).astype(np.float64)
+        height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
+        on = np.flatnonzero(self.covers(x, y))
+        row, col = self.cell_of(self._round_earth(x.ravel()[on]), y.ravel()[on])
+        block = np.floor(row / BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / BLOCK_CELLS).astype(np.int64)
+        order = np.argsort(block, kind="stable")
+        for some in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+            height[on[some]], there[on[some]] = (v[0] for v in self.heights_at(0, row[None, some], col[None, some]))
+        return height.reshape(x.shape), there.reshape(x.shape)
 
     def cell_size_m(self, metres_per_unit: float) -> float:
         """Side of a cell on the ground at the raster's middle, metres: the root of its area."""
@@ -279,8 +304,8 @@ class Elevation:
 
     def _own_units(self) -> Units | None:
         word = (self._dataset.units[0] or "").strip().lower()
-        if word in _UNIT_WORDS:
-            return _UNIT_WORDS[word]
+        if word in UNIT_WORDS:
+            return UNIT_WORDS[word]
         axes = self.crs.axis_info
         if len(axes) == 3:
             return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))  # type: ignore[return-value]

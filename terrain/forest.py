@@ -51,7 +51,6 @@ FARTHEST_M = 5e6
 """Terrain that reaches farther than this from the anchor has no outline in the level's equal-area map."""
 
 _HEIGHT, _CROWN, _SPECIES, _LOOK, _TURN, _SPREAD = range(6)  # streams of shares
-_BLOCK = 1024  # cells a side whose heights are read at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +228,7 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
     on = site.elevation.covers(x, y)
     if len(on) and not on.any():
         raise _outside(where, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.places.x, stems.places.y]))), site)
-    ground_m = np.full(len(x), np.nan)
-    ground_m[on] = _ground_m(site.elevation, x[on], y[on])
+    ground_m = site.elevation.ground_m(x, y)
     there = np.isfinite(ground_m)
     stems, x, y, ground_m = stems[there], x[there], y[there], ground_m[there]
     key = stems.places.key
@@ -249,17 +247,6 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         look=look,
         rank=np.zeros(len(key), np.float32),  # given to all stands together
     )
-
-
-def _ground_m(elevation: Elevation, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Heights (n,) of the ground, NaN where there is none, read block by block so that no window is large."""
-    row, col = elevation.cell_of(x, y)
-    block = (row // _BLOCK).astype(np.int64) * 1_000_000 + (col // _BLOCK).astype(np.int64)
-    order = np.argsort(block, kind="stable")
-    out = np.full(len(x), np.nan)
-    for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
-        out[rows] = elevation.ground_m(x[rows], y[rows])
-    return out
 
 
 def _looks(key: np.ndarray, species: Species) -> np.ndarray:

@@ -55,6 +55,8 @@ class GeometryBuffer:
         there is nothing else.
     albedo
         float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
+    samples_from
+        Rows from here on are further samples of pixels (``terrain.antialias``), which are averaged.
     stand, solids_frame_m
         The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
     """
@@ -75,6 +77,7 @@ class GeometryBuffer:
     albedo: np.ndarray | None = None
     stand: Stand | None = None
     solids_frame_m: np.ndarray | None = None
+    samples_from: int | None = None
 
 
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:

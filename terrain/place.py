@@ -34,7 +34,7 @@ class Place:
         Raises ``LevelError``, naming ``where``, off the ground's data.
         """
         x, y = self.xy(position[:2])
-        ground_m = float(self.elevation.ground_m(np.float64(x), np.float64(y))) if np.isfinite([x, y]).all() else np.nan
+        ground_m = float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
         if not np.isfinite(ground_m):
             raise LevelError(where, position, "a place on the ground's data")
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from pyproj import CRS
 
-from terrain.assemble import assemble
+from terrain.assemble import Placement, place, solids
 from terrain.elevation import Elevation
 from terrain.facets import creases, face_normals
 from terrain.forest import plant
@@ -31,11 +31,11 @@ class Population:
     seconds: float = 0.0
 
     def at_second(self, seconds: float) -> Population:
-        """The population at another second; what does not move is not read again."""
+        """The population at another second; what the clock does not change is shared, so that no file is read again."""
         if seconds == self.seconds or not any(mesh.motion for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, seconds=seconds)
-        other.__dict__["trees"] = self.trees
+        other.__dict__.update({name: getattr(self, name) for name in ("trees", "placement", "solid_crease")})
         return other
 
     @cached_property
@@ -45,19 +45,26 @@ class Population:
         return trees if trees is not None and len(trees.rank) else None
 
     @cached_property
+    def placement(self) -> Placement | None:
+        """What meshes stand where, whatever the clock says, if there are any."""
+        return place(self.loaded, self.world, self.elevation) if self.loaded.level.meshes else None
+
+    @cached_property
     def solids(self) -> Solids | None:
         """The meshes, if there are any."""
-        solids = assemble(self.loaded, self.world, self.elevation, self.seconds) if self.loaded.level.meshes else None
-        return solids if solids is not None and len(solids.triangles) else None
+        placed = None if self.placement is None else solids(self.placement, self.seconds)
+        return placed if placed is not None and len(placed.triangles) else None
 
     @cached_property
     def solid_crease(self) -> np.ndarray:
-        """For each triangle of the meshes how much the facets round it bend (float32, as ``GroundMesh.crease``), edges left out."""
-        solids = self.solids
-        if solids is None:
+        """For each triangle of the meshes how much the facets round it bend (float32, as ``GroundMesh.crease``), edges left out.
+
+        The same at every second, since bodies are rigid and share no vertices.
+        """
+        if self.solids is None:
             return np.zeros(0, np.float32)
-        faces = face_normals(solids.vertices_earth_m, solids.triangles)
-        return creases(faces, solids.triangles, len(solids.vertices_earth_m), EDGE)
+        vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
+        return creases(face_normals(vertices, triangles), triangles, len(vertices), EDGE)
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:
@@ -89,7 +96,7 @@ class Population:
         if self.solids is None:
             return tree_m
         at = self.solids_on(self.elevation.crs)
-        above = at[:, 2] - self.elevation.ground_m(at[:, 0], at[:, 1])
+        above = at[:, 2] - self.elevation.filled_ground_m(at[:, 0], at[:, 1])
         return max(tree_m, float(np.nanmax(above, initial=0.0)))
 
 

@@ -76,8 +76,9 @@ NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
     """The ground outside a block that can shade it, and the reach. In perspective all ground is in the buffer already."""
+    towards_lamps = _lamp_patches(scene, buffer) if isinstance(buffer.view, MapView) and buffer.there.any() else ()
     if scene.light is None or not scene.sun_is_up or not buffer.there.any():
-        return NO_CASTERS
+        return Casters(towards_lamps, NO_CASTERS.reach)
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
     light, slack = _overview_in_light(scene)  # a cell's ground lies within its own width of its centre
     can = (
@@ -86,6 +87,7 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
     )  # fmt: skip
     if isinstance(buffer.view, MapView):
         patches, known_m = _patches(scene, buffer, can)
+        patches = tuple(dict.fromkeys((*patches, *towards_lamps)))
     else:
         patches, known_m = (), _towards_m(scene, buffer, can)
     made = scene.loaded.level.terrain.source is None  # a made ground ends where it ends: nothing is unknown beyond
@@ -93,6 +95,29 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
     if limit_m >= unknown_m:
         return Casters(patches, Reach(known_m, known_m, False))
     return Casters(patches, Reach(limit_m, unknown_m, True))
+
+
+def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
+    """The ground between a block and the level's lamps, on the block's own grid up to ``FULL_DETAIL_NODES`` from it."""
+    own, grid = buffer.surface, buffer.view.grid  # type: ignore[union-attr]
+    assert own is not None
+    rows, cols = own.height_m.shape
+    found: dict[Patch, None] = {}
+    for lamp in scene.lamps.values():
+        x, y, _ = scene.world.map_position(grid.crs, lamp.position_earth_m)
+        row, col = (grid.y0 - float(y)) / grid.step, (float(x) - grid.x0) / grid.step
+        if not np.isfinite(row + col):
+            continue
+        ends = []
+        for at, first, count in ((row, own.row0, rows), (col, own.col0, cols)):
+            low = max(min(at, first), first - FULL_DETAIL_NODES)
+            high = min(max(at, first + count - 1), first + count + FULL_DETAIL_NODES)
+            ends.append(range(int(np.floor(low / PATCH_QUADS)), int(np.floor(high / PATCH_QUADS)) + 1))
+        for r in ends[0]:
+            for c in ends[1]:
+                if not _inside(r * PATCH_QUADS, c * PATCH_QUADS, PATCH_QUADS, own.row0, own.col0, rows, cols):
+                    found[Patch(0, r, c)] = None
+    return tuple(found)
 
 
 def _towards_m(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> float:

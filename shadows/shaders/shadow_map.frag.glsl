@@ -7,8 +7,6 @@ uniform sampler2D depth_map;
 uniform bool on_nodes;               // whether there is a map's ground
 uniform bool has_corners;
 uniform bool lamp;
-uniform vec3 eye_frame_m;
-uniform vec2 range_m;                // distances from the eye that the map is for
 uniform mat3 light_from_frame;
 uniform vec3 light_offset_m;
 uniform vec3 window_m;               // the sun's map
@@ -83,8 +81,7 @@ vec3 in_light(vec3 frame_m) { return light_from_frame * frame_m + light_offset_m
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec3 seen = texelFetch(position_frame_m, pixel, 0).xyz;
-    float away_m = distance(seen, eye_frame_m);
-    if (!(away_m > range_m.x && away_m <= range_m.y)) discard;  // no surface, or another cascade's
+    if (seen.x != seen.x) { visibility = 1.0; return; }  // no surface
     vec3 point = in_light(seen);
     vec4 facing = texelFetch(normal_frame, pixel, 0);
     vec3 normal = light_from_frame * facing.xyz;

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from pyproj import CRS
 
-from terrain.assemble import assemble, place, solids
+from terrain.assemble import place, solids
 from terrain.body import srgb_albedo
 from terrain.errors import LevelError, SourceError
 from terrain.level import load_level
@@ -42,7 +42,7 @@ def degrees_of(x: float, y: float) -> tuple[float, float]:
 
 
 def assembled(scene, seconds: float = 0.0):
-    return assemble(scene.loaded, scene.world, scene.elevation, seconds)
+    return solids(place(scene.loaded, scene.world, scene.elevation), seconds)
 
 
 @pytest.fixture
@@ -52,7 +52,9 @@ def hill(write_raster) -> Path:
 
 
 def test_a_level_without_meshes_has_no_solids(scene_of):
-    assert assembled(scene_of(FLOOR)) is None
+    scene = scene_of(FLOOR)
+    assert scene.population.solids is None and not len(assembled(scene).triangles)
+    assert not scene.population.solid_crease.size and scene.population.tallest_m == 0
 
 
 def test_a_model_stands_at_its_place_turned_and_scaled(scene_of):
@@ -82,8 +84,25 @@ def test_a_spinning_model_turns_about_its_own_up_axis_by_the_clock(scene_of):
     np.testing.assert_allclose(later.vertices_earth_m - (20, 10, 0), arm @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-9)
     np.testing.assert_allclose(round_once.vertices_earth_m, still.vertices_earth_m, atol=1e-9)
     assert still.moving
-    placement = place(scene.loaded, scene.world, scene.elevation)
-    np.testing.assert_array_equal(solids(placement, 3.0).vertices_earth_m, later.vertices_earth_m)
+
+
+def test_another_second_reads_no_file_again(scene_of, monkeypatch):
+    scene = scene_of(FLOOR, {"source": "arrow.ply", "at": [20, 10], "motion": {"spin": 30}}, {"source": "ball.ply"})
+    at_rest = scene.population
+    later = scene.at_second(3.0).population
+    assert at_rest.at_second(0.0) is at_rest and later.placement is at_rest.placement
+    monkeypatch.setattr("terrain.population.place", None)
+    np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
+    assert abs(later.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
+    # Arrow: edges alone; ball: facets some degrees apart.
+    assert later.solid_crease is at_rest.solid_crease and (at_rest.solid_crease[:12] == 0).all()
+    assert 0.1 < at_rest.solid_crease[12:].min() and at_rest.solid_crease.max() < 0.5
+
+
+def test_meshes_without_motion_know_no_clock(scene_of):
+    population = scene_of(FLOOR, {"source": "ball.ply", "scale": 4}).population
+    assert population.at_second(9.0) is population
+    assert population.tallest_m == pytest.approx(8.0)
 
 
 def test_several_places_are_several_bodies(scene_of):
@@ -139,6 +158,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
     scene = scene_of({"source": str(dem)}, {"source": "ball.ply"})
     height = scene.world.map_position(scene.elevation.crs, assembled(scene).vertices_earth_m)[2]
     assert height.min() == pytest.approx(80.0, abs=1e-3)
+    assert scene.population.tallest_m == pytest.approx(2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from terrain.assemble import assemble, place
+from terrain.assemble import place, solids
 from terrain.body import Body, box, cylinder, merged, moved, srgb_albedo
 from terrain.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.errors import LevelError, SourceError
@@ -218,10 +218,21 @@ def test_heights_unknown_or_not_above_zero_leave_footprints_out(tmp_path, level_
     assert len(bodies) == 1
 
 
-def test_footprints_off_the_terrain_are_left_out(tmp_path, level_ground):
-    source = written(tmp_path / "b.gpkg", [SQUARE, affinity.translate(SQUARE, 5000, 0)])
-    bodies, *_ = placed(tmp_path, level_ground, source=source, height=4)
-    assert len(bodies) == 1
+def test_footprints_off_the_terrain_and_mostly_off_it_are_left_out(tmp_path, write_raster):
+    ground = write_raster(np.full((80, 80), 50.0, np.float32), UTM, 500000, 5000400, 5)
+    shifts = (0, -107, -113, -130, 5000)  # wholly on the ground, by 13 m of 20, by 7 m, not at all
+    source = written(tmp_path / "b.gpkg", [affinity.translate(SQUARE, dx, 0) for dx in shifts])
+    bodies, world, elevation = placed(tmp_path, ground, source=source, height=4)
+    assert len(bodies) == 2
+    assert all(heights(body, world, elevation).max() == pytest.approx(54.0, abs=1e-3) for body in bodies)
+
+
+def test_a_hole_in_the_ground_under_a_building_is_ground(tmp_path, write_raster):
+    values = np.full((80, 80), 50.0, np.float32)
+    values[50:70, 15:30] = np.nan  # SQUARE and more
+    ground = write_raster(values, UTM, 500000, 5000400, 5)
+    bodies, world, elevation = placed(tmp_path, ground, source=written(tmp_path / "b.gpkg", [SQUARE]), height=4)
+    assert heights(bodies[0], world, elevation).max() == pytest.approx(54.0, abs=1e-3)
 
 
 def test_heights_by_surface_minus_ground_in_feet_and_another_crs(tmp_path, level_ground, write_raster):
@@ -242,6 +253,41 @@ def test_heights_by_surface_minus_ground_in_feet_and_another_crs(tmp_path, level
         assert heights(body, world, elevation).max() == pytest.approx(60.0, abs=0.02)
 
 
+@pytest.fixture
+def terraced(write_raster):
+    """Cells of 1 m: ground that rises 0.2 m per metre east, and a surface with a level roof at 31 m over its downhill half."""
+    x, y = np.meshgrid(500000.5 + np.arange(400), 5000399.5 - np.arange(400))
+    ground = 0.2 * (x - 500000.5)
+    surface = np.where(shapely.contains_xy(SQUARE, x, y) & (x < 500113), 31.0, ground)
+    return {
+        name: str(write_raster(values.astype(np.float32), UTM, 500000, 5000400, 1, name=f"{name}.tif"))
+        for name, values in (("ground", ground), ("surface", surface))
+    }
+
+
+def test_a_measured_roof_lies_where_the_surface_does_on_a_slope(tmp_path, terraced, slope):
+    """Downhill the roof is 10 m above the ground, uphill less: a height above each cell's own ground would lift it."""
+    source = written(tmp_path / "b.gpkg", [SQUARE])
+    (body,), world, elevation = placed(tmp_path, terraced["ground"], source=source, **terraced)
+    assert heights(body, world, elevation).max() == pytest.approx(31.0, abs=0.01)
+    # Over another ground it keeps its height above the mean: 31 m - 0.2 * (110 m - 0.5 m); this one is 0.9 m lower.
+    (body,), world, elevation = placed(tmp_path, slope, source=source, **terraced)
+    assert heights(body, world, elevation).max() == pytest.approx(31.0 - 0.9, abs=0.01)
+
+
+def test_slabs_and_footprints_hardly_on_the_surface_are_no_buildings(tmp_path, level_ground, write_raster):
+    row = [affinity.translate(SQUARE, 30 * k, 0) for k in range(4)]  # 500100 ... 500210
+    x, y = np.meshgrid(500000.5 + np.arange(198), 5000399.5 - np.arange(400))
+    top = np.full(x.shape, 50.0)
+    for footprint, height in zip(row, (8.0, 1.4, 1.6, 8.0), strict=True):
+        top[shapely.contains_xy(footprint, x, y)] += height
+    surface = write_raster(top.astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")  # ends in the last, at 500198
+    source = written(tmp_path / "b.gpkg", row, low=[1.0] * 4)
+    bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(level_ground))
+    assert [heights(body, world, elevation).max() for body in bodies] == pytest.approx([58.0, 51.6], abs=0.01)
+    assert len(placed(tmp_path, level_ground, source=source, height="low")[0]) == 4, "a stated height is taken as it is"
+
+
 def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_data):
     folder = shared_data / "urban" / "goteborg_1m"
     bodies, world, elevation = placed(
@@ -256,9 +302,9 @@ def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_d
 def test_a_flat_world(tmp_path):
     source = written(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
     loaded, world, elevation = world_of(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
-    solids = assemble(loaded, world, elevation, 0.0)
-    np.testing.assert_allclose(solids.vertices_earth_m.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
-    np.testing.assert_allclose(solids.vertices_earth_m.max(axis=0), [10, 5, 6], atol=1e-9)
+    vertices = solids(place(loaded, world, elevation), 0.0).vertices_earth_m
+    np.testing.assert_allclose(vertices.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
+    np.testing.assert_allclose(vertices.max(axis=0), [10, 5, 6], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -272,7 +318,7 @@ def test_a_flat_world(tmp_path):
         ({"height": 5, "surface": "dem.tif", "ground": "dem.tif"}, LevelError, ["meshes.0.height", "either height, or surface"]),
         ({"height": 5, "at": [15, 45]}, LevelError, ["meshes.0.at", "footprints"]),
         ({"height": 5, "motion": {"spin": 3}}, LevelError, ["meshes.0.motion", "footprints"]),
-        ({"surface": "dem.tif", "ground": "dem.tif"}, SourceError, ["b.gpkg", "no footprint with a height above 0", "dem.tif"]),
+        ({"surface": "dem.tif", "ground": "dem.tif"}, SourceError, ["b.gpkg", "no footprint with 1.5 m of", "dem.tif above"]),
         ({"surface": "none.tif", "ground": "dem.tif"}, SourceError, ["none.tif"]),
     ],
 )

@@ -16,6 +16,7 @@ from tests.conftest import ENGINEERING
 UP = np.array([0.0, 0.0, 1.0])
 FLAT = World(CRS.from_user_input(ENGINEERING), True, 0.0, 0.0)
 
+points = st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array)
 sizes = st.integers(1, 40)
 offsets = st.integers(-50, 50)
 views = st.builds(
@@ -79,7 +80,9 @@ def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
     assert (fine.row0 - fine.step / 2, fine.col0 - fine.step / 2) == pytest.approx((view.row0 - 0.5, view.col0 - 0.5))
     part = view.part(1, 2, 3, 4).finer(side)
     np.testing.assert_allclose(
-        rays(part), rays(view.finer(side).part(side, 2 * side, 3 * side, 4 * side)), atol=1e-12 * max(scale, np.abs(rays(part)).max())
+        rays(part),
+        rays(view.finer(side).part(side, 2 * side, 3 * side, 4 * side)),
+        atol=1e-12 * max(scale, np.abs(rays(part)).max()),
     )
 
 
@@ -95,7 +98,9 @@ def test_the_field_of_view_is_the_vertical_one(fov, rows, cols):
 
 
 @given(
-    st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array), st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array), st.floats(1.0, 120.0)
+    st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array),
+    st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array),
+    st.floats(1.0, 120.0),
 )
 def test_the_camera_is_upright_and_looks_at_its_target(eye, target, fov):
     """The picture's middle shows the target, its rows are level, and what is above lies towards its top."""

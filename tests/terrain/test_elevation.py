@@ -8,6 +8,7 @@ import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from terrain import elevation as module
 from terrain.elevation import FILL_CELLS, Elevation
 from terrain.errors import SourceError
 from tests.conftest import ENGINEERING
@@ -120,6 +121,42 @@ def test_the_overview_knows_the_highest_cell(write_raster):
     values[777, 555] = 3000.0
     elevation = Elevation(str(write_raster(values, UTM, 0, 11000, 10)))
     assert elevation.overview.level == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
+
+
+def test_heights_at_points_are_the_bilinear_ones_and_nan_off_the_surface(write_raster):
+    values = np.tile(np.arange(40, dtype=np.float32) * 10, (40, 1))
+    values[15:25, 15:25] = np.nan
+    elevation = Elevation(str(write_raster(values, UTM, 1000, 400, 10)))
+    x, y = np.array([[1005.0, 1047.5], [1200.0, 900.0], [np.nan, 1399.9]]), np.array([[395.0, 5.0], [200.0, 5.0], [5.0, 0.1]])
+    ground_m, filled_m = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
+    np.testing.assert_allclose(ground_m, [[0.0, 42.5], [np.nan, np.nan], [np.nan, 390.0]], atol=1e-4)
+    assert ground_m.dtype == filled_m.dtype == np.float64
+    assert 140 < filled_m[1, 0] < 250, "a hole between 140 m and 250 m"
+    np.testing.assert_array_equal(np.delete(filled_m.ravel(), 2), np.delete(ground_m.ravel(), 2))
+    assert elevation.ground_m(np.float64(1005), np.float64(395)).shape == () and elevation.ground_m([], []).shape == (0,)
+
+
+@pytest.mark.parametrize("crs", [UTM, "EPSG:4326"])
+def test_heights_at_points_are_the_same_whatever_the_blocks(write_raster, monkeypatch, crs):
+    """In degrees the points go round the earth, the raster half as far."""
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(90, 180)).astype(np.float32)
+    values[30:50, 60:100] = np.nan
+    elevation = Elevation(str(write_raster(values, crs, -180, 45, 1.0)))
+    x, y = rng.uniform(-190, 350, 500), rng.uniform(-46, 46, 500)
+    whole = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
+    assert np.isnan(whole[0]).sum() > np.isnan(whole[1]).sum() > 0
+    monkeypatch.setattr(module, "BLOCK_CELLS", 7)
+    np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), whole)
+
+
+def test_two_points_far_apart_do_not_load_what_lies_between(write_raster, monkeypatch):
+    elevation = Elevation(str(write_raster(np.ones((3000, 3000), np.float32), UTM, 0, 30000, 10, tiled=True)))
+    read = []
+    inside = elevation._read_inside
+    monkeypatch.setattr(elevation, "_read_inside", lambda *window: read.append(inside(*window)) or read[-1])
+    np.testing.assert_array_equal(elevation.ground_m([5.0, 29995.0], [29995.0, 5.0]), 1.0)
+    assert sum(window.size for window in read) < 100
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 3))

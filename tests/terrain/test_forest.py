@@ -140,13 +140,6 @@ def test_trees_stand_on_the_ground(hill, vectors, make_scene):
     np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
 
 
-def test_the_ground_is_read_the_same_in_blocks(hill, vectors, make_scene, monkeypatch):
-    scene = make_scene(hill, forest=[{"source": vectors([shapely.box(0, 0, 2000, 2000)]), "density": 20}])
-    whole = planted(scene)
-    monkeypatch.setattr(module, "_BLOCK", 13)
-    np.testing.assert_array_equal(planted(scene).base_earth_m, whole.base_earth_m)
-
-
 def test_a_tree_is_the_same_whatever_else_is_in_the_file(hill, vectors, make_scene):
     whole, west, east = shapely.box(200, 300, 1700, 900), shapely.box(200, 300, 950, 900), shapely.box(950, 300, 1700, 900)
     far = shapely.box(1000, 1500, 1200, 1600)

@@ -21,8 +21,8 @@ from terrain.level import load_level
 from terrain.scene import Scene, build_scene
 
 CITY = "urban/goteborg_1m"
-ROOF_M, SLOPE_M = 0.5, 3.0
-"""How far level roofs lie from the high parts of the surface in their footprints: most of them, and all, even on a hillside."""
+ROOF_M = 0.2
+"""How far level roofs lie from the high parts of the surface in their footprints, even on a hillside."""
 
 SCENES: dict[str, Scene] = {}
 """Scenes made so far: a city's canopy takes seconds to plant."""
@@ -120,7 +120,7 @@ def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(s
     footprints = shapely.from_wkb(pyogrio.raw.read(shared_data / town.footprints)[2])
     extent = shapely.box(*scene.elevation.bounds)
     whole, touching = shapely.contains_properly(extent, footprints).sum(), shapely.intersects(extent, footprints).sum()
-    assert whole <= len(solids.closed) <= touching < len(footprints)
+    assert 0.9 * whole <= len(solids.closed) < touching < len(footprints), "without slabs and those mostly beyond the border"
 
     rows, cols = np.indices(ground_m.shape)
     x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
@@ -135,8 +135,7 @@ def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(s
         assert corners[:, 2].min() < ground_m[inside].min() + 0.1, "walls reach down to the ground"
         off.append(corners[:, 2].max() - np.percentile(surface_m[inside], 90))
     assert len(off) >= 15
-    assert np.median(np.abs(off)) < ROOF_M
-    assert np.max(np.abs(off)) < SLOPE_M
+    assert np.max(np.abs(off)) < ROOF_M
 
 
 def test_the_wooded_valley_has_a_village_and_no_tree_in_a_house():

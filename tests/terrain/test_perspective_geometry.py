@@ -1,0 +1,312 @@
+"""Perspective views: every pixel's point is where its ray meets what it shows, from a hand's breadth to the edge of space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from pyproj import Transformer
+
+from api.layers import layer_of
+from shadows.render import render_frame
+from terrain.camera import PerspectiveView
+from terrain.errors import InputError
+from terrain.geometry import GeometryBuffer
+from terrain.picture import Visible, buffer_of, geometry_of
+from terrain.rays import RayScene
+from terrain.resolve import MESHES, RELIEF
+from terrain.scene import Scene
+from terrain.shading import SKY_HORIZON, SKY_ZENITH, encoded
+from tests.conftest import ENGINEERING
+from tests.render import plan_of, render
+
+FLOOR_M = 200.0
+"""The floor's nodes reach so far from the middle."""
+
+RASTER_PX = 0.1
+"""How far beside its ray a pixel may show a triangle: rasterisers snap corners to a grid of 1/256 pixel, and those of a triangle
+that reaches behind the eye are found in float32."""
+
+UTM = "EPSG:32633"
+X0, Y0 = 400_000.0, 6_400_000.0
+
+
+@pytest.fixture
+def floor(write_raster) -> Path:
+    return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
+
+
+@pytest.fixture
+def hills(write_raster) -> Path:
+    """Rolling ground of about 120 m of relief over 3.2 km, 57.7 degrees north and off the zone's meridian."""
+    y, x = np.mgrid[0:65, 0:65] / 64.0
+    heights = 300 + 40 * np.sin(9 * x + 2 * y) + 30 * np.cos(7 * y - 3 * x) + 8 * np.sin(31 * x) * np.sin(27 * y)
+    return write_raster(heights.astype(np.float32), UTM, X0, Y0, 50.0)
+
+
+def eye_view(eye, target, size=(64, 48), fov=50.0) -> dict:
+    return {"eye": {"kind": "perspective", "eye": list(eye), "target": list(target), "fov": fov, "size": list(size)}}
+
+
+def at(east_m: float, north_m: float) -> tuple[float, float]:
+    """Longitude and latitude of a place counted from the corner of the hills, 3 km south of their north-west one."""
+    lon, lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(X0 + east_m, Y0 - 3000 + north_m)
+    return float(lon), float(lat)
+
+
+def rays_in_frame(view: PerspectiveView, buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
+    """The eye (3,) and the pixels' rays (rows, cols, 3) of depth 1 in a buffer's frame."""
+    x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
+    y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
+    x, y = np.meshgrid(x, y)
+    eye, camera_from_frame = view.in_frame(buffer.frame)
+    return eye, np.stack([x, y, np.ones_like(x)], axis=-1) @ camera_from_frame
+
+
+def off_px(view: PerspectiveView, point: np.ndarray, eye: np.ndarray, ray: np.ndarray) -> np.ndarray:
+    """How far points (n, 3) lie beside their pixels' rays, in pixels."""
+    way = point - eye
+    across = np.linalg.norm(np.cross(way, ray), axis=-1) / np.linalg.norm(ray, axis=-1)
+    return across / np.linalg.norm(way, axis=-1) / view.pixel
+
+
+def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
+    """What is there is the floor, its points where the rays meet height 0; what the rays miss is not there."""
+    buffer = geometry_of(scene, view)
+    eye, ray = rays_in_frame(view, buffer)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(ray[..., 2] < 0.0, -eye[2] / ray[..., 2], np.nan)
+    meeting = eye + t[..., None] * ray
+    beyond = np.abs(meeting[..., :2] + buffer.frame.origin_earth_m[:2]).max(axis=-1) - FLOOR_M
+    pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel
+    slanted_m = 2.0 * pixel_m / np.maximum(np.abs(ray[..., 2]) / np.linalg.norm(ray, axis=-1), 1e-9)
+    assert (buffer.there == (beyond < 0.0))[~(np.abs(beyond) < slanted_m)].all()
+    there = buffer.there & (beyond < 0.0)
+    assert there.any()
+    found = buffer.position_frame_m[there]
+    apart = np.linalg.norm(found - meeting[there], axis=-1) / np.linalg.norm(meeting[there] - eye, axis=-1)
+    # A pixel beside a triangle's edge may be given the neighbour, whose edge is then the nearest that it can show.
+    exact = apart < 1e-6
+    off = off_px(view, found, eye, ray[there])
+    assert exact.mean() > 0.97 and off.max() < RASTER_PX and np.abs(found[:, 2]).max() < 1e-9
+    assert (buffer.kind[buffer.there] == RELIEF).all() and (buffer.height_m[buffer.there] == 0.0).all()
+    for normal in (buffer.normal_frame, buffer.shading_normal_frame):
+        np.testing.assert_allclose(normal[buffer.there], np.tile([0, 0, 1], (buffer.there.sum(), 1)), atol=1e-6)
+    assert np.isnan(buffer.position_frame_m[~buffer.there]).all() and np.isnan(buffer.height_m[~buffer.there]).all()
+    return buffer
+
+
+VIEWS = {
+    "slanting": dict(eye=(0, -150, 20), target=(0, 50, 0)),
+    "straight down": dict(eye=(10, 20, 300), target=(10, 20, 0), fov=40.0),
+    "a hand above the ground": dict(eye=(0, 0, 0.1), target=(0, 3, 0)),
+    "along the ground": dict(eye=(0, -190, 1.7), target=(0, 190, 1.7)),
+    "from the edge of space": dict(eye=(5, -7, 500_000), target=(0, 0, 0), fov=0.05),
+    "as a telescope": dict(eye=(0, -150, 20), target=(0, 50, 0), fov=0.01),
+    "as wide as can be": dict(eye=(0, 0, 20), target=(0, 10, 0), fov=179.0),
+    "straight down, as wide as can be": dict(eye=(0, 0, 2), target=(0, 0, 0), fov=179.0),
+    "one pixel": dict(eye=(0, -150, 20), target=(0, 50, 0), size=(1, 1)),
+    "a row": dict(eye=(0, -150, 20), target=(0, 50, 0), size=(300, 1)),
+    "a column": dict(eye=(0, -150, 20), target=(0, 50, 0), size=(1, 300)),
+}
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_points_of_a_floor_in_closed_form(gl, floor, make_scene, name):
+    scene = make_scene(floor, views=eye_view(**VIEWS[name]))
+    check_floor(scene, scene.view("eye"))
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_whole_frames_of_hostile_views_are_finite(gl, floor, make_scene, name):
+    """With a box on the floor, so that the depth map and its look-up run: no NaN, and the floor lit but for the box's shadow."""
+    trimesh.creation.box(extents=(2.0, 2.0, 2.0)).export(floor.parent / "box.obj")
+    meshes = [{"source": "box.obj", "at": [3.0, 2.0]}]
+    scene = make_scene(floor, 200.0, 40.0, views=eye_view(**VIEWS[name]), meshes=meshes)
+    frame = render(scene, scene.view("eye"))
+    there = frame.there
+    assert there.any() and np.isfinite(frame.height_m[there]).all() and np.isfinite(frame.position_earth_m[there]).all()
+    assert np.isfinite(frame.visibility[there]).all() and np.isnan(frame.visibility[~there]).all()
+    ground = there & (frame.height_m < 1e-3)
+    away = np.abs(frame.position_earth_m[..., :2] - [3.0, 2.0]).max(axis=-1)
+    assert (frame.visibility[ground & (away > 8.0)] == 1.0).all()
+
+
+def test_the_globe_from_the_edge_of_space(gl, hills, make_scene):
+    """500 km up over ground in a UTM zone: finite, and on the ground where a place says."""
+    scene = make_scene(hills, views=eye_view((*at(1600, 1600), 500_000), (*at(1600, 1600), 0.0), fov=0.6))
+    view = scene.view("eye")
+    buffer = geometry_of(scene, view)
+    assert 0.1 < buffer.there.mean() < 0.9
+    frame = render(scene, view)
+    x, y, height = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[frame.there])
+    np.testing.assert_allclose(height, frame.height_m[frame.there], atol=0.3)
+    middle = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[23:25, 31:33].mean(axis=(0, 1)))
+    np.testing.assert_allclose(middle[:2], [X0 + 1600, Y0 - 1400], atol=1.0)
+
+
+def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_scene):
+    """In its plane, inside it, and on the pixel's ray; heights, normals and corners are that triangle's, too."""
+    scene = make_scene(hills, views=eye_view((*at(300, 300), 60), (*at(1500, 1500), 0), size=(160, 100)))
+    view = scene.view("eye")
+    visible = Visible(scene, view, view.frame(scene.world))
+    buffer = buffer_of(scene, view, visible)
+    there = buffer.there
+    assert there.mean() > 0.4 and (visible.seen.number[there] > 0).all() and (visible.seen.number[~there] == 0).all()
+    ground = visible.ground
+    corner_numbers = ground.triangles[visible.seen.number[there].astype(int) - 1]
+    corners = ground.position_frame_m[corner_numbers]
+    point = buffer.position_frame_m[there]
+    e, g = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e, g)
+    area = np.linalg.norm(normal, axis=1)
+    away = ((point - corners[:, 0]) * normal).sum(axis=1) / area
+    assert np.abs(away).max() < 1e-6
+    u = (np.cross(point - corners[:, 0], g) * normal).sum(axis=1) / area**2
+    v = (np.cross(e, point - corners[:, 0]) * normal).sum(axis=1) / area**2
+    assert min(u.min(), v.min(), (1 - u - v).min()) > -1e-9
+    np.testing.assert_allclose(buffer.normal_frame[there], normal / area[:, None], atol=1e-6)
+    np.testing.assert_array_equal(buffer.corners_frame_m[there], corners.reshape(-1, 9).astype(np.float32))
+    heights = ground.height_m[corner_numbers].astype(float)
+    height = (1 - u - v) * heights[:, 0] + u * heights[:, 1] + v * heights[:, 2]
+    np.testing.assert_allclose(buffer.height_m[there], height, atol=1e-3)
+    # On the ray but for the rasteriser's grid of 1/256 pixel, and for silhouettes, where a triangle ends within the pixel.
+    eye, ray = rays_in_frame(view, buffer)
+    off = off_px(view, point, eye, ray[there])
+    assert np.quantile(off, 0.9) < 1e-6 and off.max() < RASTER_PX
+    # No nearer triangle hides it.
+    rays = RayScene(meshes=[(ground.position_frame_m, ground.triangles)])
+    way = point - eye
+    length = np.linalg.norm(way, axis=1)
+    hidden = rays.blocked(np.tile(eye, (len(way), 1)), way / length[:, None], length * (1 - 1e-4) - 0.01)
+    assert hidden.mean() < 0.002
+
+
+def test_a_box_shows_its_faces_in_their_planes_with_normals_outward(gl, floor, make_scene, tmp_path):
+    size, at = np.array([10.0, 6.0, 8.0]), np.array([20.0, 30.0])
+    trimesh.creation.box(extents=size).export(tmp_path / "box.obj")
+    meshes = [{"source": "box.obj", "at": list(at), "color": [1.0, 0.0, 0.0]}]
+    scene = make_scene(floor, meshes=meshes, views=eye_view((0, 0, 25), (20, 30, 3), size=(120, 90), fov=30.0))
+    view = scene.view("eye")
+    buffer = geometry_of(scene, view)
+    box = buffer.kind == MESHES
+    assert box.mean() > 0.1
+    point = buffer.position_frame_m[box] + buffer.frame.origin_earth_m - [*at, 4.0]
+    normal = buffer.normal_frame[box]
+    axis = np.abs(normal).argmax(axis=1)
+    outward = normal[np.arange(len(axis)), axis]
+    np.testing.assert_allclose(np.abs(outward), 1.0, atol=1e-6)
+    on_axis = point[np.arange(len(axis)), axis]
+    np.testing.assert_allclose(on_axis, np.sign(outward) * size[axis] / 2, atol=1e-6)  # outside is where the normal points
+    assert (np.abs(point) <= size / 2 + 1e-6).all()
+    seen = {(int(a), int(np.sign(s))) for a, s in zip(axis, outward, strict=True)}
+    assert seen == {(0, -1), (1, -1), (2, 1)}  # from the south-west and above
+    np.testing.assert_allclose(buffer.albedo[box], np.tile([1.0, 0.0, 0.0], (box.sum(), 1)), atol=1e-6)
+    np.testing.assert_allclose(buffer.shading_normal_frame[box], normal, atol=1e-6)
+    np.testing.assert_allclose(buffer.height_m[box], point[:, 2] + 4.0, atol=1e-5)
+    eye, ray = rays_in_frame(view, buffer)
+    expected = _nearest_on_box(eye + buffer.frame.origin_earth_m - [*at, 4.0], ray, size / 2)
+    sure = box & np.isfinite(expected[..., 0])
+    found = buffer.position_frame_m + buffer.frame.origin_earth_m - [*at, 4.0]
+    assert sure.sum() > 0.98 * box.sum()
+    near = np.linalg.norm((found - expected)[sure], axis=-1)
+    assert np.quantile(near, 0.98) < 1e-6 and near.max() < 0.1
+
+
+def _nearest_on_box(eye: np.ndarray, ray: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Where rays enter a box round the origin (slabs); NaN where they miss it."""
+    with np.errstate(divide="ignore"):
+        near, far = (-np.sign(ray) * half - eye) / ray, (np.sign(ray) * half - eye) / ray
+    enter, leave = near.max(axis=-1), far.min(axis=-1)
+    return np.where((enter < leave)[..., None], eye + enter[..., None] * ray, np.nan)
+
+
+def test_a_sheet_is_seen_from_behind_with_its_normal_to_the_eye(gl, floor, make_scene, tmp_path):
+    """An open mesh has no inside: whichever side is looked at faces the eye."""
+    sheet = trimesh.Trimesh([[-20, 0, 0], [20, 0, 0], [20, 0, 30], [-20, 0, 30]], [[0, 1, 2], [0, 2, 3]], process=False)
+    sheet.export(tmp_path / "sheet.obj")
+    for south in (1.0, -1.0):
+        scene = make_scene(
+            floor, meshes=[{"source": "sheet.obj", "at": [0, 0]}], views=eye_view((0, -60 * south, 12), (0, 0, 12), fov=20.0)
+        )
+        buffer = geometry_of(scene, scene.view("eye"))
+        seen = buffer.kind == MESHES
+        assert seen.mean() > 0.5
+        np.testing.assert_allclose(buffer.normal_frame[seen], np.tile([0, -south, 0], (seen.sum(), 1)), atol=1e-6)
+        np.testing.assert_allclose(buffer.shading_normal_frame[seen], buffer.normal_frame[seen], atol=1e-6)
+
+
+def test_layers_of_depth_and_position(gl, hills, make_scene):
+    """Depth is along the axis; positions are in the map's CRS and agree with the raster between its cells."""
+    scene = make_scene(hills, views=eye_view((*at(300, 300), 150), (*at(1500, 1500), 0), size=(80, 60)))
+    view = scene.view("eye")
+    frame = render(scene, view)
+    there = frame.there
+    position = layer_of(scene, frame, "position")
+    assert np.isnan(position[~there]).all() and there.mean() > 0.3
+    ground = scene.elevation.ground_m(position[there, 0], position[there, 1])
+    np.testing.assert_allclose(position[there, 2], frame.height_m[there], atol=0.3)  # a chord of 50 m, and float32
+    assert np.abs(position[there, 2] - ground).max() < 1.5  # triangles against the bilinear surface
+    assert np.abs(position[there, 2] - ground).mean() < 0.2
+    depth = layer_of(scene, frame, "depth")
+    along = (frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera
+    np.testing.assert_allclose(depth[there], along[there, 2], rtol=1e-6)
+    x = (view.col0 + np.arange(view.cols)) / view.focal_px
+    np.testing.assert_allclose((along[..., 0] / depth)[there], np.broadcast_to(x, depth.shape)[there], atol=0.1 * view.pixel)
+    assert np.isnan(depth[~there]).all() and depth[there].min() > 0.0
+
+
+def test_a_view_off_the_data_is_refused_in_one_line(floor, make_scene):
+    for eye, target, name in (((300, 0, 10), (0, 0, 0), "eye"), ((0, 0, 10), (0, -5000, 0), "target")):
+        scene = make_scene(floor, views=eye_view(eye, target))
+        with pytest.raises(InputError, match=f"views.eye.{name}") as caught:
+            scene.view("eye")
+        assert "\n" not in str(caught.value) and "ground's data" in str(caught.value)
+    scene = make_scene(floor, views=eye_view((0, 0, 10), (0, 20, 0)))
+    for keys, name in (({"bounds": (0, 0, 1, 1)}, "bounds"), ({"crs": UTM}, "crs"), ({"size": (5000, 10)}, "size")):
+        with pytest.raises(InputError, match=name) as caught:
+            scene.view("eye", **keys)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("target", [(0, 20, 100), (0, 0, 500)])
+def test_a_view_of_the_sky_alone(gl, floor, make_scene, target):
+    """No surface anywhere, a sky everywhere, and the plan's passes all the same."""
+    scene = make_scene(floor, views=eye_view((0, 0, 10), target, fov=20.0))
+    frame = render(scene, scene.view("eye"))
+    assert not frame.there.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
+    assert frame.opaque.all() and [record.name for record in frame.passes] == frame.plan.passes
+    between = encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
+    assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
+
+
+def test_the_sky_is_palest_at_the_horizon(gl, floor, make_scene):
+    scene = make_scene(floor, views=eye_view((0, -180, 3), (0, 100, 20), fov=60.0))
+    frame = render(scene, scene.view("eye"))
+    column = frame.color[:, 32].astype(int)[~frame.there[:, 32]]
+    assert len(column) > 20 and (np.diff(column[:-1, 0]) >= 0).all() and column[-2, 0] > column[0, 0] + 40
+
+
+@pytest.mark.parametrize(("down", "right"), [(0, 0), (7, 0), (0, 13), (16, 16), (-5, 9)])
+def test_a_part_of_a_view_is_the_same_picture(gl, hills, make_scene, tmp_path, down, right):
+    """A shift by whole pixels with one plan: the same points and the same visibility where the two overlap."""
+    trimesh.creation.box(extents=(60.0, 60.0, 90.0)).export(tmp_path / "tower.obj")
+    meshes = [{"source": "tower.obj", "at": [at(d, d + 40.0) for d in (560.0, 800.0, 1100.0)]}]
+    views = eye_view((*at(300, 300), 90), (*at(1500, 1500), 0), size=(128, 96))
+    scene = make_scene(hills, 275.0, 12.0, meshes=meshes, views=views)
+    view = scene.view("eye")
+    plan = plan_of(scene, view, map_size=256, filter=5)
+    whole, part = render_frame(scene, view, plan), render_frame(scene, view.part(down, right, 96, 128), plan)
+    ours = slice(max(down, 0), 96 + min(down, 0)), slice(max(right, 0), 128 + min(right, 0))
+    theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (down, right), strict=True))
+    there, shade = whole.there[ours], whole.visibility[ours]
+    np.testing.assert_array_equal(part.there[theirs], there)
+    apart = np.linalg.norm((part.position_earth_m[theirs] - whole.position_earth_m[ours])[there], axis=-1)
+    same = apart < 1e-8  # beside a triangle's edge float32 may choose the neighbour
+    assert same.mean() > 0.999
+    assert 0.03 < (shade < 0.5).mean() < 0.5 and ((shade > 0.0) & (shade < 1.0)).mean() > 0.005
+    found, expected = part.visibility[theirs][there][same], shade[there][same]
+    np.testing.assert_array_equal(found < 0.5, expected < 0.5)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
