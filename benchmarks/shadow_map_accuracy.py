@@ -58,12 +58,12 @@ def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
         truth = truth_of(buffer, lit, casters)
         descriptor = describe(lit, view)
         plan = choose(descriptor, lit.loaded.level, {"algorithm": "shadow_map", "map_size": map_size, "filter": taps})
-        settings = plan.settings.get("sun", {}).get("relief")
-        if settings is None:
+        step = next((step for step in plan.steps if step.algorithm == "shadow_map"), None)
+        if step is None:
             continue
-        visibility = shadow_map.fill(buffer, lit, "sun", ("relief",), casters, settings, PassLog())
+        visibility = shadow_map.fill(buffer, lit, step.light, step.kinds, casters, step.settings, PassLog())
         visibility[attached(buffer, lit)] = 0.0
-        found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, settings, descriptor.pixel_m))
+        found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))
         rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadowed, **asdict(found)})
     return rows

@@ -108,14 +108,10 @@ def compare(
 
     ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``.
     """
-    if light is not None and light not in scene.light_names:
-        raise InputError("light", light, ", ".join(scene.light_names) or "nothing: the level has no lights")
-    light = light or (*scene.light_names, SUN)[0]
     plans = list(candidates(scene, view, name))
     total = len(plans) + 2
     step = on_step or (lambda done, of: None)
-    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    grounds = [_ground(scene, light, block, row, col, fine) for block, row, col in parts]
+    grounds = _grounds(scene, view, light, fine)
     step(1, total)
     first = grounds[0]
     real = _whole_truth(view, grounds)
@@ -134,12 +130,27 @@ def compare(
     return Comparison(view, rows, real.boundary, surface, floor, _remarks(scene, real, rows))
 
 
+def measure(scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 1) -> Row:
+    """Measure one plan; ``light`` as in ``compare``."""
+    grounds = _grounds(scene, view, light, fine)
+    pixel_m = describe(scene, view, plan.view).pixel_m
+    return _measure(scene, view, grounds, _whole_truth(view, grounds), plan, pixel_m, repeats)
+
+
 def false_colours(base: np.ndarray, row: Row) -> np.ndarray:
     """An error picture (rows, cols, 3) uint8 over a gray one (rows, cols): false shadow red, missed shadow blue."""
     out = np.repeat((120 + base.astype(float) * 0.5)[..., None], 3, axis=2)
     out[row.false_shadow] = (214, 30, 30)
     out[row.missed_shadow] = (30, 70, 214)
     return np.clip(out, 0, 255).astype(np.uint8)
+
+
+def _grounds(scene: Scene, view: View, light: str | None, fine: bool) -> list[Ground]:
+    if light is not None and light not in scene.light_names:
+        raise InputError("light", light, ", ".join(scene.light_names) or "nothing: the level has no lights")
+    light = light or (*scene.light_names, SUN)[0]
+    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    return [_ground(scene, light, block, row, col, fine) for block, row, col in parts]
 
 
 def _ground(scene: Scene, light: str, block: View, row: int, col: int, fine: bool) -> Ground:

@@ -16,7 +16,7 @@ from pyproj.crs import GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
-from terrain.canopy import DENSEST, Canopy, border_cells, is_raster, room_m
+from terrain.canopy import DENSEST, WINDOW_M, Canopy, border_cells, is_raster, room_m
 from terrain.elevation import Elevation
 from terrain.errors import LevelError, SourceError
 from terrain.foliage import LOOKS
@@ -207,7 +207,9 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
         window = canopy.window(site.crs, site.outline)
         if window is None:
             raise _outside(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
-        for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: _usual_crown_m(h, spec.species), spec.seed):
+        base, slope = _line(CROWN_M, spec.species)
+        window_m = _line(WINDOW_M, spec.species)
+        for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
             stands.append(piece)
             count += len(piece.places)
             if count > most:
@@ -259,11 +261,11 @@ def _looks(key: np.ndarray, species: Species) -> np.ndarray:
     return np.where(shares(key, _SPECIES) < 0.5, drawn["conifer"], drawn["broadleaf"])
 
 
-def _usual_crown_m(height_m: np.ndarray, species: Species) -> np.ndarray:
-    """Mean diameter of the crowns of a species (``mixed``: of both)."""
-    lines = np.array(list(CROWN_M.values()) if species == "mixed" else [CROWN_M[species]])
-    base, slope = lines.mean(axis=0)
-    return base + slope * height_m
+def _line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
+    """Metres, and metres per metre of height, for a species (``mixed``: between both)."""
+    of_species = list(lines.values()) if species == "mixed" else [lines[species]]
+    base, slope = np.mean(of_species, axis=0).tolist()
+    return base, slope
 
 
 def _own_crown_m(height_m: np.ndarray, look: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from terrain.population import Population
 from terrain.trees import Trees
 from terrain.world import LocalFrame
 
-WHOLE_PX = 7.0
+WHOLE_PX = 6.5
 """Height in pixels from which all trees of a perspective view are drawn."""
 
 WHOLE_CROWN_PX = 1.5

@@ -11,7 +11,7 @@ from pyproj import CRS
 from scipy.spatial import cKDTree
 
 from terrain import canopy as module
-from terrain.canopy import LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, Canopy, CellWindow, room_m
+from terrain.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, WINDOW_M, Canopy, CellWindow, room_m
 from terrain.errors import SourceError
 from tests.conftest import ENGINEERING
 
@@ -26,9 +26,9 @@ def bumps(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m:
     return (height_m * np.exp(-square / (2 * width_m**2))).max(axis=-1).astype(np.float32)
 
 
-def trees_of(canopy: Canopy, crs: CRS = UTM, crown_of=lambda h: 1.0 + 0.25 * h, seed: int = 0):
+def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
     window = canopy.window(crs, None)
-    pieces = list(canopy.trees(crs, 1.0, window, crown_of, seed))
+    pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, WINDOW_M[species], 0))
     x, y = (np.concatenate([getattr(p.places, axis) for p in pieces]) for axis in "xy")
     return x, y, np.concatenate([p.height_m for p in pieces])
 
@@ -66,7 +66,7 @@ def test_blocks_agree_with_the_whole(write_raster, monkeypatch):
 def test_no_top_has_a_higher_cell_in_its_window(write_raster):
     raster = np.random.default_rng(1).gamma(2.0, 5.0, (80, 90)).astype(np.float32)
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
-    ((row, col, height_m),) = canopy.tops(np.diag([CELL, -CELL]), CellWindow(0, 0, 80, 90))
+    ((row, col, height_m),) = canopy.tops(np.diag([CELL, -CELL]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
     every_row, every_col = np.mgrid[0:80, 0:90]
     for r, c, h in zip(row, col, height_m, strict=True):
         distance = np.hypot(every_row - r, every_col - c) * CELL
@@ -128,6 +128,41 @@ def test_a_coarse_canopy_is_scattered_as_dense_as_its_crowns_close(write_raster)
     assert 0.8 < crown_m / (1.0 + 0.25 * 15.0) < 1.25
     assert len(x) == pytest.approx(PACKING * 230_000 / crown_m**2, rel=0.01)
     assert cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1].min() > 0.4 * crown_m
+
+
+def test_wide_cells_show_tall_trees_and_low_canopy_is_scattered(write_raster):
+    """2.5 m cells: tall trees 15 m apart over shrubs whose crowns are narrower than a cell."""
+    raster = np.full((120, 120), 3.0, np.float32)
+    raster[3::6, 3::6] = 20.0
+    x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, 2.502))))
+    tall = height_m == 20.0
+    assert tall.sum() == 400 and set(height_m.tolist()) == {3.0, 20.0}
+    np.testing.assert_allclose((x[tall] - 500000) / 2.502 % 6, 3.5, atol=1e-6)
+    assert len(x) - 400 == pytest.approx(PACKING * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2)
+
+
+def test_the_height_from_which_cells_show_trees():
+    def crown_of(height_m):
+        return 1.0 + 0.25 * height_m
+
+    assert module._shown_m(0.25, crown_of) == module._shown_m(1.0, crown_of) == 0.0
+    assert crown_of(module._shown_m(2.5, crown_of)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
+    assert np.isinf(module._shown_m(3.01, crown_of)) and np.isinf(module._shown_m(2.5, np.ones_like))
+
+
+def test_a_broad_crown_with_several_humps_is_one_broadleaved_tree_and_several_conifers(write_raster):
+    humps = np.array([[100, 100], [100, 105], [105, 100], [96, 97]])  # 2.5 m apart
+    raster = bumps(200, 200, humps, np.array([20.0, 19.0, 18.5, 18.0], np.float32))
+    canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL)))
+    assert [len(trees_of(canopy, species=species)[0]) for species in ("conifer", "broadleaf")] == [4, 1]
+
+
+def test_the_broadleaved_window_is_half_a_deciduous_crown():
+    height_m = np.linspace(8.0, 25.0, 100)
+    base, slope = WINDOW_M["broadleaf"]
+    np.testing.assert_allclose(base + slope * height_m, (3.09632 + 0.00895 * height_m**2) / 2, atol=0.22)
+    conifer = WINDOW_M["conifer"]
+    assert (base + slope * height_m > conifer[0] + conifer[1] * height_m).all()
 
 
 def test_a_coarse_canopy_far_from_its_origin_in_a_flat_world(write_raster):

@@ -306,14 +306,27 @@ def test_a_canopy_stands_on_the_terrain_in_another_crs(hill, make_scene, write_r
 
 def test_crowns_of_a_canopy_end_where_the_neighbours_begin(hill, make_scene, write_raster):
     canopy = np.zeros((100, 100), np.float32)
-    canopy[2:60:3, 2:60:3], canopy[90, 90] = 20.0, 20.0
+    canopy[2:60:3, 2:60:3], canopy[90, 90] = 26.0, 26.0
     source = write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
-    trees = planted(make_scene(hill, forest=[{"source": str(source), "species": "broadleaf"}]))
+    trees = planted(make_scene(hill, forest=[{"source": str(source), "species": "conifer"}]))
     assert np.sort(trees.crown_m)[-2] < 1.2 * (3 + 3 + 18**0.5) / 3 * 1.001 and np.median(trees.crown_m) == pytest.approx(
         3.6, rel=1e-3
     )
-    lone = planted(make_scene(hill, forest=[{"source": str(source), "crown": [6, 6]}]))
+    lone = planted(make_scene(hill, forest=[{"source": str(source), "species": "conifer", "crown": [6, 6]}]))
     assert lone.crown_m.tolist() == [6.0] * 401
+
+
+def test_broadleaved_crowns_of_a_canopy_are_fewer_and_wider(hill, make_scene, write_raster):
+    """A rough canopy 18 m to 20 m high: fewer tops are found where crowns are wider, of mixed stands a number between."""
+    canopy = np.random.default_rng(4).uniform(18, 20, (100, 100)).astype(np.float32)
+    source = str(write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif"))
+    stands = {
+        species: planted(make_scene(hill, forest=[{"source": source, "species": species}]))
+        for species in ("conifer", "mixed", "broadleaf")
+    }
+    conifer, mixed, broadleaf = (len(trees.rank) for trees in stands.values())
+    assert 1.3 * broadleaf < mixed < conifer / 1.3
+    assert np.median(stands["broadleaf"].crown_m) > 1.5 * np.median(stands["conifer"].crown_m)
 
 
 def test_forest_on_its_own_terrain(shared_data, make_scene):

@@ -1,0 +1,161 @@
+"""Accuracy of `shadow_map` in the bundled levels' views, and the time and memory of a perspective frame with a million trees.
+
+    python benchmarks/scenes.py accuracy [LEVEL ...] [--size 512x410] [--map-size 4096] [--markdown FILE]
+    python benchmarks/scenes.py trees [--trees 1000000] [--repeats 5]
+    python benchmarks/scenes.py thinning [--trees 1000000]
+
+`accuracy` holds every view of the levels (default: all bundled ones) against ray-traced truth, for the first light of each.
+`trees` draws two 1280 x 1024 views of 10 x 10 km of hills under one wood: medians, the process's peak memory, the device.
+`thinning` holds the shadow shares of the same views' stands, as drawn, against those of every single tree, both by rays.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+
+import terrain.stand as stand_module
+from api.catalogue import bundled_levels, find_level
+from selector.compare import measure
+from selector.rules import choose
+from shadows.metrics import block_shares, coverage_error
+from shadows.render import render_frame
+from shadows.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.descriptor import describe
+from terrain.gl import device
+from terrain.level import load_level
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+
+SIDE_M = 10_000.0
+CELL_M = 10.0
+PARTS = [(row, col) for row in (400, 600, 800) for col in (100, 512, 900)]
+PART_PX = 128
+
+
+def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[dict]:
+    rows = []
+    for path in [find_level(name) for name in levels] or bundled_levels():
+        scene = build_scene(load_level(path))
+        for name in scene.loaded.level.views:
+            view = scene.view(name, size=size)
+            plan = choose(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
+            figures = measure(scene, view, plan).figures
+            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.population.kinds), **figures})
+            print(line(rows[-1]), flush=True)
+    return rows
+
+
+def line(row: dict) -> str:
+    keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary")
+    shares = " | ".join(f"{100 * row[key]:.3f}" for key in keys)
+    return f"| {row['level']} | {row['view']} | {row['casters']} | {shares} | {row['edge_p95']:.2f} |"
+
+
+def wooded_hills(folder: Path, trees: int) -> Scene:
+    """10 x 10 km of hills in UTM zone 32N under one wood of some number of trees."""
+    y, x = np.mgrid[: int(SIDE_M / CELL_M), : int(SIDE_M / CELL_M)] * CELL_M
+    heights = 300 + 120 * np.sin(x / 900) * np.cos(y / 1100) + 40 * np.sin(x / 210 + y / 330) + 15 * np.cos(y / 90)
+    west, north = 500_000.0, 5_210_000.0
+    with rasterio.open(
+        folder / "hills.tif", "w", driver="GTiff", width=heights.shape[1], height=heights.shape[0], count=1, dtype="float32",
+        crs="EPSG:32632", transform=Affine(CELL_M, 0, west, 0, -CELL_M, north),
+    ) as dataset:  # fmt: skip
+        dataset.write(heights.astype(np.float32), 1)
+    east, south = west + SIDE_M, north - SIDE_M
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    wood = {
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}},
+        "features": [{"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}],
+    }
+    (folder / "wood.geojson").write_text(json.dumps(wood), encoding="utf-8")
+    eye, target = [9.02, 46.98], [9.06, 47.0, 20]
+    level = {
+        "version": 1,
+        "terrain": {"source": "hills.tif"},
+        "forest": [
+            {"source": "wood.geojson", "density": 1.005 * trees / (SIDE_M / 100) ** 2, "height": [9, 22], "species": "mixed"}
+        ],
+        "sun": {"azimuth": 230, "altitude": 25},
+        "views": {
+            "low": {"kind": "perspective", "eye": [*eye, 60], "target": target, "fov": 50, "size": [1280, 1024]},
+            "high": {"kind": "perspective", "eye": [*eye, 900], "target": target, "fov": 50, "size": [1280, 1024]},
+        },
+    }
+    path = folder / "hills.yaml"
+    path.write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def trees(count: int, repeats: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        scene = wooded_hills(Path(folder), count)
+        print(f"{device().renderer}; {len(scene.population.trees.rank)} trees", flush=True)
+        for name in scene.loaded.level.views:
+            times: list[float] = []
+            for _ in range(repeats + 1):
+                start = time.perf_counter()
+                view = scene.view(name)
+                plan = choose(describe(scene, view, name), scene.loaded.level)
+                frame = render_frame(scene, view, plan)
+                times.append(time.perf_counter() - start)
+            passes = ", ".join(f"{record.name} {record.ms:.0f}" for record in frame.passes)
+            print(f"{name}: median {np.median(times[1:]):.2f} s (first {times[0]:.1f} s), plan included; ms of the last: {passes}")
+        print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
+
+
+def thinning(count: int) -> None:
+    whole_px = stand_module.WHOLE_PX
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("low", "high"):
+            shares = []
+            for stand_module.WHOLE_PX in (1e-6, whole_px):
+                scene = wooded_hills(Path(folder), count)  # anew: stands are kept by their scene
+                view, drawn, parts = scene.view(name), 0, []
+                for row, col in PARTS:
+                    buffer = geometry_of(scene, view.part(row, col, PART_PX, PART_PX))
+                    drawn = len(buffer.stand)
+                    lit = lit_from(buffer, scene, "sun", ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
+                    parts.append(block_shares(np.where(buffer.there, 1.0 - lit, np.nan)))
+                shares.append(np.array(parts))
+            means = [float(np.nanmean(share)) for share in shares]
+            print(f"{name}: {drawn} of {count} trees; shadow share {means[1]:.4f} against {means[0]:.4f}, "
+                  f"coverage {coverage_error(shares[1], shares[0]):.4f}", flush=True)  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("accuracy", "trees", "thinning"))
+    parser.add_argument("levels", nargs="*")
+    parser.add_argument("--size", default="512x410")
+    parser.add_argument("--map-size", type=int, default=4096)
+    parser.add_argument("--trees", type=int, default=1_000_000)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--markdown", type=Path)
+    given = parser.parse_args()
+    if given.what == "trees":
+        trees(given.trees, given.repeats)
+    elif given.what == "thinning":
+        thinning(given.trees)
+    else:
+        width, height = (int(part) for part in given.size.split("x"))
+        head = "| level | view | casters | wrong cast % | false % | missed % | interior % | coverage % | boundary % | edge p95 px |"
+        head += "\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+        print(head)
+        rows = accuracy(given.levels, (width, height), given.map_size)
+        if given.markdown:
+            given.markdown.write_text(head + "\n" + "\n".join(line(row) for row in rows) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

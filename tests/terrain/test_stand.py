@@ -1,0 +1,330 @@
+"""The trees that are drawn: their quads, in numba and in the shaders; thinned with their shade kept; fixed while cameras turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from pyproj import Transformer
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from shadows import truth
+from shadows.truth import ALL_KINDS
+from terrain import stand as module
+from terrain.camera import PerspectiveView, look_at
+from terrain.foliage import LOOKS, THRESHOLD, foliage
+from terrain.picture import Visible, buffer_of, geometry_of
+from terrain.rays import sample_alpha
+from terrain.reach import casters_of
+from terrain.resolve import FOREST, RELIEF
+from terrain.scene import Scene
+from terrain.stand import Stand, stand_in_map, stand_in_perspective
+from tests.conftest import ENGINEERING
+from tests.render import render
+
+UTM = "EPSG:32633"
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def floor(write_raster) -> Path:
+    """A floor at height 0 that reaches 400 m from the middle."""
+    return write_raster(np.zeros((81, 81), np.float32), ENGINEERING, -405.0, 405.0, 10.0)
+
+
+@pytest.fixture
+def wooded(make_scene, tmp_path) -> Callable[..., Scene]:
+    """``wooded(raster, places, crs, **attributes)`` builds the scene of trees at some places (n, 2)."""
+
+    def build(raster: Path, places, crs: str = ENGINEERING, sun=(200.0, 35.0), species: str = "mixed", **attributes) -> Scene:
+        path = tmp_path / "trees.gpkg"
+        path.unlink(missing_ok=True)
+        points = [shapely.Point(*place) for place in np.atleast_2d(places)]
+        fields = [np.broadcast_to(np.asarray(values, float), len(points)) for values in attributes.values()]
+        wkb = shapely.to_wkb(np.array(points, object))
+        pyogrio.raw.write(path, wkb, fields, list(attributes), geometry_type="Point", crs=crs)
+        named = {key: key for key in attributes}
+        return make_scene(raster, *sun, forest=[{"source": path.name, "species": species, **named}])
+
+    return build
+
+
+def eye_at(scene: Scene, eye, target, fov: float = 50.0, size=(64, 64)) -> PerspectiveView:
+    """A camera of a flat world."""
+    return look_at(np.array(eye, float), np.array(target, float), UP, fov, size[1], size[0])
+
+
+def stand_of(scene: Scene, view: PerspectiveView) -> Stand:
+    found = stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+    assert found is not None
+    return found
+
+
+def quad_coordinates(point: np.ndarray, quad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates (n, 2) of points (n, 3) on quads (n, 4, 3) of corners SW, SE, NE, NW, and their distances from it."""
+    right, up = quad[:, 1] - quad[:, 0], quad[:, 3] - quad[:, 0]
+    way = point - quad[:, 0]
+    u, v = ((way * side).sum(axis=1) / (side * side).sum(axis=1) for side in (right, up))
+    off = np.linalg.norm(way - u[:, None] * right - v[:, None] * up, axis=1)
+    return np.column_stack([u, 1.0 - v]), off
+
+
+def alpha_at(stand: Stand, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Full-resolution alpha (n,) of trees' quads at texture coordinates (n, 2)."""
+    alpha = foliage().levels[0][..., 3] / 255.0
+    return sample_alpha(alpha, uv, 2 * stand.look[tree] + (part == 2))
+
+
+# -- the quads
+
+
+@pytest.mark.parametrize("species", ["conifer", "broadleaf"])
+def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor, wooded, species):
+    """Each pixel's ray through the three quads of ``Stand.corners``, in closed form: the nearest opaque one is what shows."""
+    scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, species=species)
+    view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
+    visible = Visible(scene, view, view.frame(scene.world))
+    buffer = buffer_of(scene, view, visible)
+    stand = visible.stand
+    assert stand is not None and len(stand) == 1
+    quads = stand.corners()[0]
+    eye, camera_from_frame = view.in_frame(visible.frame)
+    x = (view.col0 + np.arange(view.cols)) / view.focal_px
+    y = (view.row0 + np.arange(view.rows)) / view.focal_px
+    ray = np.stack([*np.meshgrid(x, y), np.ones((view.rows, view.cols))], axis=-1) @ camera_from_frame
+    nearest, expected = np.full(ray.shape[:2], np.inf), np.full(ray.shape[:2], -1)
+    for part, quad in enumerate(quads):
+        normal = np.cross(quad[1] - quad[0], quad[3] - quad[0])
+        t = ((quad[0] - eye) @ normal) / (ray @ normal)
+        uv, _ = quad_coordinates((eye + t[..., None] * ray).reshape(-1, 3), np.tile(quad, (ray[..., 0].size, 1, 1)))
+        inside = ((uv >= 0) & (uv <= 1)).all(axis=1).reshape(t.shape)
+        alpha = alpha_at(stand, np.zeros(len(uv), int), np.full(len(uv), part), uv).reshape(t.shape)
+        met = inside & (alpha >= THRESHOLD) & (t > 0) & (t < nearest)
+        nearest[met], expected[met] = t[met], part
+    tree = buffer.kind == FOREST
+    first = len(visible.ground.triangles) + 1
+    found = np.where(tree, (visible.seen.number.astype(int) - first) // 2, -1)
+    assert {0, 1, 2} <= set(found[tree].tolist()) <= {0, 1, 2} and 0.05 < tree.mean() < 0.6
+    assert (found == expected).mean() > 0.994
+    same = tree & (found == expected)
+    apart = np.linalg.norm(buffer.position_frame_m - (eye + nearest[..., None] * ray), axis=-1)[same]
+    assert np.quantile(apart, 0.97) < 1e-6 and apart.max() < 0.05
+
+
+def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wooded):
+    """Of many trees: each resolved point is on the quad that the number names, inside it, where its alpha is tree."""
+    rng = np.random.default_rng(2)
+    scene = wooded(floor, rng.uniform(-40, 40, (40, 2)), height=rng.uniform(8, 20, 40), crown=rng.uniform(4, 9, 40))
+    view = eye_at(scene, (5.0, -75.0, 14.0), (0.0, 0.0, 6.0), 50.0, (400, 300))
+    visible = Visible(scene, view, view.frame(scene.world))
+    buffer = buffer_of(scene, view, visible)
+    stand = visible.stand
+    assert stand is not None
+    seen = buffer.kind == FOREST
+    number = visible.seen.number[seen].astype(int) - 1 - len(visible.ground.triangles)
+    tree, part = number // 6, number % 6 // 2
+    assert len(set(tree.tolist())) > 30 and set(part.tolist()) == {0, 1, 2}
+    uv, off = quad_coordinates(buffer.position_frame_m[seen], stand.corners()[tree, part])
+    assert off.max() < 1e-6 and uv.min() > -1e-9 and uv.max() < 1 + 1e-9
+    alpha = alpha_at(stand, tree, part, uv)
+    assert (alpha >= THRESHOLD).mean() > 0.9 and (alpha >= 0.25).mean() > 0.95  # half of them in mipmaps
+    height = buffer.height_m[seen]
+    np.testing.assert_allclose(height, buffer.position_frame_m[seen][:, 2], atol=1e-4)
+    assert (buffer.normal_frame[seen] @ UP)[part == 2] == pytest.approx(1.0, abs=1e-6)
+    assert np.abs(buffer.normal_frame[seen] @ UP)[part < 2].max() < 1e-6
+
+
+def test_a_tree_s_corners_in_closed_form(floor, wooded):
+    """Two upright quads across each other and a level one in between, of the tree's height and crown, turned about its foot."""
+    scene = wooded(floor, [[120.0, -33.0]], height=16.0, crown=7.0)
+    trees = scene.population.trees
+    stand = stand_of(scene, eye_at(scene, (120, -60, 5), (120, -33, 5)))
+    corners = stand.corners()[0] - stand.base_frame_m[0]
+    np.testing.assert_allclose(stand.base_frame_m[0] - [120, -33, 0], 0, atol=1e-9)
+    turn = np.radians(float(trees.turn_deg[0]))
+    along, across = np.array([np.cos(turn), np.sin(turn), 0]), np.array([-np.sin(turn), np.cos(turn), 0])
+    top = np.array([0, 0, 16.0])
+    for quad, side in ((0, along), (1, across)):
+        expected = [-3.5 * side, 3.5 * side, 3.5 * side + top, -3.5 * side + top]
+        np.testing.assert_allclose(corners[quad], expected, atol=1e-5)
+    crown = np.array([0, 0, 16.0 * LOOKS[int(trees.look[0])].crown_height])
+    expected = [crown + 3.5 * (a * along + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    np.testing.assert_allclose(corners[2], expected, atol=1e-5)
+
+
+def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, wooded):
+    """Up is the ellipsoid's normal at the foot: 20 km from a map frame's origin it leans by 0.18 degrees."""
+    raster = write_raster(np.full((60, 60), 100.0, np.float32), UTM, 400_000.0, 6_400_000.0, 1000.0)
+    rng = np.random.default_rng(3)
+    places = np.column_stack([rng.uniform(405_000, 455_000, 200), rng.uniform(6_345_000, 6_395_000, 200)])
+    scene = wooded(raster, places, UTM, height=30.0, crown=10.0)
+    lon, lat = (v + 0.05 for v in (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg))
+    x, y = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)
+    frame = scene.world.frame_near(scene.elevation.crs, x, y)
+    stand = stand_in_map(scene.population, frame, 0.5)
+    assert stand is not None and len(stand) == 200
+    top = stand.corners()[:, 0, 2:].mean(axis=1)
+    earth = top @ frame.frame_from_earth + frame.origin_earth_m
+    found = np.stack(scene.world.map_position(scene.elevation.crs, earth), axis=-1)
+    expected = scene.population.trees_on(scene.elevation.crs)[stand.number]
+    away = np.hypot(*stand.base_frame_m[:, :2].T)
+    near = away < 20_000
+    assert near.sum() > 20 and away[near].max() > 12_000
+    np.testing.assert_allclose(found[near] - expected[near], np.tile([0, 0, 30.0], (near.sum(), 1)), atol=0.02)
+
+
+def test_culling_leaves_out_no_tree_that_is_seen_or_reaches_in(floor, wooded):
+    """Against all corners of all trees: cones and boxes keep whatever has a corner inside."""
+    rng = np.random.default_rng(5)
+    scene = wooded(floor, rng.uniform(-150, 150, (800, 2)), height=rng.uniform(3, 25, 800), crown=rng.uniform(2, 15, 800))
+    view = eye_at(scene, (20, -30, 9), (40, 60, 3), 40.0, (90, 60))
+    stand = stand_of(scene, view)
+    eye, camera = view.in_frame(view.frame(scene.world))
+    corners = stand.corners().reshape(len(stand), 12, 3)
+    at = (corners - eye) @ camera.T
+    half = np.array([45, 30]) / view.focal_px
+    kept = stand.in_cone(eye, camera, np.column_stack([-half, half]))
+    inside = ((np.abs(at[..., :2]) <= half * at[..., 2:]) & (at[..., 2:] > 0)).all(axis=2).any(axis=1)
+    assert 50 < inside.sum() < 500 and set(np.flatnonzero(inside)) <= set(kept) and len(kept) < 2 * inside.sum()
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    translation, low, high = rng.normal(size=3), np.array([-20.0, -30.0, -50.0]), np.array([60.0, 40.0, 50.0])
+    at = corners @ rotation.T + translation
+    kept = stand.reaching(rotation, translation, low, high)
+    inside = ((at >= low) & (at <= high)).all(axis=2).any(axis=1)
+    assert 20 < inside.sum() < 600 and set(np.flatnonzero(inside)) <= set(kept) and len(kept) < 3 * inside.sum()
+
+
+# -- thinning
+
+
+def test_in_perspective_the_share_follows_the_distance(floor, wooded):
+    """k is the square of a tree's height in pixels over the module's; what is left is larger by the root of 1 / k."""
+    rng = np.random.default_rng(6)
+    scene = wooded(floor, rng.uniform(-390, 390, (20_000, 2)), height=5.0, crown=3.0)
+    view = eye_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
+    trees, stand = scene.population.trees, stand_of(scene, view)
+    away = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
+    share = np.clip((5.0 * view.focal_px / away / module.WHOLE_PX) ** 2, module.LEAST_SHARE, 1.0)
+    np.testing.assert_array_equal(stand.number, np.flatnonzero(trees.rank < share))
+    assert share.max() == 1.0 and share.min() < 0.2
+    larger = 1 / np.sqrt(share[stand.number])
+    crown_height = np.array([LOOKS[k].crown_height for k in stand.look])
+    expected = np.stack([1.5 * larger, 1.5 * larger, 5.0 * larger, 5.0 * larger * crown_height], axis=1)
+    np.testing.assert_allclose(stand.shape, expected, rtol=1e-5)
+    for nearer, farther in ((30, 150), (150, 300), (300, 450), (450, 700)):
+        ring = (away >= nearer) & (away < farther)
+        drawn = ring[stand.number]
+        kept, wanted = drawn.sum() / ring.sum(), share[ring].mean()
+        assert kept == pytest.approx(wanted, abs=0.01)
+        area = (stand.shape[drawn, 0].astype(float) ** 2).sum() / (1.5**2 * ring.sum())
+        assert area == pytest.approx(1.0, abs=0.03)  # crown area, and so shade, is kept
+
+
+def test_turning_the_camera_changes_no_tree(floor, wooded):
+    rng = np.random.default_rng(7)
+    scene = wooded(floor, rng.uniform(-390, 390, (3000, 2)), height=5.0, crown=3.0)
+    stands = [stand_of(scene, eye_at(scene, (0, 0, 30), target)) for target in ((0, 100, 0), (-100, -20, 30), (0, 1e-9, 0))]
+    assert 0 < len(stands[0]) < 3000
+    for other in stands[1:]:
+        np.testing.assert_array_equal(other.number, stands[0].number)
+        np.testing.assert_array_equal(other.corners(), stands[0].corners())
+
+
+def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
+    rng = np.random.default_rng(8)
+    scene = wooded(floor, rng.uniform(-390, 390, (8000, 2)), height=6.0, crown=4.0)
+    frame = scene.world.frame_near(scene.elevation.crs, 0.0, 0.0)
+    for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.LEAST_SHARE)):
+        stand = stand_in_map(scene.population, frame, pixel_m)
+        assert stand is not None and len(stand) / 8000 == pytest.approx(share, abs=0.002)
+        np.testing.assert_allclose(stand.shape[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
+        x, y, _ = stand.base_frame_m.T
+        for west in (-390, -130, 130):
+            for south in (-390, -130, 130):
+                whole = scene.population.trees.base_earth_m
+                inside = (whole[:, 0] >= west) & (whole[:, 0] < west + 260) & (whole[:, 1] >= south) & (whole[:, 1] < south + 260)
+                kept = ((x >= west) & (x < west + 260) & (y >= south) & (y < south + 260)).sum()
+                assert kept / inside.sum() == pytest.approx(share, abs=0.02)
+
+
+def shadow_share(scene: Scene, view: PerspectiveView) -> float:
+    """Truth's share of shadow on what a view shows of a stand and its ground."""
+    buffer = geometry_of(scene, view)
+    rays = truth.ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+    return float(1.0 - truth.lit_from(buffer, scene, "sun", rays)[buffer.there].mean())
+
+
+@pytest.mark.parametrize(("altitude", "density"), [(60.0, 400.0), (25.0, 500.0)])
+def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkeypatch, altitude, density):
+    """A quarter of a wood's trees, twice as large, against all of them: the same share of shadow in the mean."""
+    wood = shapely.to_wkb(np.array([shapely.box(-400, -400, 400, 400)], object))
+    pyogrio.raw.write(tmp_path / "wood.gpkg", wood, [], [], geometry_type="Polygon", crs=ENGINEERING)
+    spec = {"source": "wood.gpkg", "density": density, "height": [4.0, 4.0], "crown": [3.0, 3.0]}
+    monkeypatch.setattr(module, "WHOLE_PX", 1e6)
+    whole, thinned = [], []
+    for least, shares in ((1.0, whole), (0.25, thinned)):
+        monkeypatch.setattr(module, "LEAST_SHARE", least)
+        scene = make_scene(floor, 200.0, altitude, forest=[spec])
+        for eye in ((0, -900, 500), (700, 600, 500), (-300, 100, 900)):
+            view = eye_at(scene, eye, (0, 0, 0), 20.0, (160, 120))
+            assert len(stand_of(scene, view)) == pytest.approx(density * 64 * least, rel=0.02)
+            shares.append(shadow_share(scene, view))
+    assert 0.15 < np.mean(whole) < 0.6
+    assert abs(np.mean(thinned) - np.mean(whole)) < 0.02
+
+
+# -- cameras that go round
+
+
+def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
+    """From eyes at one distance, thinned as trees far away are: nothing turns to the viewer."""
+    scene = wooded(floor, [[30.0, 40.0]], height=5.0, crown=3.0)
+    found = []
+    for bearing in np.radians([0, 77, 180, 251]):
+        eye = np.array([30.0, 40.0, 0.0]) + 50.0 * np.array([np.sin(bearing), np.cos(bearing), 0.4])
+        view = eye_at(scene, eye, (30.0, 40.0, 0.0), 50.0, (60, 46))
+        stand = stand_of(scene, view)
+        assert stand.shape[0, 2] > 5.5  # drawn larger
+        found.append(stand.corners() + view.frame(scene.world).origin_earth_m)
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=1e-5)
+
+
+def test_a_shadow_does_not_turn_with_the_picture(gl, floor, wooded):
+    """Seen straight down, once with north and once with south at the top: the very same ground points."""
+    scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, sun=(110.0, 35.0))
+    eye = np.array([15.0, 5.0, 110.0])
+    masks, kinds, points = [], [], []
+    for top in (1.0, -1.0):
+        view = look_at(eye, eye + [0.0, top * 1e-7, -100.0], UP, 30.0, 160, 160)
+        frame, buffer = render(scene, view, map_size=2048, filter=1), geometry_of(scene, view)
+        turned = slice(None, None, int(top))
+        masks.append((frame.visibility < 0.5)[turned, turned])
+        kinds.append(buffer.kind[turned, turned])
+        points.append(frame.position_earth_m[turned, turned])
+    both = (kinds[0] == RELIEF) & (kinds[1] == RELIEF)
+    np.testing.assert_allclose(points[0][both], points[1][both], atol=1e-3)
+    assert both.mean() > 0.8 and 0.02 < masks[0][both].mean() < 0.3
+    assert (masks[0] != masks[1])[both].mean() <= 1e-3
+
+
+def test_a_shadow_does_not_turn_with_a_camera_that_goes_round(gl, floor, wooded):
+    """From two sides of a tree: ground points that both see have the same class, away from the shadow's fringe."""
+    scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, sun=(110.0, 35.0))
+    seen = []
+    for side in (1.0, -1.0):
+        view = eye_at(scene, (-6.0, side * 60.0, 70.0), (-12.0, 0.0, 0.0), 26.0, (300, 300))
+        frame, buffer = render(scene, view, map_size=4096, filter=1), geometry_of(scene, view)
+        ground, dark = buffer.kind == RELIEF, frame.visibility < 0.5
+        plain = ~binary_dilation(dark, iterations=1) | ~binary_dilation(~dark, iterations=1)
+        seen.append((frame.position_earth_m[ground], dark[ground], (plain & ground)[ground]))
+    (points, dark, plain), (others, other_dark, _) = seen
+    away, other = cKDTree(others[:, :2]).query(points[:, :2])
+    common = (away < 0.1) & plain
+    assert common.sum() > 10_000 and 0.01 < dark[common].mean() < 0.4
+    assert (dark[common] != other_dark[other[common]]).mean() <= 1e-3
