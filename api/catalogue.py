@@ -8,6 +8,7 @@ from typing import Any
 from configs import LEVELS_FOLDER
 from terrain.errors import InputError
 from terrain.level import load_level
+from terrain.picture import imagery_of
 from terrain.scene import build_scene
 
 
@@ -41,18 +42,33 @@ def summary(path: Path) -> dict[str, Any]:
 
 
 def remarks(path: Path) -> list[str]:
-    """What an author may want to know of a level that is not wrong."""
+    """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed.
+
+    Raises ``SkuggaError``.
+    """
     scene = build_scene(load_level(path))
+    population, made = scene.population, scene.loaded.level.terrain.source is None
+    for name in scene.loaded.level.views:
+        scene.view(name)
+    imagery_of(scene)
     elevation, notes = scene.elevation, []
     low, high = scene.height_range_m
     notes.append(
         f"{elevation.cols} x {elevation.rows} cells of about {elevation.cell_size_m(scene.world.metres_per_unit):.3g} m, "
         f"heights {low:.0f} to {high:.0f} m, {elevation.crs.name}"
     )
-    if elevation.units is None:
+    if population.trees is not None:
+        heights = population.trees.height_m
+        notes.append(f"{len(heights)} trees, {heights.min():.1f} to {heights.max():.1f} m high")
+    if population.solids is not None:
+        solids = population.solids
+        notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
+    if scene.lamps:
+        notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
+    if elevation.units is None and not made:
         notes.append("the raster does not say its unit of height: taken as metres; set terrain.units if that is wrong")
         if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):
             notes.append("its horizontal unit is a foot: are its heights in feet too?")
-    if scene.world.flat:
+    if scene.world.flat and not made:
         notes.append("an engineering CRS has no place on earth: no web tiles, and a sun by angles only")
     return notes

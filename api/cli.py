@@ -147,9 +147,9 @@ def validate(level: LevelName) -> None:
     from api.catalogue import remarks, summary
 
     path = find_level(level)
-    row = summary(path)
+    row, notes = summary(path), remarks(path)
     typer.echo(f"{path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}")
-    for remark in remarks(path):
+    for remark in notes:
         typer.echo(f"  note: {remark}")
 
 

@@ -39,8 +39,12 @@ def smooth_normals(faces, triangles, nodes):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def creases(faces, triangles, nodes, limit):  # type: ignore[no-untyped-def]
-    """Largest distance (m,) float32, below ``limit``, between a face's normal and those of faces that share a node with it."""
+def creases(position, faces, triangles, limit):  # type: ignore[no-untyped-def]
+    """How much a mesh bends up round each face: the largest distance (m,) float32, below ``limit``, between its unit normal and
+    those of faces that share a node with it and rise above its plane. What bends down is behind the plane as the light sees it,
+    and cannot be taken for something in front.
+    """
+    nodes = len(position)
     start = np.zeros(nodes + 1, np.int64)
     for t in range(len(triangles)):
         for k in range(3):
@@ -64,7 +68,19 @@ def creases(faces, triangles, nodes, limit):  # type: ignore[no-untyped-def]
                 d = (
                     (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
                 )
-                if d > worst and d < limit * limit:
+                if d > worst and d < limit * limit and _rises(position, triangles[u], position[triangles[t, 0]], faces[t]):
                     worst = d
         out[t] = np.sqrt(worst)
     return out
+
+
+@compiled
+def _rises(position, corners, point, normal):  # type: ignore[no-untyped-def]
+    """Whether a corner of a triangle lies above a plane, by more than rounding."""
+    for k in range(3):
+        x, y, z = (
+            position[corners[k], 0] - point[0], position[corners[k], 1] - point[1], position[corners[k], 2] - point[2]
+        )  # fmt: skip
+        if normal[0] * x + normal[1] * y + normal[2] * z > 1e-6 * np.sqrt(x * x + y * y + z * z):
+            return True
+    return False

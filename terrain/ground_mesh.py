@@ -50,7 +50,7 @@ class GroundMesh:
     triangles
         int32 (m, 3), counter-clockwise from above.
     crease
-        float32 (m,), largest distance between a triangle's unit normal and those of the triangles that share a node with it.
+        float32 (m,), how much the mesh bends up round a triangle (``terrain.facets.creases``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
     grid, tolerance_px
@@ -103,7 +103,7 @@ def _ground_mesh(
     position = nodes.surface.positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces = face_normals(position, triangles)
     return GroundMesh(
-        position, height, smooth_normals(faces, triangles, len(position)), triangles, creases(faces, triangles, len(position), 2.0),
+        position, height, smooth_normals(faces, triangles, len(position)), triangles, creases(position, faces, triangles, 2.0),
         np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
     )  # fmt: skip
 

@@ -64,7 +64,7 @@ class Population:
         if self.solids is None:
             return np.zeros(0, np.float32)
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
-        return creases(face_normals(vertices, triangles), triangles, len(vertices), EDGE)
+        return creases(vertices, face_normals(vertices, triangles), triangles, EDGE)
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:

@@ -1,0 +1,164 @@
+"""Anti-aliased pictures: samples where something ends, means of linear light, and data that know nothing of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+
+from shadows import render as render_module
+from shadows.render import Frame
+from terrain.antialias import Sampled, sampled
+from terrain.camera import PerspectiveView
+from terrain.picture import geometry_of
+from terrain.resolve import MESHES, NOTHING, RELIEF
+from terrain.scene import Scene
+from terrain.shading import encoded, shade
+from tests.conftest import ENGINEERING
+from tests.render import render
+
+
+@pytest.fixture
+def floor(write_raster) -> Path:
+    return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
+
+
+@pytest.fixture
+def tower(floor, make_scene, tmp_path) -> Scene:
+    """A white tower against the sky, turned by 45 degrees so that it shows two faces, seen from its foot's height and leaning."""
+    trimesh.creation.box(extents=(20.0, 20.0, 60.0)).export(tmp_path / "tower.obj")
+    views = {"eye": {"kind": "perspective", "eye": [-60, -70, 1], "target": [3, 0, 38], "fov": 45, "size": [128, 96]}}
+    meshes = [{"source": "tower.obj", "at": [0, 0], "turn": 17, "color": [0.95, 0.95, 0.95]}]
+    return make_scene(floor, 250.0, 30.0, meshes=meshes, views=views)
+
+
+def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
+    """The frame with one point a pixel."""
+    with monkeypatch.context() as patch:
+        patch.setattr(render_module, "sampled", lambda scene, part: Sampled(geometry_of(scene, part), part.rows))
+        return render(scene, scene.view("eye"))
+
+
+def wall_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
+    """Share of each pixel that shows a mesh, by 16 x 16 points."""
+    fine = geometry_of(scene, view.finer(16)).kind == MESHES
+    return fine.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
+
+
+def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
+    """On the outline against the sky colours between the sky's and the wall's; a face's inside is of one colour."""
+    view = tower.view("eye")
+    frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_of(tower, view)
+    wall, sky = buffer.kind == MESHES, buffer.kind == NOTHING
+    assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
+    share = wall_share(tower, view)
+    partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.kind == RELIEF)
+    low, high = minimum_filter(plain.color[..., 0], 5), maximum_filter(plain.color[..., 0], 5)
+    contrast = partly & (high.astype(int) - low > 40)
+    assert contrast.sum() > 40
+    between = (frame.color[..., 0] > low + 2) & (frame.color[..., 0] < high - 2)
+    assert between[contrast].mean() > 0.9
+    normal = buffer.normal_frame
+    faces = {tuple(np.round(n, 3)) for n in normal[wall]}
+    assert len(faces) >= 2
+    for axis in faces:
+        face = wall & (np.abs(normal - axis).max(axis=-1) < 0.01)
+        inside = face & ~binary_dilation(~face, iterations=2) & (frame.visibility == 1.0)
+        assert not inside.any() or (np.ptp(frame.color[inside].astype(int), axis=0) <= 1).all()
+
+
+def test_an_edge_s_mean_is_the_share_of_its_pixel(gl, tower):
+    """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
+    view = tower.view("eye")
+    picture = sampled(tower, view)
+    row, col = picture.pixels
+    assert len(row) > 100 and picture.each == 4
+    tall = (picture.buffer.kind == MESHES).astype(float)[..., None]
+    found = picture.averaged(tall)[..., 0]
+    exact = wall_share(tower, view)
+    own = tall[: view.rows, :, 0]
+    partly = (exact > 0.02) & (exact < 0.98)
+    assert partly.sum() > 80
+    error, plain = np.sqrt(((found - exact)[partly] ** 2).mean()), np.sqrt(((own - exact)[partly] ** 2).mean())
+    assert error < 0.5 * plain and error < 0.17 and abs((found - exact)[partly].mean()) < 0.03
+    np.testing.assert_array_equal(found[~binary_dilation(partly, iterations=2)], own[~binary_dilation(partly, iterations=2)])
+
+
+def test_samples_lie_inside_the_pixels_that_they_are_of(gl, tower):
+    """Their points, seen from the eye, are within half a pixel of the pixel's middle, at the four places of the grid."""
+    view = tower.view("eye")
+    picture = sampled(tower, view)
+    buffer = picture.buffer
+    row, col = np.nonzero(buffer.there)
+    below = row >= view.rows
+    row, col = row[below], col[below]
+    eye, camera = view.in_frame(buffer.frame)
+    at = (buffer.position_frame_m[row, col] - eye) @ camera.T
+    found = np.column_stack([at[:, 1], at[:, 0]]) / at[:, 2:] * view.focal_px - [view.row0, view.col0]
+    own = np.column_stack(picture.pixels_of(row, col))
+    off = found - own
+    assert len(off) > 300 and np.quantile(np.abs(np.abs(off) - 0.25), 0.95) < 1e-6
+    assert {(a, b) for a, b in np.sign(off).astype(int).tolist()} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
+
+
+def test_data_know_nothing_of_the_samples(gl, tower, monkeypatch):
+    """Visibility, heights and positions are those of a frame without samples; colours are so where nothing ends."""
+    view = tower.view("eye")
+    smooth = render(tower, view)
+    pixels = sampled(tower, view).pixels
+    plain = unsampled(monkeypatch, tower)
+    assert (plain.visibility == 0.0).any() and (plain.visibility == 1.0).any()
+    np.testing.assert_array_equal(smooth.height_m, plain.height_m)
+    np.testing.assert_array_equal(smooth.position_earth_m, plain.position_earth_m)
+    np.testing.assert_array_equal(smooth.visibility < 0.5, plain.visibility < 0.5)
+    np.testing.assert_allclose(smooth.visibility, plain.visibility, atol=1e-4)
+    differ = (smooth.color != plain.color).any(axis=-1)
+    allowed = np.zeros(differ.shape, bool)
+    allowed[pixels] = True
+    assert differ.any() and not (differ & ~allowed).any() and allowed.mean() < 0.2
+
+
+def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
+    """Its triangles meet, but nothing ends between them; at its rim against the sky something does."""
+    down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
+    scene = make_scene(floor, views=down)
+    picture = sampled(scene, scene.view("eye"))
+    assert not len(picture.pixels[0]) and picture.own is picture.buffer and picture.buffer.there.all()
+    slanting = {"eye": {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 50, 25], "fov": 50, "size": [40, 400]}}
+    scene = make_scene(floor, views=slanting)
+    picture = sampled(scene, scene.view("eye"))
+    there = picture.own.there
+    marked = np.zeros(there.shape, bool)
+    marked[picture.pixels] = True
+    rim = there & binary_dilation(~there) | ~there & binary_dilation(there)
+    assert rim.any() and (marked == rim).all()
+
+
+def test_means_are_of_linear_light(gl, tower):
+    """What is averaged is light, not bytes: the picture's edge pixels are the mean of their points' linear colours."""
+    view = tower.view("eye")
+    picture = sampled(tower, view)
+    frame = render(tower, view)
+    lit = np.where(picture.buffer.there, 1.0, 0.0).astype(np.float32)
+    colours = shade(picture.buffer, tower, {"sun": lit})
+    row, col = picture.pixels
+    whole = picture.buffer.there.copy()
+    below = whole[view.rows :].ravel()[: len(row) * picture.each].reshape(-1, picture.each)
+    solid = below.all(axis=1) & whole[row, col]  # no sky in them
+    expected = encoded(picture.averaged(colours))[row[solid], col[solid]].astype(int)
+    bright = frame.visibility[row[solid], col[solid]] == 1.0
+    close = np.abs(frame.color[row[solid], col[solid]].astype(int) - expected).max(axis=1) <= 1
+    assert solid.sum() > 30 and close[bright].mean() > 0.5
+
+
+def test_averages_in_closed_form():
+    """Two pixels of 2 x 3 with four samples each, the last row filled up: means of five."""
+    picture = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
+    samples = np.array([10, 20, 30, 40, 100, 100, 100, 100, 999], np.float32).reshape(3, 3, 1)
+    found = Sampled(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
+    expected = picture.copy()
+    expected[0, 1], expected[1, 2] = (1 + 100) / 5, (5 + 400) / 5
+    np.testing.assert_allclose(found, expected)

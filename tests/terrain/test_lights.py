@@ -1,0 +1,259 @@
+"""Lamps: where they are, which way they shine, how their light falls off, and that each light keeps to itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Transformer
+
+from api.layers import layer_of
+from shadows.attached import attached
+from terrain.errors import InputError, LevelError
+from terrain.level import SUN, parse_algorithm
+from terrain.lights import CONE_EDGE, axes_along
+from terrain.picture import geometry_of
+from terrain.scene import Scene
+from terrain.shading import LAMP_ROOM_LIGHT, LEVEL_ALBEDO, LEVEL_GROUND, NIGHT_SKY, SKY_SHARE, SKYLIGHT, shade
+from terrain.world import geocentric
+from tests.conftest import ENGINEERING
+from tests.render import plan_of, render
+
+UTM = "EPSG:32633"
+X0, Y0 = 450_000.0, 6_000_000.0
+
+
+@pytest.fixture
+def floor(write_raster) -> Path:
+    return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
+
+
+@pytest.fixture
+def post(tmp_path) -> list[dict]:
+    """A box that can cast, 3 m high, its middle 30 m east of the floor's."""
+    trimesh.creation.box(extents=(4.0, 4.0, 3.0)).export(tmp_path / "post.obj")
+    return [{"source": "post.obj", "at": [30, 0]}]
+
+
+def omni(height: float = 10.0, **keys) -> dict:
+    return {"lamp": {"kind": "omni", "position": [0, 0, height], **keys}}
+
+
+def spot(height: float = 10.0, cutoff: float = 30.0, **keys) -> dict:
+    return {"lamp": {"kind": "spot", "position": [0, 0, height], "target": [0, 0, 0], "cutoff": cutoff, **keys}}
+
+
+def square(scene: Scene, half: float = 40.0, px: int = 80):
+    """A map round the middle and its pixels' distances from it."""
+    view = scene.view(bounds=(-half, -half, half, half), size=(px, px))
+    x, y = view.grid.x(view.col0 + np.arange(px) * view.col_step), view.grid.y(view.row0 + np.arange(px) * view.row_step)
+    x, y = np.meshgrid(x, y)
+    return view, x, y
+
+
+def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
+    """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
+    buffer = geometry_of(scene, view)
+    shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
+    return shade(buffer, scene, shines)
+
+
+# -- where and which way
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3).map(np.array), st.tuples(*[st.floats(-1, 1)] * 3).map(np.array))
+def test_axes_are_right_handed_upright_and_forward(forward, up):
+    if min(np.linalg.norm(forward), np.linalg.norm(up)) < 0.1:
+        return
+    forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
+    for way in (forward, up, -up):
+        axes = axes_along(way, up)
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-9)
+        assert np.linalg.det(axes) == pytest.approx(1.0) and np.allclose(axes[:, 2], way)
+        if np.linalg.norm(np.cross(way, up)) > 1e-3:
+            assert axes[:, 0] @ up == pytest.approx(0.0, abs=1e-9) and axes[:, 1] @ up < 0.0
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_straight_down_along_an_axis_is_no_special_case(number):
+    """The vertical of any place of the globe, those along the axes too."""
+    up = np.eye(3)[number]
+    for way in (up, -up):
+        axes = axes_along(way, up)
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+
+
+def test_a_spot_on_the_globe_is_where_its_place_says(write_raster, make_scene):
+    """Position and target above the ground there; the distance is that of intensity 1."""
+    raster = write_raster(np.full((40, 40), 250.0, np.float32), UTM, X0, Y0, 10.0)
+    to = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform
+    a, b = to(X0 + 100, Y0 - 200), to(X0 + 200, Y0 - 100)
+    light = {"kind": "spot", "position": [*a, 30], "target": [*b, 2], "cutoff": 25, "intensity": 3}
+    scene = make_scene(raster, lights={"beam": light, "bulb": {"kind": "omni", "position": [*a, 0.4]}})
+    beam, bulb = scene.lamps["beam"], scene.lamps["bulb"]
+    (p, up), (q, up_q) = geocentric(*map(np.float64, a)), geocentric(*map(np.float64, b))
+    position, target = p + 280.0 * up, q + 252.0 * up_q
+    np.testing.assert_allclose(beam.position_earth_m, position, atol=1e-6)
+    np.testing.assert_allclose(beam.earth_from_lamp[:, 2], (target - position) / np.linalg.norm(target - position), atol=1e-12)
+    assert beam.reference_m == pytest.approx(np.linalg.norm(target - position)) and beam.cutoff_deg == 25.0
+    np.testing.assert_allclose(bulb.earth_from_lamp[:, 2], -up, atol=1e-12)
+    assert bulb.cutoff_deg == 180.0 and bulb.reference_m == 1.0  # no less than a metre
+    assert scene.light_names == (SUN, "beam", "bulb")
+
+
+# -- how the light falls
+
+
+def test_an_omni_light_falls_off_with_the_square_of_the_distance(floor, make_scene):
+    """On a floor: h / r^3, and at the foot the irradiance that the level names."""
+    scene = make_scene(floor, sun="none", lights=omni(10.0, intensity=0.7, color=[1.0, 0.5, 0.25]))
+    view, x, y = square(scene)
+    found = light_of(scene, view, ("lamp",)) - light_of(scene, view, ())
+    room = LEVEL_ALBEDO * LEVEL_GROUND * SKY_SHARE * np.array(SKYLIGHT) * (LAMP_ROOM_LIGHT - NIGHT_SKY)
+    r = np.sqrt(x**2 + y**2 + 100.0)
+    expected = LEVEL_ALBEDO * LEVEL_GROUND * 0.7 * np.array([1.0, 0.5, 0.25]) * (1000.0 / r**3)[..., None]
+    np.testing.assert_allclose(found - room, expected, atol=1e-5)
+
+
+def test_a_spot_fades_out_at_its_rim_and_is_dark_beyond(floor, make_scene):
+    """Full inside of nine tenths of the half angle, nothing beyond it."""
+    scene = make_scene(floor, sun="none", lights=spot(20.0, 40.0, intensity=0.5))
+    view, x, y = square(scene)
+    found = (light_of(scene, view, ("lamp",)) - light_of(scene, view, ()))[..., 0]
+    room = LEVEL_ALBEDO * LEVEL_GROUND * SKY_SHARE * SKYLIGHT[0] * (LAMP_ROOM_LIGHT - NIGHT_SKY)
+    angle = np.degrees(np.arctan2(np.hypot(x, y), 20.0))
+    full = LEVEL_ALBEDO * LEVEL_GROUND * 0.5 * np.cos(np.radians(angle)) ** 3
+    inside, beyond = angle < 40.0 * (1 - CONE_EDGE), angle > 40.0
+    np.testing.assert_allclose((found - room)[inside], full[inside], atol=1e-5)
+    np.testing.assert_allclose((found - room)[beyond], 0.0, atol=1e-6)
+    rim = ~inside & ~beyond
+    share = (found - room)[rim] / full[rim]
+    assert rim.sum() > 100 and (share > -1e-4).all() and (share < 1.0001).all()
+    order = np.argsort(angle[rim])
+    assert (np.diff(share[order]) < 1e-3).all()
+
+
+def test_what_is_lit_by_a_spot_is_its_cone(floor, make_scene):
+    """Attached shadow ends at a circle of radius h tan(cutoff), exactly; a floor seen from below has none of its light."""
+    scene = make_scene(floor, sun="none", lights=spot(15.0, 50.0))
+    view, x, y = square(scene, px=200)
+    dark = attached(geometry_of(scene, view), scene, "lamp")
+    np.testing.assert_array_equal(dark, np.hypot(x, y) > 15.0 * np.tan(np.radians(50.0)))
+
+
+# -- many lights
+
+
+def test_visibilities_are_each_light_s_own(gl, floor, make_scene, post):
+    """The sun's is as if there were no lamp, the lamp's as if there were no sun; the colours add up."""
+    both = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
+    alone = make_scene(floor, 250.0, 25.0, meshes=post)
+    night = make_scene(floor, sun="none", lights=omni(8.0), meshes=post)
+    view = both.view(bounds=(10, -20, 50, 20), size=(160, 160))
+    frames = [render(scene, view, map_size=1024, filter=1) for scene in (both, alone, night)]
+    assert list(frames[0].visibilities) == [SUN, "lamp"] and list(frames[1].visibilities) == [SUN]
+    assert list(frames[2].visibilities) == ["lamp"]
+    for light, other in ((SUN, frames[1]), ("lamp", frames[2])):
+        own = frames[0].visibilities[light]
+        assert 0.01 < (own < 0.5).mean() < 0.4
+        np.testing.assert_array_equal(own, other.visibilities[light])
+    sun_only = (frames[0].visibilities["lamp"] == 0) & (frames[0].visibilities[SUN] == 1)
+    lamp_too = (frames[0].visibilities["lamp"] == 1) & (frames[0].visibilities[SUN] == 1)
+    assert frames[0].color[lamp_too].mean() > frames[0].color[sun_only].mean()
+
+
+def test_a_frame_under_another_light(gl, floor, make_scene, post):
+    scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
+    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(64, 64)))
+    assert frame.under(None) is frame
+    under = frame.under("lamp")
+    np.testing.assert_array_equal(layer_of(scene, under, "visibility"), frame.visibilities["lamp"])
+    np.testing.assert_array_equal(layer_of(scene, frame, "visibility"), frame.visibilities[SUN])
+    assert (layer_of(scene, under, "mask") != layer_of(scene, frame, "mask")).any()
+    np.testing.assert_array_equal(under.color, frame.color)
+    with pytest.raises(InputError, match="light: 'moon'.*sun, lamp") as caught:
+        frame.under("moon")
+    assert "\n" not in str(caught.value)
+
+
+def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
+    scene = make_scene(floor, sun="none", meshes=post)
+    assert scene.light_names == () and scene.light is None and not scene.sun_is_up
+    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(64, 64)))
+    assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.there.all()
+    assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "casters", "shading"]
+    assert frame.plan.headline == "none"
+    assert 0 < frame.color.mean() < 60
+
+
+def test_lamps_light_the_night(gl, floor, make_scene, post):
+    """The sun below the horizon gives nothing and runs nothing; the lamp and its shadows are there."""
+    scene = make_scene(floor, 250.0, -30.0, lights=omni(8.0), meshes=post)
+    view = scene.view(bounds=(-20, -20, 50, 20), size=(140, 80))
+    frame = render(scene, view)
+    assert (frame.visibilities[SUN] == 0.0).all()
+    lamp = frame.visibilities["lamp"]
+    assert 0.02 < (lamp == 0.0).mean() < 0.3 and (lamp == 1.0).mean() > 0.6
+    assert not any(name.startswith("sun/") for name in frame.plan.passes) and any(n.startswith("lamp/") for n in frame.plan.passes)
+    dark = render(make_scene(floor, 250.0, -30.0, meshes=post), view)
+    x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
+    assert frame.color[:, np.abs(x) < 5].mean() > dark.color[:, np.abs(x) < 5].mean() + 40
+
+
+def test_a_light_may_have_an_algorithm_of_its_own(gl, floor, make_scene, post):
+    scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
+    view = scene.view(bounds=(10, -20, 50, 20), size=(64, 64))
+    plan = plan_of(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))
+    assert set(plan.algorithm[SUN].values()) == {"none"} and plan.algorithm["lamp"]["meshes"] == "truth"
+    frame = render(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))
+    ground = frame.height_m < 1e-3
+    assert (frame.visibilities[SUN][ground] == 1.0).all() and (frame.visibilities["lamp"][ground] == 0.0).any()
+
+
+@pytest.mark.parametrize("algorithm", ["moon=shadow_map", "lamp=shadow_map,moon=none", "moon=truth,relief=none"])
+def test_an_unknown_light_in_an_override_is_refused_in_one_line(floor, make_scene, post, algorithm):
+    scene = make_scene(floor, lights=omni(8.0), meshes=post)
+    view = scene.view(size=(16, 16))
+    with pytest.raises(InputError, match="algorithm.*sun, lamp.*relief, meshes, forest") as caught:
+        plan_of(scene, view, algorithm=parse_algorithm(algorithm))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        ({"kind": "omni", "position": [500, 0, 5]}, "lights.lamp.position"),
+        ({"kind": "spot", "position": [0, 0, 5], "target": [0, 900, 0]}, "lights.lamp.target"),
+    ],
+)
+def test_a_lamp_off_the_data_is_refused_in_one_line(floor, make_scene, light, said):
+    scene = make_scene(floor, lights={"lamp": light})
+    with pytest.raises(LevelError, match=said) as caught:
+        _ = scene.lamps
+    assert "\n" not in str(caught.value) and "ground's data" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "light", "said"),
+    [
+        ("lamp", {"kind": "spot", "position": [0, 0, 5]}, "target"),
+        ("lamp", {"kind": "omni", "position": [0, 0, 5], "target": [0, 0, 0]}, "target"),
+        ("lamp", {"kind": "spot", "position": [0, 0, 5], "target": [0, 0, 5]}, "target"),
+        ("lamp", {"kind": "spot", "position": [0, 0, 5], "target": [0, 0, 0], "cutoff": 85}, "cutoff"),
+        ("lamp", {"kind": "omni", "position": [0, 0, 5], "intensity": 0}, "intensity"),
+        ("lamp", {"kind": "omni", "position": [0, 0, 5], "color": [0, 0, 2]}, "color"),
+        ("lamp", {"kind": "area", "position": [0, 0, 5]}, "kind"),
+        ("sun", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
+        ("relief", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
+        ("shadow_map", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
+        ("a lamp", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
+    ],
+)
+def test_what_is_no_lamp_is_refused_in_one_line(floor, make_scene, name, light, said):
+    with pytest.raises(LevelError, match=said) as caught:
+        make_scene(floor, lights={name: light})
+    assert "\n" not in str(caught.value)
