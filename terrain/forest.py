@@ -137,15 +137,13 @@ def plant(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | No
 
 def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
     """The stems of a stand, by the kind of its file."""
+    named = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
-        known = attribute_names(source)
-    except SourceError as error:
-        if not is_raster(source):
-            raise SourceError(source, error.value, "polygons, points or a raster of canopy heights that GDAL reads") from None
+        features = _parts(read_features(source, site.crs, named, [POINT_HEIGHT] if spec.height is None else []))
+    except SourceError:
+        if _is_vector(source):
+            raise
         return _canopy_stems(spec, source, where, site, most)
-    named = [name for name in (spec.height, spec.crown) if isinstance(name, str)]
-    unasked = [POINT_HEIGHT] if spec.height is None and POINT_HEIGHT in known else []
-    features = _parts(read_features(source, site.crs, list(dict.fromkeys(named + unasked))))
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
         return _polygon_stems(spec, features, where, site, most)
@@ -153,6 +151,17 @@ def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> 
         return _point_stems(spec, features, where, site, most)
     found = "lines" if (dimensions == 1).any() else "both polygons and points"
     raise SourceError(source, found, "polygons alone, or points alone, or a raster of canopy heights")
+
+
+def _is_vector(source: str) -> bool:
+    """Whether GDAL reads vectors from a file. Raises ``SourceError`` if it reads no raster from it either."""
+    try:
+        attribute_names(source)
+    except SourceError as error:
+        if not is_raster(source):
+            raise SourceError(source, error.value, "polygons, points or a raster of canopy heights that GDAL reads") from None
+        return False
+    return True
 
 
 def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:

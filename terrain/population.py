@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
 
-from terrain.assemble import Placement, place, solids
 from terrain.elevation import Elevation
 from terrain.facets import creases, face_normals
-from terrain.forest import plant
 from terrain.level import CasterKind, LoadedLevel
 from terrain.solids import Solids
 from terrain.trees import Trees
 from terrain.world import World
+
+if TYPE_CHECKING:
+    from terrain.assemble import Placement
 
 EDGE = 0.8
 """Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
@@ -41,19 +43,31 @@ class Population:
     @cached_property
     def trees(self) -> Trees | None:
         """The trees, if there are any."""
-        trees = plant(self.loaded, self.world, self.elevation) if self.loaded.level.forest else None
+        if not self.loaded.level.forest:
+            return None
+        from terrain.forest import plant  # its libraries take half a second, which levels without trees need not pay
+
+        trees = plant(self.loaded, self.world, self.elevation)
         return trees if trees is not None and len(trees.rank) else None
 
     @cached_property
     def placement(self) -> Placement | None:
         """What meshes stand where, whatever the clock says, if there are any."""
-        return place(self.loaded, self.world, self.elevation) if self.loaded.level.meshes else None
+        if not self.loaded.level.meshes:
+            return None
+        from terrain.assemble import place
+
+        return place(self.loaded, self.world, self.elevation)
 
     @cached_property
     def solids(self) -> Solids | None:
         """The meshes, if there are any."""
-        placed = None if self.placement is None else solids(self.placement, self.seconds)
-        return placed if placed is not None and len(placed.triangles) else None
+        if self.placement is None:
+            return None
+        from terrain.assemble import solids
+
+        placed = solids(self.placement, self.seconds)
+        return placed if len(placed.triangles) else None
 
     @cached_property
     def solid_crease(self) -> np.ndarray:

@@ -39,24 +39,27 @@ class Features:
     dropped: int = 0
 
 
-def read_features(source: str, crs: CRS, attributes: Sequence[str] = ()) -> Features:
-    """Read the first layer of a vector file into ``crs``, x before y, with some of its attributes.
+def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: Sequence[str] = ()) -> Features:
+    """Read the first layer of a vector file into ``crs``, x before y, with some of its attributes, and the ``usual`` ones it has.
 
     Where ``crs`` is an engineering CRS, files in another one of its unit, or in none, are taken to be in it.
 
     Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
     coordinates that cannot be transformed.
     """
-    known = attribute_names(source)
-    for name in attributes:
-        if name not in known:
-            raise SourceError(source, f"no attribute '{name}'", f"one of {', '.join(known)}" if known else "a file with attributes")
+    wanted = list(dict.fromkeys([*attributes, *usual]))
     try:
         with _quiet():
-            meta, _, wkb, columns = pyogrio.raw.read(source, layer=0, columns=list(attributes), force_2d=True)
+            # Without a look at its attributes first: large GeoJSON is read from end to end whatever is asked.
+            meta, _, wkb, columns = pyogrio.raw.read(source, layer=0, columns=wanted, force_2d=True)
         geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object))
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException, ValueError) as error:
+        attribute_names(source)  # says it better where there is no such file, or no vectors in it
         raise SourceError(source, _reason(error, source), "an undamaged vector file") from None
+    for name in attributes:
+        if name not in meta["fields"]:
+            known = attribute_names(source)
+            raise SourceError(source, f"no attribute '{name}'", f"one of {', '.join(known)}" if known else "a file with attributes")
     geometry[shapely.is_missing(geometry)] = shapely.Point()
     if shapely.is_empty(geometry).all():
         raise SourceError(source, "no feature with a geometry", "points or polygons")
@@ -70,7 +73,7 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = ()) -> Feat
     if not len(kept):
         raise SourceError(source, "polygons without area alone", "points or polygons")
     values = dict(zip(meta["fields"], columns, strict=True))
-    return Features(source, geometry[kept], {name: values[name][kept] for name in attributes}, len(geometry) - len(kept))
+    return Features(source, geometry[kept], {name: v[kept] for name, v in values.items()}, len(geometry) - len(kept))
 
 
 def attribute_names(source: str) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ def test_visibilities_are_each_light_s_own(gl, floor, make_scene, post):
     both = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
     alone = make_scene(floor, 250.0, 25.0, meshes=post)
     night = make_scene(floor, sun="none", lights=omni(8.0), meshes=post)
-    view = both.view(bounds=(10, -20, 50, 20), size=(160, 160))
+    view = both.view(bounds=(10, -20, 50, 20), size=(150, 150))  # pixels beside the nodes: no whole blocks
     frames = [render(scene, view, map_size=1024, filter=1) for scene in (both, alone, night)]
     assert list(frames[0].visibilities) == [SUN, "lamp"] and list(frames[1].visibilities) == [SUN]
     assert list(frames[2].visibilities) == ["lamp"]
@@ -168,7 +168,7 @@ def test_visibilities_are_each_light_s_own(gl, floor, make_scene, post):
 
 def test_a_frame_under_another_light(gl, floor, make_scene, post):
     scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
-    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(64, 64)))
+    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert frame.under(None) is frame
     under = frame.under("lamp")
     np.testing.assert_array_equal(layer_of(scene, under, "visibility"), frame.visibilities["lamp"])
@@ -183,7 +183,7 @@ def test_a_frame_under_another_light(gl, floor, make_scene, post):
 def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
     scene = make_scene(floor, sun="none", meshes=post)
     assert scene.light_names == () and scene.light is None and not scene.sun_is_up
-    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(64, 64)))
+    frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.there.all()
     assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "casters", "shading"]
     assert frame.plan.headline == "none"
@@ -193,7 +193,7 @@ def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
 def test_lamps_light_the_night(gl, floor, make_scene, post):
     """The sun below the horizon gives nothing and runs nothing; the lamp and its shadows are there."""
     scene = make_scene(floor, 250.0, -30.0, lights=omni(8.0), meshes=post)
-    view = scene.view(bounds=(-20, -20, 50, 20), size=(140, 80))
+    view = scene.view(bounds=(-20, -20, 50, 20), size=(133, 76))
     frame = render(scene, view)
     assert (frame.visibilities[SUN] == 0.0).all()
     lamp = frame.visibilities["lamp"]
@@ -206,7 +206,7 @@ def test_lamps_light_the_night(gl, floor, make_scene, post):
 
 def test_a_light_may_have_an_algorithm_of_its_own(gl, floor, make_scene, post):
     scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
-    view = scene.view(bounds=(10, -20, 50, 20), size=(64, 64))
+    view = scene.view(bounds=(10, -20, 50, 20), size=(60, 60))
     plan = plan_of(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))
     assert set(plan.algorithm[SUN].values()) == {"none"} and plan.algorithm["lamp"]["meshes"] == "truth"
     frame = render(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))

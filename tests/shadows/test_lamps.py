@@ -1,0 +1,254 @@
+"""Shadows of spots and omni lights whose outline is known in closed form, and against truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+import trimesh
+from scipy.ndimage import distance_transform_edt
+
+from shadows.attached import attached
+from shadows.metrics import errors_of
+from shadows.render import Frame
+from shadows.truth import truth_of
+from terrain.descriptor import describe
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.resolve import RELIEF
+from terrain.scene import Scene
+from tests.conftest import ENGINEERING
+from tests.render import render
+
+PX = 300
+
+
+@pytest.fixture
+def floor(write_raster) -> Path:
+    return write_raster(np.zeros((41, 41), np.float32), ENGINEERING, -205.0, 205.0, 10.0)
+
+
+def boxes(tmp_path: Path, *parts: tuple, name: str = "boxes.obj") -> dict:
+    """A mesh at the middle of the floor of boxes (size, centre); the lowest must stand on the floor."""
+    made = []
+    for size, centre in parts:
+        mesh = trimesh.creation.box(extents=size)
+        mesh.apply_translation(centre)
+        made.append(mesh)
+    trimesh.util.concatenate(made).export(tmp_path / name)
+    return {"source": name, "at": [0, 0]}
+
+
+def square(scene: Scene, half: float) -> tuple:
+    """A map round the middle, its pixels beside the grid's nodes, and their coordinates (rows, cols)."""
+    view = scene.view(bounds=(-half, -half, half, half), size=(PX, PX))
+    x = view.grid.x(view.col0 + np.arange(PX) * view.col_step)
+    y = view.grid.y(view.row0 + np.arange(PX) * view.row_step)
+    return view, *np.meshgrid(x, y)
+
+
+def beyond(x: np.ndarray, y: np.ndarray, outline: shapely.Geometry) -> np.ndarray:
+    """Metres by which points lie outside an outline; negative inside."""
+    points = shapely.points(x, y)
+    away = shapely.distance(outline.boundary, points)
+    return np.where(shapely.contains(outline, points), -away, away)
+
+
+def check(frame: Frame, ground: np.ndarray, dark_by: np.ndarray, texel_m: float) -> None:
+    """Ground in shadow where ``dark_by`` (metres beyond the outline) is negative, and lit elsewhere, within a texel."""
+    dark = frame.visibilities["lamp"] < 0.5
+    assert (dark & ground & (dark_by > texel_m)).sum() == 0, "shadow beyond the outline"
+    assert (~dark & ground & (dark_by < -texel_m)).sum() == 0, "light inside the outline"
+    assert (ground & (dark_by < -texel_m)).any() and (ground & (dark_by > texel_m)).any()
+
+
+@pytest.mark.parametrize("kind", ["spot", "omni"])
+@pytest.mark.parametrize(("east", "turn"), [(0.0, 0.0), (5.0, 0.0), (4.0, 30.0)])
+@pytest.mark.parametrize("algorithm", ["shadow_map", "truth"])
+def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, tmp_path, kind, east, turn, algorithm):
+    """From height H its roof at height h is H / (H - h) times as large on the floor, from the lamp's foot."""
+    lamp = {"kind": kind, "position": [0, 0, 12]} | ({"target": [0, 0, 0], "cutoff": 60.0} if kind == "spot" else {})
+    mesh = boxes(tmp_path, ((4.0, 3.0, 5.0), (0, 0, 2.5))) | {"at": [east, 0], "turn": turn}
+    scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
+    view, x, y = square(scene, 17.0)
+    frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+    roof = shapely.affinity.translate(shapely.affinity.rotate(shapely.box(-2, -1.5, 2, 1.5), turn, origin=(0, 0)), east)
+    shadow = shapely.union(shapely.affinity.scale(roof, 12 / 7, 12 / 7, origin=(0, 0)), roof).convex_hull
+    tangent = np.tan(np.radians(60.0)) if kind == "spot" else 1.0
+    slant = 1.0 + np.hypot(np.abs(x), np.abs(y)).max() / 12.0 if kind == "omni" else 1.0
+    texel_m = 1e-3 if algorithm == "truth" else 1.5 * 2 * tangent * 12 / 1000 * slant
+    ground = (frame.height_m < 1e-3) & (kind == "omni") | (np.hypot(x, y) < 12 * np.tan(np.radians(59.9)))
+    ground &= frame.height_m < 1e-3
+    check(frame, ground, beyond(x, y, shadow), texel_m)
+
+
+@pytest.mark.parametrize("cutoff", [10.0, 35.0, 65.0, 84.0])
+def test_a_spot_lights_a_disc(gl, floor, make_scene, tmp_path, cutoff):
+    """Of radius H tan(cutoff), whatever the map's texels; its border is no question of sampling."""
+    height = 15.0 / np.tan(np.radians(cutoff))
+    lamp = {"kind": "spot", "position": [2, -3, height], "target": [2, -3, 0], "cutoff": cutoff}
+    mesh = boxes(tmp_path, ((1.0, 1.0, height / 20), (0, 0, height / 40))) | {"at": [-60, 60]}
+    scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
+    view, x, y = square(scene, 20.0)
+    frame = render(scene, view, map_size=512)
+    away = np.hypot(x - 2, y + 3)
+    assert (frame.visibilities["lamp"][away < 15.0 - 1e-3] == 1.0).all()
+    assert (frame.visibilities["lamp"][away > 15.0 + 1e-3] == 0.0).all()
+    assert (away < 14.9).any() and (away > 15.1).any()
+
+
+@pytest.mark.parametrize("tilt", [20.0, 50.0])
+def test_a_tilted_spot_lights_an_ellipse_and_shades_a_post(gl, floor, make_scene, tmp_path, tilt):
+    """The cone meets the floor where its angle from the axis is the cutoff; a post's shadow points away from the lamp's foot."""
+    lamp = {"kind": "spot", "position": [0, 0, 10], "target": [10 * np.tan(np.radians(tilt)), 0, 0], "cutoff": 25.0}
+    mesh = boxes(tmp_path, ((0.8, 0.8, 3.0), (0, 0, 1.5))) | {"at": [8, 1.0]}
+    scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
+    view, x, y = square(scene, 25.0)
+    frame = render(scene, view, map_size=2048, filter=1)
+    ground = frame.height_m < 1e-3
+    axis = np.array([np.sin(np.radians(tilt)), 0.0, -np.cos(np.radians(tilt))])
+    way = np.stack([x, y, np.full_like(x, -10.0)], axis=-1)
+    angle = np.degrees(np.arccos(np.clip(way @ axis / np.linalg.norm(way, axis=-1), -1, 1)))
+    assert (frame.visibilities["lamp"][ground & (angle > 25.001)] == 0.0).all()
+    roof = shapely.box(7.6, 0.6, 8.4, 1.4)
+    shadow = shapely.union(shapely.affinity.scale(roof, 10 / 7, 10 / 7, origin=(0, 0)), roof).convex_hull
+    check(frame, ground & (angle < 24.99), beyond(x, y, shadow), 0.12)
+
+
+def inside_segment(lamp: np.ndarray, points: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray:
+    """Whether the way from a lamp to points (n, 3) meets a cube."""
+    way = points - lamp
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near, far = ((centre - lamp - np.sign(way) * half) / way, (centre - lamp + np.sign(way) * half) / way)
+    near, far = np.nan_to_num(near, nan=-np.inf).max(axis=1), np.nan_to_num(far, nan=np.inf).min(axis=1)
+    return (near < far) & (far > 0) & (near < 1)
+
+
+LAMP = np.array([0.0, 0.0, 12.0])
+ROOM_M = 10.0
+"""Half the side of the room round the lamp."""
+
+
+@pytest.mark.parametrize("algorithm", ["shadow_map", "truth"])
+def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_scene, tmp_path, algorithm):
+    """Six cubes round a lamp in a room of thin slabs: each wall has its cube's shadow, corners and edges of the room none.
+
+    Two cameras in opposite corners see all walls. The room reaches below the floor, which is moved out of the way.
+    """
+    slabs, cubes = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            normal = np.eye(3)[axis] * side
+            size = np.where(np.abs(normal) > 0, 0.1, 2 * ROOM_M + 0.2)
+            slabs.append((size, LAMP + normal * (ROOM_M + 0.05)))
+            cubes.append(LAMP + 4.0 * normal)
+    parts = [*slabs, *[((1.4, 1.4, 1.4), cube) for cube in cubes], ((0.1, 0.1, 0.1), (0, 150, 0.05))]
+    mesh = boxes(tmp_path, *parts)
+    corner = ROOM_M - 0.6
+    views = {
+        name: {"kind": "perspective", "eye": [s * corner, s * corner, 12 + s * corner], "target": [0, 0, 12], "fov": 110, "size": [200, 200]}
+        for name, s in (("low", -1.0), ("high", 1.0))
+    }  # fmt: skip
+    scene = make_scene(floor, sun="none", lights={"lamp": {"kind": "omni", "position": [0, 0, 12]}}, meshes=[mesh], views=views)
+    walls_seen = set()
+    for name in views:
+        view = scene.view(name)
+        frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+        point = frame.position_earth_m
+        off = np.abs(point - LAMP)
+        wall = frame.there & (np.abs(off.max(axis=-1) - ROOM_M) < 1e-3)
+        assert wall.mean() > 0.5
+        margin = 1e-3 if algorithm == "truth" else 0.03
+        points = point[wall]
+        surely_dark = np.any([inside_segment(LAMP, points, cube, 0.7 - margin) for cube in cubes], axis=0)
+        surely_lit = ~np.any([inside_segment(LAMP, points, cube, 0.7 + margin) for cube in cubes], axis=0)
+        lit = frame.visibilities["lamp"][wall] >= 0.5
+        bad = surely_lit & ~lit
+        print("BAD", bad.sum(), (points - LAMP)[bad][:12].round(3).tolist(), (surely_dark & lit).sum())
+        assert not lit[surely_dark].any() and lit[surely_lit].all()
+        assert (surely_dark | surely_lit).mean() > 0.9
+        side = np.argmax(off[wall], axis=1)
+        signs = np.sign((points - LAMP)[np.arange(len(side)), side])
+        walls_seen |= {(int(a), int(s)) for a, s, d in zip(side, signs, surely_dark, strict=True) if d}
+    assert walls_seen == {(axis, side) for axis in range(3) for side in (-1, 1)}
+
+
+def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
+    """Up is a direction like any other: a disc on the ceiling's underside, with a hole where a cube is in the way."""
+    parts = [((60.0, 60.0, 0.2), (0, 0, 20.1)), ((2.0, 2.0, 2.0), (0, 0, 10.0)), ((0.1, 0.1, 0.1), (0, 40, 0.05))]
+    views = {"eye": {"kind": "perspective", "eye": [1, -15, 1], "target": [0, 0, 20], "fov": 80, "size": [160, 160]}}
+    lamp = {"kind": "spot", "position": [0, 0, 2], "target": [0, 0, 20], "cutoff": 30.0}
+    scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[boxes(tmp_path, *parts)], views=views)
+    frame = render(scene, scene.view("eye"), map_size=1024, filter=1)
+    ceiling = frame.there & (np.abs(frame.height_m - 20.0) < 1e-3)
+    x, y = frame.position_earth_m[ceiling][:, :2].T
+    disc = np.hypot(x, y) - 18.0 * np.tan(np.radians(30.0))
+    hole = np.maximum(np.abs(x), np.abs(y)) - 18.0 / 7.0  # of the cube's underside, 7 m above the lamp
+    lit = frame.visibilities["lamp"][ceiling] >= 0.5
+    assert ceiling.mean() > 0.3 and not lit[disc > 1e-3].any() and not lit[hole < -0.05].any()
+    assert lit[(disc < -0.01) & (hole > 0.05)].all() and (hole < -0.05).any()
+
+
+@pytest.fixture
+def grove(write_raster, make_scene, tmp_path) -> Scene:
+    """Rolling ground with trees and a house under a spot and an omni light, seen from the side and from above."""
+    y, x = np.mgrid[0:60, 0:60] / 59.0
+    heights = 3 * np.sin(6 * x + 1) + 2.5 * np.cos(7 * y)
+    raster = write_raster(heights.astype(np.float32), ENGINEERING, -60.0, 60.0, 2.0)
+    rng = np.random.default_rng(11)
+    points = [shapely.Point(*p) for p in rng.uniform(-35, 35, (25, 2)) if np.hypot(*p) > 8]
+    wkb = shapely.to_wkb(np.array(points, object))
+    pyogrio.raw.write(
+        tmp_path / "trees.gpkg", wkb, [rng.uniform(4, 9, len(points))], ["height"], geometry_type="Point", crs=ENGINEERING
+    )
+    house = boxes(tmp_path, ((8.0, 6.0, 5.0), (12, 5, 2.5)), ((0.5, 0.5, 8.0), (-10, -6, 4.0)))
+    lights = {
+        "beam": {"kind": "spot", "position": [-25, -20, 22], "target": [0, 0, 0], "cutoff": 40},
+        "bulb": {"kind": "omni", "position": [2, -3, 9]},
+    }
+    views = {"eye": {"kind": "perspective", "eye": [-30, -45, 18], "target": [2, 0, 1], "fov": 45, "size": [200, 160]}}
+    forest = [{"source": "trees.gpkg", "height": "height"}]
+    return make_scene(raster, sun="none", lights=lights, meshes=[house], forest=forest, views=views)
+
+
+@pytest.mark.parametrize("light", ["beam", "bulb"])
+@pytest.mark.parametrize("kind", ["perspective", "map"])
+def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
+    """No error inside of shadows or of light, on ground, walls and trees alike, and few at their borders."""
+    view = grove.view("eye") if kind == "perspective" else grove.view(bounds=(-40, -40, 40, 40), size=(211, 211))
+    frame = render(grove, view, algorithm="shadow_map", map_size=2048, filter=1)
+    buffer = geometry_of(grove, view)
+    real = truth_of(buffer, grove, casters_of(grove, buffer), light=light)
+    found = errors_of(frame.visibilities[light], real, describe(grove, view).pixel_m, 1.0)
+    cast = ~real.lit & ~real.attached & real.there
+    assert 0.03 < cast.sum() / real.there.sum() < 0.8 and real.decidable.mean() > 0.3
+    assert found.interior <= 0.001 and found.wrong < 0.02
+    ground = real.decidable & (buffer.kind == RELIEF)
+    dark = frame.visibilities[light] < 0.5
+    edge = distance_transform_edt(real.lit == np.roll(real.lit, 1))  # some distance from where truth changes along a row
+    assert ((dark == real.lit) & ground & (edge > 3)).sum() <= 0.001 * ground.sum()
+    assert (dark[attached(buffer, grove, light) & buffer.there]).all()
+
+
+def test_a_lamp_with_nothing_before_it_needs_no_map(gl, floor, make_scene, tmp_path):
+    """A spot that shines past everything that is seen: all dark, and the plan's passes all the same."""
+    lamp = {"kind": "spot", "position": [150, 150, 5], "target": [190, 190, 5], "cutoff": 5.0}
+    mesh = boxes(tmp_path, ((4.0, 3.0, 5.0), (0, 0, 2.5)))
+    scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
+    view, _, _ = square(scene, 17.0)
+    frame = render(scene, view)
+    assert (frame.visibilities["lamp"] == 0.0).all() and [record.name for record in frame.passes] == frame.plan.passes
+
+
+@pytest.mark.parametrize("bits", [16, 24, 32])
+def test_depths_of_any_kind_show_no_acne(gl, floor, make_scene, tmp_path, bits):
+    """A floor from straight above to grazing, under a lamp close to it, is lit throughout but for the box's shadow."""
+    mesh = boxes(tmp_path, ((0.5, 0.5, 0.5), (0, 0, 0.25))) | {"at": [150, 150]}
+    scene = make_scene(floor, sun="none", lights={"lamp": {"kind": "omni", "position": [3.3, 1.7, 4.0]}}, meshes=[mesh])
+    view, _, _ = square(scene, 60.0)
+    for taps in (1, 3):
+        frame = render(scene, view, map_size=512, filter=taps, depth_bits=bits, algorithm="shadow_map")
+        assert (frame.visibilities["lamp"] == 1.0).all()
