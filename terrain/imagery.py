@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rasterio
+from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.enums import Resampling
@@ -32,9 +33,8 @@ class Imagery:
                 data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)
                 valid = dataset.dataset_mask(out_shape=shape) > 0
                 self.crs = CRS.from_user_input(dataset.crs.to_wkt())
-                self._cell_from_crs = ~(
-                    dataset.transform * dataset.transform.scale(dataset.width / shape[1], dataset.height / shape[0])
-                )
+                gt, across, down = dataset.transform, dataset.width / shape[1], dataset.height / shape[0]
+                self._cell_from_crs = ~Affine(gt.a * across, gt.b * down, gt.c, gt.d * across, gt.e * down, gt.f)
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
             raise SourceError(source, reason, "an RGB raster that GDAL reads") from None

@@ -1,0 +1,287 @@
+"""Levels with trees, buildings and lamps as a whole: near truth, kind by kind, and with no other passes than planned."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+import trimesh
+from affine import Affine
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from selector.rules import choose
+from shadows.attached import attached
+from shadows.metrics import block_shares, coverage_error, errors_of
+from shadows.passes import PassLog
+from shadows.plan import Plan, TruthSettings
+from shadows.render import render_frame
+from shadows.truth import coverage_truth, fill, truth_of
+from terrain.descriptor import Descriptor, describe
+from terrain.level import SUN, load_level
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.resolve import FOREST, MESHES, RELIEF
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import plan_of, render
+
+Build = Callable[..., Scene]
+
+EYE = {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [256, 192]}
+WOOD = {"source": "wood.gpkg", "density": 250, "height": [4, 9]}
+TREES = {"source": "trees.gpkg", "height": "height"}
+HOUSE = {"source": "house.obj", "at": [8, -6], "turn": 20}
+SPOT = {"kind": "spot", "position": [-30, 10, 18], "target": [0, 0, 0], "cutoff": 40}
+OMNI = {"kind": "omni", "position": [0, -8, 12]}
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory) -> Build:
+    """``build(azimuth, altitude, **keys)`` builds the scene of a level over rolling or level ground of 120 m."""
+    folder: Path = tmp_path_factory.mktemp("populated")
+    y, x = np.mgrid[0:61, 0:61] / 60.0
+    grounds = {"rolling": 3 * np.sin(6 * x + 1) + 2.5 * np.cos(7 * y), "level": np.zeros((61, 61))}
+    for name, heights in grounds.items():
+        with rasterio.open(
+            folder / f"{name}.tif", "w", driver="GTiff", width=61, height=61, count=1, dtype="float32", crs=ENGINEERING,
+            transform=Affine(2, 0, -61, 0, -2, 61),
+        ) as dataset:  # fmt: skip
+            dataset.write(heights.astype(np.float32), 1)
+    rng = np.random.default_rng(12)
+    points = [shapely.Point(*p) for p in rng.uniform(-45, 45, (40, 2))]
+    vectors = {"wood": ([shapely.box(-40, -40, 40, 40)], {}), "trees": (points, {"height": rng.uniform(4, 9, len(points))})}
+    for name, (geometries, attributes) in vectors.items():
+        wkb = shapely.to_wkb(np.array(geometries, object))
+        kind = geometries[0].geom_type
+        fields = list(attributes.values())
+        pyogrio.raw.write(folder / f"{name}.gpkg", wkb, fields, list(attributes), geometry_type=kind, crs=ENGINEERING)
+    for name, size in {"house": (12.0, 8.0, 6.0), "plank": (16.0, 2.0, 6.0), "low": (4.0, 4.0, 2.0)}.items():
+        trimesh.creation.box(extents=size).export(folder / f"{name}.obj")
+
+    @lru_cache(maxsize=64)
+    def made(text: str) -> Scene:
+        path = folder / "level.yaml"
+        path.write_text(text, encoding="utf-8")
+        return build_scene(load_level(path))
+
+    def level(azimuth: float = 215.0, altitude: float = 32.0, ground: str = "rolling", **keys) -> Scene:
+        sun = keys.pop("sun", {"azimuth": azimuth, "altitude": altitude})
+        terrain = {"source": f"{ground}.tif"}
+        return made(json.dumps({"version": 1, "terrain": terrain, "sun": sun, "views": {"eye": EYE}, **keys}))
+
+    return level
+
+
+def view_of(scene: Scene, kind: str):
+    """A view of a kind; a map's pixels lie beside its grid's nodes, so that no whole block is drawn."""
+    return scene.view("eye") if kind == "perspective" else scene.view(bounds=(-40, -40, 40, 40), size=(240, 240))
+
+
+# -- accuracy
+
+
+@pytest.mark.parametrize("kind", ["perspective", "map"])
+def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
+    """Coverage of blocks of 16 pixels, truth by 16 points a pixel: within 0.02."""
+    scene = build(forest=[WOOD])
+    view = view_of(scene, kind)
+    frame = render(scene, view, map_size=4096)
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
+    assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
+    found = block_shares(1.0 - frame.visibility)
+    assert coverage_error(found, shares) <= 0.02
+    wrong_way = coverage_error(block_shares(frame.visibility), shares)
+    assert wrong_way > 0.1
+
+
+@pytest.mark.parametrize("kind", ["perspective", "map"])
+@pytest.mark.parametrize("altitude", [12.0, 50.0])
+def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
+    scene = build(300.0, altitude, meshes=[HOUSE, {"source": "plank.obj", "at": [[-15, 5], [-20, -18]], "turn": 70}])
+    view = view_of(scene, kind)
+    frame = render(scene, view, map_size=4096, filter=1)
+    buffer = geometry_of(scene, view)
+    real = truth_of(buffer, scene, casters_of(scene, buffer))
+    found = errors_of(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
+    cast = ~real.lit & ~real.attached & real.there
+    assert 0.02 < cast.sum() / real.there.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
+    assert found.interior <= 0.001 and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
+
+
+# -- kind by kind
+
+
+def test_each_kind_casts_its_own_shadow(gl, build):
+    """What is left out by name throws none; truths of single kinds multiply to that of all; the map agrees with each."""
+    scene = build(altitude=20.0, meshes=[HOUSE], forest=[TREES])
+    view = view_of(scene, "perspective")
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    all_kinds = scene.population.kinds
+    assert all_kinds == ("relief", "meshes", "forest")
+    real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
+    together = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
+    assert (np.prod(list(real.values()), axis=0) != together).mean() < 1e-4  # rays start at offsets by what there is
+    ground = buffer.there & (buffer.kind == RELIEF)
+    masks = {}
+    for kind in all_kinds:
+        choice = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
+        frame = render(scene, view, algorithm=choice, map_size=4096, filter=1)
+        assert frame.plan.algorithm[SUN] == choice
+        assert [name for name in frame.plan.passes if name.startswith("sun/")] == PassLog.named(
+            SUN, (kind,), ("depth map", "visibility")
+        )
+        masks[kind] = frame.visibility < 0.5
+        assert (masks[kind] != (real[kind] < 0.5))[ground].mean() < 0.02
+    assert masks["meshes"][ground].mean() > 0.02 and masks["forest"][ground].mean() > 0.02
+    assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
+    none = render(scene, view, algorithm="none")
+    np.testing.assert_array_equal(none.visibility[buffer.there] == 0.0, attached(buffer, scene)[buffer.there])
+
+
+def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
+    """``relief=none,meshes=truth,forest=shadow_map``: visibilities multiply, and each has its own passes."""
+    scene = build(altitude=20.0, meshes=[HOUSE], forest=[TREES])
+    view = view_of(scene, "perspective")
+    both = render(scene, view, algorithm={"relief": "none", "meshes": "truth", "forest": "shadow_map"}, map_size=2048, filter=1)
+    parts = [
+        render(scene, view, algorithm={"relief": "none", "meshes": m, "forest": f}, map_size=2048, filter=1).visibility
+        for m, f in (("truth", "none"), ("none", "shadow_map"))
+    ]
+    np.testing.assert_array_equal(both.visibility, parts[0] * parts[1])
+    assert [name for name in both.plan.passes if "/" in name] == [
+        "sun/meshes: rays", "sun/forest: depth map", "sun/forest: visibility",
+    ]  # fmt: skip
+
+
+def test_the_plan_names_the_kinds_there_are(build):
+    for keys, kinds in (
+        ({}, ["relief"]),
+        ({"meshes": [HOUSE]}, ["relief", "meshes"]),
+        ({"forest": [TREES]}, ["relief", "forest"]),
+        ({"meshes": [HOUSE], "forest": [TREES]}, ["relief", "meshes", "forest"]),
+    ):
+        scene = build(lights={"spot": SPOT}, **keys)
+        plan = plan_of(scene, scene.view("eye"))
+        assert list(plan.algorithm) == [SUN, "spot"]
+        assert all(list(per_kind) == kinds for per_kind in plan.algorithm.values())
+    level = build(ground="level", meshes=[HOUSE])
+    plan = plan_of(level, level.view("eye"))
+    assert plan.algorithm[SUN] == {"relief": "none", "meshes": "shadow_map"}  # level ground cannot cast
+
+
+# -- stand-ins and the clock
+
+
+def floor_shadow(scene: Scene, **options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A map's shadow on level ground, and its pixels' coordinates; meshes count as lit."""
+    view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
+    frame = render(scene, view, map_size=2048, filter=1, **options)
+    x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
+    y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
+    x, y = np.meshgrid(x, y)
+    return (frame.visibility < 0.5) & (frame.height_m < 1e-3), x, y
+
+
+def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
+    """The house shows its roof; its shadow is that of a lower, narrower box: 2 m high at 45 degrees from the east."""
+    scene = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0], "caster": "low.obj"}])
+    own = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0]}])
+    view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
+    roof = geometry_of(scene, view).height_m
+    np.testing.assert_array_equal(roof, geometry_of(own, view).height_m)
+    assert roof.max() == pytest.approx(6.0)
+    dark, x, y = floor_shadow(scene)
+    assert not dark.any()  # 2 + 2 m west of the middle: below the house
+    house = (np.abs(x) < 5.9) & (np.abs(y) < 3.9)
+    frame = render(scene, view, map_size=2048, filter=1)
+    assert (frame.visibility[house & (roof > 5)] == 1.0).all()  # its roof stands above the stand-in
+    dark, x, y = floor_shadow(own)
+    outline = (x < -6.05) & (x > -11.95) & (np.abs(y) < 3.95)
+    assert dark[outline].all() and not dark[(x < -12.1) | (np.abs(y) > 4.1) | (x > -5.9)].any()
+    tall = build(90.0, 45.0, "level", meshes=[{"source": "low.obj", "at": [0, 0], "caster": "house.obj"}])
+    dark, x, y = floor_shadow(tall)
+    assert dark[outline].all() and not dark[(x < -12.1) | (np.abs(y) > 4.1)].any()
+    real, _, _ = floor_shadow(tall, algorithm="truth")
+    assert (dark != real).mean() < 0.004
+
+
+def test_a_moving_caster_s_shadow_turns_with_the_clock(gl, build):
+    """A plank that spins by 30 degrees a second, at second 3 as one that stands turned by 90; what does not move stays."""
+    moving = {"source": "plank.obj", "at": [0, 0], "motion": {"spin": 30.0}}
+    scene = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES])
+    later = scene.at_second(3.0)
+    assert later.population is not scene.population and later.population.trees is scene.population.trees
+    assert scene.at_second(None) is scene and scene.at_second(0.0).population is scene.population
+    turned = build(180.0, 45.0, "level", meshes=[{"source": "plank.obj", "at": [0, 0], "turn": 90.0}], forest=[TREES])
+    started = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES], seconds=3.0)
+    masks = [floor_shadow(s)[0] for s in (scene, later, turned, started)]
+    assert (masks[0] != masks[1]).mean() > 0.02
+    assert (masks[1] != masks[2]).mean() < 1e-3
+    np.testing.assert_array_equal(masks[1], masks[3])
+    dark, x, y = floor_shadow(later)
+    north = (np.abs(x) < 0.9) & (y > 8.1) & (y < 13.9)  # of the 6 m high plank, 2 m wide and from -8 to 8 m north
+    assert dark[north].all()
+
+
+# -- plans
+
+
+ALGORITHM = st.sampled_from(["auto", "shadow_map", "truth", "none"])
+CHOICES = st.one_of(
+    ALGORITHM, st.fixed_dictionaries({}, optional={kind: ALGORITHM for kind in ("relief", "meshes", "forest", SUN)})
+)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    meshes=st.booleans(), forest=st.booleans(), spot=st.booleans(), omni=st.booleans(),
+    ground=st.sampled_from(["rolling", "level"]),
+    sun=st.sampled_from([(215.0, 30.0), (215.0, -10.0), None]), choice=CHOICES, kind=st.sampled_from(["perspective", "map"]),
+    effect=st.sampled_from(["auto", "on", "off"]),
+)  # fmt: skip
+def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omni, ground, sun, choice, kind, effect):
+    """Whatever casts, whatever shines and whatever is asked for; every light of the plan has its visibility."""
+    keys = {"meshes": [HOUSE] if meshes else [], "forest": [TREES] if forest else [], "effects": {"cast_shadows": effect}}
+    lights = {name: spec for name, spec, there in (("spot", SPOT, spot), ("omni", OMNI, omni)) if there}
+    if sun is None:
+        keys["sun"] = "none"
+    scene = build(*(sun or (0.0, 0.0)), ground, lights=lights, **keys)
+    view = scene.view("eye", size=(40, 30)) if kind == "perspective" else scene.view(bounds=(-40, -40, 40, 40), size=(37, 37))
+    plan = plan_of(scene, view, algorithm=choice, map_size=256)
+    assert Plan.model_validate_json(plan.model_dump_json()) == plan
+    frame = render_frame(scene, view, plan)
+    assert [record.name for record in frame.passes] == plan.passes
+    assert list(frame.visibilities) == list(plan.lights)
+    assert set(plan.lights) == set(scene.light_names) or plan.lights == (SUN,)
+    for visibility in frame.visibilities.values():
+        assert np.isfinite(visibility[frame.there]).all()
+    if sun is None or sun[1] < 0.0:
+        assert SUN not in frame.visibilities or not np.nan_to_num(frame.visibilities[SUN]).any()
+
+
+@pytest.mark.parametrize("kind", ["perspective", "map"])
+@pytest.mark.parametrize("algorithm", ["auto", "truth", "none"])
+def test_descriptor_and_plan_survive_json(build, kind, algorithm):
+    """As HTTP sends them: equal when read back, and the plan of a descriptor read back is the same."""
+    scene = build(meshes=[HOUSE], forest=[TREES], lights={"spot": SPOT, "omni": OMNI})
+    view = view_of(scene, kind)
+    descriptor = describe(scene, view, "eye")
+    back = Descriptor.model_validate_json(descriptor.model_dump_json())
+    assert back == descriptor and [lamp.name for lamp in back.lamps] == ["spot", "omni"]
+    asked = {"algorithm": algorithm}
+    plan = choose(descriptor, scene.loaded.level, asked)
+    assert choose(back, scene.loaded.level, asked) == plan
+    again = Plan.model_validate_json(plan.model_dump_json())
+    assert again == plan and again.steps == plan.steps and type(again.settings) is type(plan.settings)
+    assert again.model_dump() == plan.model_dump()
