@@ -107,6 +107,7 @@ def trees(count: int, repeats: int) -> None:
                 start = time.perf_counter()
                 view = scene.view(name)
                 plan = choose(describe(scene, view, name), scene.loaded.level)
+                frame = None  # the last one goes before the next is made, as in a service
                 frame = render_frame(scene, view, plan)
                 times.append(time.perf_counter() - start)
             passes = ", ".join(f"{record.name} {record.ms:.0f}" for record in frame.passes)

@@ -76,7 +76,7 @@ def _algorithm(
     """The algorithm of a light for a kind of casters, and the reason."""
     if missing is not None:
         return "none", missing
-    if light == SUN and not of_sun(descriptor).called_for and descriptor.lamps:
+    if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
         return "none", of_sun(descriptor).reason
     if wish is not None:
         return wish, f"asked for by {who}"

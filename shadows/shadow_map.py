@@ -75,11 +75,14 @@ BORDER_TEXELS = 12
 SIZE_STEP = 64
 """Maps are allocated in multiples of this, so that blocks of one level share them."""
 
-LOOK_COLS = 2048
-"""Points of a perspective view that are looked up side by side."""
+LOOK_COLS, LOOK_ROWS = 2048, 384
+"""Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
 
 MAP_UNIT = 4
 """Texture unit of the depth map."""
+
+POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
+"""Bound of what float32 makes of positions, as a share of the coordinates' extent: 8 units in the last place."""
 
 NEAREST_SHARE = 1e-4
 """The nearest receiver of a lamp counts as no nearer than this share of the farthest one's distance."""
@@ -148,8 +151,11 @@ def fill(
 
 def _sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> list[_Map]:
     """The maps of the cascades that have receivers."""
+    extent_m = _extent_m(buffer)
     if len(settings.cascades) == 1 or isinstance(buffer.view, MapView):
-        return [_sun_map(buffer, buffer.there, scene, settings.cascades[0], settings, trees)] if buffer.there.any() else []
+        if not buffer.there.any():
+            return []
+        return [_sun_map(buffer, buffer.there, scene, settings.cascades[0], settings, trees, extent_m)]
     eye, _ = buffer.view.in_frame(buffer.frame)
     away_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
@@ -157,7 +163,7 @@ def _sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings,
         far_m = np.inf if cascade.far_m is None else cascade.far_m
         here = (away_m > near_m) & (away_m <= far_m)
         if here.any():
-            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees))
+            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, extent_m))
         near_m = far_m
     return maps
 
@@ -169,8 +175,9 @@ def _sun_map(
     cascade: Cascade,
     settings: ShadowMapSettings,
     trees: Stand | None,
+    extent_m: float,
 ) -> _Map:
-    """The map of a cascade, whose receivers are ``here``."""
+    """The map of a cascade, whose receivers are ``here``; ``extent_m`` is the largest coordinate of the buffer's points."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
@@ -180,7 +187,7 @@ def _sun_map(
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel)
-    error_m = _position_error_m(buffer, float(np.abs(high - low).max()))
+    error_m = POSITION_ERROR * (extent_m + float(np.abs(high - low).max()))
     step_m = cascade.depth_step_m
     before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     steps = _steps(settings.depth_bits)
@@ -226,7 +233,7 @@ def _lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tre
         "light_offset_m": tuple(-rotation @ position),
         "tangent": tangent,
         "near_far_m": (near, far),
-        "error_m": _position_error_m(buffer, float(np.abs(position).max())),
+        "error_m": POSITION_ERROR * (_extent_m(buffer) + float(np.abs(position).max())),
         "depth_step": 1.0 / _steps(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
@@ -319,8 +326,9 @@ def _look_up(
     flat = [array.reshape(visibility.size, -1) for array in (*arrays, corners)]
     own = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
     split = int(np.searchsorted(drawn.pixels, own))
-    for chosen, taps in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], 1)):  # samples are averaged as it is
-        if len(chosen):
+    for part, taps in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], 1)):  # samples are averaged as it is
+        for start in range(0, len(part), LOOK_COLS * LOOK_ROWS):
+            chosen = part[start : start + LOOK_COLS * LOOK_ROWS]
             rows = -(-len(chosen) // LOOK_COLS)
             some = [_rows_of(values, chosen, rows) for values in flat]
             some[-1] = some[-1].reshape(rows, LOOK_COLS * 3, 3)
@@ -372,10 +380,9 @@ def _turned(uniforms: dict, face: np.ndarray) -> dict:
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}
 
 
-def _position_error_m(buffer: GeometryBuffer, more_m: float) -> float:
-    """Bound of what float32 makes of positions: 8 units in the last place of the coordinates' extent and ``more_m``."""
-    low, high = light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))
-    return 4.0 * float(np.finfo(np.float32).eps) * (float(np.abs([low, high]).max()) + more_m)
+def _extent_m(buffer: GeometryBuffer) -> float:
+    """The largest coordinate of a buffer's points."""
+    return float(np.abs(light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))).max())
 
 
 def _steps(depth_bits: int) -> int:

@@ -23,7 +23,7 @@ SIDE = 2
 EVERY, DIAGONAL = (0, 1, 2, 3), (0, 3)
 """Which of the grid's places are taken: all, or two where edges are ..."""
 
-DENSE = 0.25
+DENSE = 0.12
 """... in more than this share of the pixels, as in woods."""
 
 BEND = 0.9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from functools import lru_cache
 from typing import get_args
@@ -187,14 +188,22 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _imagery(source: str) -> Imagery:
+def _imagery(source: str, stamp: tuple[int, int]) -> Imagery:
+    """Imagery by its file's path and time and size: a file that is rewritten is read again."""
     return Imagery(source)
 
 
 def imagery_of(scene: Scene) -> Imagery | None:
     """The level's ground imagery, if it has any. Raises ``SourceError``."""
     source = scene.loaded.level.terrain.imagery
-    return None if source is None else _imagery(scene.loaded.resolve(source))
+    if source is None:
+        return None
+    path = scene.loaded.resolve(source)
+    try:
+        status = os.stat(path)
+    except OSError:  # no file of this machine, or one that will be missed with a sentence
+        return _imagery(path, (0, 0))
+    return _imagery(path, (status.st_mtime_ns, status.st_size))
 
 
 @lru_cache(maxsize=2)

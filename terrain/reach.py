@@ -287,8 +287,8 @@ def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.n
         i, j = _rim(buffer.there)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
-    seen = buffer.position_frame_m[buffer.there]
-    seen = seen[:: max(len(seen) // 256, 1)]
+    there = np.flatnonzero(buffer.there)
+    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // 256, 1)]]
     points = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))

@@ -21,7 +21,7 @@ from terrain.population import Population
 from terrain.trees import Trees
 from terrain.world import LocalFrame
 
-WHOLE_PX = 6.5
+WHOLE_PX = 6.8
 """Height in pixels from which all trees of a perspective view are drawn."""
 
 WHOLE_CROWN_PX = 1.5
@@ -83,14 +83,14 @@ class Stand:
         return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def stand_in_map(population: Population, frame: LocalFrame, pixel_m: float) -> Stand | None:
     """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
     trees = population.trees
     return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * WHOLE_CROWN_PX))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def stand_in_perspective(
     population: Population, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> Stand | None:

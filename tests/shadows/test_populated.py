@@ -123,7 +123,7 @@ def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
 
 def test_each_kind_casts_its_own_shadow(gl, build):
     """What is left out by name throws none; truths of single kinds multiply to that of all; the map agrees with each."""
-    scene = build(altitude=20.0, meshes=[HOUSE], forest=[TREES])
+    scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
     buffer = geometry_of(scene, view)
     casters = casters_of(scene, buffer)
@@ -143,7 +143,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
         )
         masks[kind] = frame.visibility < 0.5
         assert (masks[kind] != (real[kind] < 0.5))[ground].mean() < 0.02
-    assert masks["meshes"][ground].mean() > 0.02 and masks["forest"][ground].mean() > 0.02
+    assert masks["meshes"][ground].mean() > 0.01 and masks["forest"][ground].mean() > 0.02
     assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
     none = render(scene, view, algorithm="none")
     np.testing.assert_array_equal(none.visibility[buffer.there] == 0.0, attached(buffer, scene)[buffer.there])
@@ -151,7 +151,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
 
 def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
     """``relief=none,meshes=truth,forest=shadow_map``: visibilities multiply, and each has its own passes."""
-    scene = build(altitude=20.0, meshes=[HOUSE], forest=[TREES])
+    scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
     both = render(scene, view, algorithm={"relief": "none", "meshes": "truth", "forest": "shadow_map"}, map_size=2048, filter=1)
     parts = [
@@ -268,6 +268,16 @@ def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omn
         assert np.isfinite(visibility[frame.there]).all()
     if sun is None or sun[1] < 0.0:
         assert SUN not in frame.visibilities or not np.nan_to_num(frame.visibilities[SUN]).any()
+
+
+@pytest.mark.parametrize("kind", ["perspective", "map"])
+@pytest.mark.parametrize("algorithm", ["auto", "truth"])
+def test_shadows_that_are_forced_on_without_any_light_are_none(gl, build, kind, algorithm):
+    """A level with ``cast_shadows: on`` but neither sun nor lamps: a plan and a picture, all of it dark."""
+    scene = build(sun="none", effects={"cast_shadows": "on"}, meshes=[HOUSE])
+    frame = render(scene, view_of(scene, kind), algorithm=algorithm)
+    if np.nan_to_num(frame.visibility).any():
+        raise RuntimeError("what no light reaches is lit")
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])

@@ -52,7 +52,8 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
     if not patches:
         casters = Casters((), casters.reach)
     settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
-    seen = shadow_map.fill(buffer, scene, "sun", ("relief",), casters, settings.model_copy(update={"bias_scale": bias_scale}), PassLog())
+    settings = settings.model_copy(update={"bias_scale": bias_scale})
+    seen = shadow_map.fill(buffer, scene, "sun", ("relief",), casters, settings, PassLog())
     seen[attached(buffer, scene)] = 0.0
     return seen
 
