@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from hypothesis import settings
 
 from terrain.level import load_level
 from terrain.scene import Scene, build_scene
+
+# No deadline: the first example of a property may compile a loop. On a build server the same examples each time.
+settings.register_profile("skugga", deadline=None, derandomize=bool(os.environ.get("CI")))
+settings.load_profile("skugga")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
