@@ -39,6 +39,8 @@ the map's rounding, and on a known triangle the slope times (t/128 + e) for the 
 
 **Filter.** n taps a side are weighted by what of each texel lies in the square of n - 1 texels round the point (n = 2: bilinear),
 so that visibility is the lit share of that square, centred on the point. One tap is the texel that holds it.
+Beside the known triangles two taps a side are taken at most: a point moved clear of all that more taps would see is moved
+past what touches its surface.
 
 **Foliage** is alpha-tested with the mipmap of its footprint in the map, which keeps its coverage.
 """

@@ -68,11 +68,11 @@ bool meets(vec3 base, vec3 e, vec3 g, vec2 centre, out float z, out float slack)
     return area > 0.0 && u >= 0.0 && v >= 0.0 && u + v <= area;
 }
 
-// How much of a tap lies in the square of taps - 1 texels round the point: the share of lit texels in it has no stairs.
-float weight_of(int col, int row, vec2 beyond) {
-    if (taps == 1) return 1.0;
-    float across = col == 0 ? 1.0 - beyond.x : col == taps - 1 ? beyond.x : 1.0;
-    float down = row == 0 ? 1.0 - beyond.y : row == taps - 1 ? beyond.y : 1.0;
+// How much of a tap lies in the square of count - 1 texels round the point: the share of lit texels in it has no stairs.
+float weight_of(int count, int col, int row, vec2 beyond) {
+    if (count == 1) return 1.0;
+    float across = col == 0 ? 1.0 - beyond.x : col == count - 1 ? beyond.x : 1.0;
+    float down = row == 0 ? 1.0 - beyond.y : row == count - 1 ? beyond.y : 1.0;
     return max(across * down, 1e-6);
 }
 
@@ -145,7 +145,7 @@ void main() {
                 vec2 aside = (at + 0.5) * texel_m - middle.xy;
                 float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
                 if (u >= 0.0 && v >= 0.0 && u + v <= 1.0) {
-                    float weight = weight_of(col, row, beyond);
+                    float weight = weight_of(taps, col, row, beyond);
                     float surface = mix(point.z, middle.z + dot(slope, aside), bias_scale);
                     if (is_lit(at, depth_of(surface - slack) - rounding)) lit += weight;
                     counted += weight;
@@ -159,7 +159,7 @@ void main() {
                 for (int k = 0; k < triangles; k++) {
                     float z, slack;
                     if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {
-                        float weight = weight_of(col, row, beyond);
+                        float weight = weight_of(taps, col, row, beyond);
                         float surface = mix(point.z, z, bias_scale);
                         if (is_lit(at, depth_of(surface - slack - error_m) - rounding)) lit += weight;
                         counted += weight;
@@ -172,15 +172,16 @@ void main() {
 
     if (counted == 0.0) {  // all beside them: a point moved clear of every surface that passes through it
         vec2 side = lamp ? vec2(2.0 * tangent * point.z) / vec2(map_size) : texel_m;
-        vec2 reach = (0.5 * float(taps) + 1.0 / 128.0) * side;
+        int few = min(taps, 2);  // the fewer, the nearer: what is moved far clear of its own misses what touches it
+        vec2 reach = (0.5 * float(few) + 1.0 / 128.0) * side;
         float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
         vec3 clear = point + normal * (bias_scale * offset_m + error_m);
-        corner = texel_of(clear) - 0.5 * float(taps - 1);
+        corner = texel_of(clear) - 0.5 * float(few - 1);
         first_tap = floor(corner);
         beyond = fract(corner);
-        for (int row = 0; row < taps; row++) {
-            for (int col = 0; col < taps; col++) {
-                float weight = weight_of(col, row, beyond);
+        for (int row = 0; row < few; row++) {
+            for (int col = 0; col < few; col++) {
+                float weight = weight_of(few, col, row, beyond);
                 if (is_lit(first_tap + vec2(col, row), depth_of(clear.z - error_m) - rounding)) lit += weight;
                 counted += weight;
             }
