@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
+from shadows.map_windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
-from shadows.shadow_map import BORDER_TEXELS
 from terrain.descriptor import Band, Descriptor, LampFacts, joined
 from terrain.level import Shadows
 

@@ -21,6 +21,16 @@ class Reasoned(_Value):
     reason: str
 
 
+MapFit = Literal["stable", "tight"]
+"""Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
+
+MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
+"""What keeps a surface from shading itself, as ``shadows.shadow_map`` says."""
+
+Culling = Literal["none", "front"]
+"""Faces of closed casters that are left out of a map."""
+
+
 class Cascade(_Value):
     """One of a sun's maps: for what lies up to ``far_m`` from the eye and beyond the cascade before (``None``: for all the rest).
 
@@ -37,12 +47,15 @@ class ShadowMapSettings(_Value):
     """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
 
     ``map_size`` are the texels a side of each of the ``cascades``, from the nearest on (one in map views), ``filter`` the taps a
-    side. ``bias_scale`` multiplies the derived normal offset (1 is right; less shows acne).
+    side, or ``sun`` for the penumbra of the sun's disc. ``bias_scale`` multiplies the derived offset (1 is right; less shows acne).
     """
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
+    filter: Literal[1, 2, 3, 5, "sun"]
+    fit: MapFit = "stable"
+    bias: MapBias = "receiver_plane"
+    culling: Culling = "none"
     cascades: tuple[Cascade, ...] = Field(min_length=1, max_length=4)
     bias_scale: float = Field(default=1.0, ge=0)
 
@@ -53,6 +66,8 @@ class LampMapSettings(_Value):
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
     filter: Literal[1, 2, 3, 5]
+    bias: MapBias = "receiver_plane"
+    culling: Culling = "none"
     bias_scale: float = Field(default=1.0, ge=0)
 
 

@@ -65,9 +65,7 @@ def creases(position, faces, triangles, limit):  # type: ignore[no-untyped-def]
             n = triangles[t, k]
             for i in range(start[n], start[n + 1]):
                 u = around[i]
-                d = (
-                    (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
-                )
+                d = (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
                 if d > worst and d < limit * limit and _rises(position, triangles[u], position[triangles[t, 0]], faces[t]):
                     worst = d
         out[t] = np.sqrt(worst)

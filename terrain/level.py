@@ -36,6 +36,7 @@ LightName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 Choice = dict[str, dict[CasterKind, AlgorithmName]]
 """An override of the algorithm: light -> caster kind -> name; whatever it leaves out is chosen by the selector."""
 
+
 class Shadows(Model):
     """What is asked of the shadows; ``auto`` leaves a choice to the selector."""
 
@@ -45,7 +46,10 @@ class Shadows(Model):
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = "auto"
     cascades: Literal["auto", 1, 2, 3, 4] = "auto"
     depth_bits: Literal["auto", 16, 24, 32] = "auto"
-    filter: Literal["auto", 1, 2, 3, 5] = "auto"
+    filter: Literal["auto", 1, 2, 3, 5, "sun"] = "auto"
+    fit: Literal["auto", "stable", "tight"] = "auto"
+    bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = "auto"
+    culling: Literal["auto", "none", "front"] = "auto"
 
     @field_validator("algorithm")
     @classmethod

@@ -1,0 +1,176 @@
+"""Which depth maps a light needs: where they lie in light space, how large they are, and what they hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shadows.plan import Cascade, LampMapSettings, ShadowMapSettings
+from terrain.casting import trees_in_the_way
+from terrain.compiled import compiled
+from terrain.geometry import GeometryBuffer
+from terrain.gl import device
+from terrain.grid import MapView
+from terrain.light_space import light_bounds
+from terrain.lights import Lamp
+from terrain.scene import Scene
+from terrain.stand import Stand
+
+BORDER_TEXELS = 12
+"""Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
+
+SIZE_STEP = 64
+"""Maps are allocated in multiples of this, so that blocks of one level share them."""
+
+POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
+"""Bound of what float32 makes of positions, as a share of the coordinates' extent: 8 units in the last place."""
+
+NEAREST_SHARE = 1e-4
+"""The nearest receiver of a lamp counts as no nearer than this share of the farthest one's distance."""
+
+CUBE = np.array([
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+], np.float64)  # fmt: skip
+"""Rotations from an omni light's axes to those of its six maps: forward, right, left, back, down, up."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, and trees, and in
+    perspective the points that it is for (flat indices).
+    """
+
+    uniforms: dict
+    size: tuple[int, int]
+    faces: tuple[np.ndarray, ...]
+    depth_bits: int
+    near_trees: Stand | None
+    pixels: np.ndarray | None
+
+    @property
+    def texels(self) -> int:
+        return self.size[0] * self.size[1] * len(self.faces)
+
+    @property
+    def nbytes(self) -> int:
+        return self.texels * (2 if self.depth_bits == 16 else 4)
+
+
+def sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> list[DepthMap]:
+    """The maps of the cascades that have receivers."""
+    extent_m = _extent_m(buffer)
+    if len(settings.cascades) == 1 or isinstance(buffer.view, MapView):
+        if not buffer.there.any():
+            return []
+        return [_sun_map(buffer, buffer.there, scene, settings.cascades[0], settings, trees, extent_m)]
+    eye, _ = buffer.view.in_frame(buffer.frame)
+    away_m = distances(buffer.position_frame_m, eye)
+    maps, near_m = [], -1.0
+    for cascade in settings.cascades:
+        far_m = np.inf if cascade.far_m is None else cascade.far_m
+        here = (away_m > near_m) & (away_m <= far_m)
+        if here.any():
+            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, extent_m))
+        near_m = far_m
+    return maps
+
+
+def _sun_map(
+    buffer: GeometryBuffer,
+    here: np.ndarray,
+    scene: Scene,
+    cascade: Cascade,
+    settings: ShadowMapSettings,
+    trees: Stand | None,
+    extent_m: float,
+) -> DepthMap:
+    """The map of a cascade, whose receivers are ``here``; ``extent_m`` is the largest coordinate of the buffer's points."""
+    assert scene.light is not None
+    rotation, translation = scene.light.from_frame(buffer.frame)
+    low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
+    texel = np.array(cascade.texel_m)
+    first, size = _window(low, high, texel)
+    for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
+        while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
+            texel[axis] *= 2.0
+            first, size = _window(low, high, texel)
+    error_m = POSITION_ERROR * (extent_m + float(np.abs(high - low).max()))
+    step_m = cascade.depth_step_m
+    before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
+    steps = _steps(settings.depth_bits)
+    near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    while near + steps * step_m < high[2]:  # a block deeper than the plan foresaw keeps its depths, more coarsely
+        step_m *= 2.0
+        near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    uniforms = {
+        "lamp": False,
+        "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
+        "light_offset_m": tuple(translation - np.array([*(first * texel), near])),
+        "window_m": (*(size * texel), steps * step_m),
+        "texel_m": tuple(texel),
+        "error_m": error_m,
+        "depth_step": 1.0 / steps,
+    }
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(here)
+    reached = None if trees is None else trees_in_the_way(trees, rotation, translation, low, high)
+    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, reached, pixels)
+
+
+def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> DepthMap | None:
+    """The map of a lamp; ``None`` where it shines on nothing."""
+    rotation = lamp.earth_from_lamp.T @ buffer.frame.frame_from_earth.T
+    position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+    size = settings.map_size
+    faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
+    half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
+    tangent = half * size / (size - 2 * BORDER_TEXELS)
+    seen = (buffer.position_frame_m[buffer.there] - position) @ rotation.T
+    near_far = [np.inf, 0.0]
+    for turned in faces:
+        at = seen @ turned.T
+        ahead = at[(at[:, 2] > 0.0) & (np.abs(at[:, :2]).max(axis=1) <= tangent * at[:, 2]), 2]
+        if len(ahead):
+            near_far = [min(near_far[0], float(ahead.min())), max(near_far[1], float(ahead.max()))]
+    if not near_far[1] > 0.0:
+        return None
+    near, far = max(0.98 * near_far[0], NEAREST_SHARE * near_far[1]), 1.02 * near_far[1]
+    uniforms = {
+        "lamp": True,
+        "light_from_frame": tuple(rotation.T.ravel()),
+        "light_offset_m": tuple(-rotation @ position),
+        "tangent": tangent,
+        "near_far_m": (near, far),
+        "error_m": POSITION_ERROR * (_extent_m(buffer) + float(np.abs(position).max())),
+        "depth_step": 1.0 / _steps(settings.depth_bits),
+    }
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
+    return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
+
+
+@compiled
+def distances(points, eye):  # type: ignore[no-untyped-def]
+    """Distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN where there is no point."""
+    out = np.empty(points.shape[:2], np.float32)
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            p = points[i, j]
+            out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
+    return out
+
+
+def _extent_m(buffer: GeometryBuffer) -> float:
+    """The largest coordinate of a buffer's points."""
+    return float(np.abs(light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))).max())
+
+
+def _steps(depth_bits: int) -> int:
+    return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
+
+
+def _window(low: np.ndarray, high: np.ndarray, texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First texel and size in texels of the map over light bounds, on the lattice counted from the anchor."""
+    first = np.floor(low[:2] / texel).astype(np.int64) - BORDER_TEXELS
+    size = np.floor(high[:2] / texel).astype(np.int64) + 1 + BORDER_TEXELS - first
+    return first, -(-size // SIZE_STEP) * SIZE_STEP
