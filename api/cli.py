@@ -55,7 +55,13 @@ def render(
     level: LevelName,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
     view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
-    layer: Annotated[str, typer.Option(help="color, shadow, mask, visibility, depth or position.")] = "color",
+    layer: Annotated[
+        str,
+        typer.Option(
+            help="color, shadow, mask, visibility, depth or position; or what an algorithm leaves behind: shadow-map, stencil, "
+            "shadow-height."
+        ),
+    ] = "color",
     algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")] = None,
     time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
@@ -66,13 +72,15 @@ def render(
     map_size: Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")] = None,
     cascades: Annotated[int | None, typer.Option(help="Shadow maps of a perspective view, 1 to 4.")] = None,
     depth_bits: Annotated[int | None, typer.Option(help="16, 24 or 32.")] = None,
-    filter: Annotated[int | None, typer.Option(help="Taps a side: 1, 2, 3 or 5.")] = None,
-    light: Annotated[str | None, typer.Option(help="The light that shadow, mask and visibility are of.")] = None,
+    filter: Annotated[str | None, typer.Option(help="Taps a side: 1, 2, 3 or 5; or sun: the penumbra of its disc.")] = None,
+    bias: Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")] = None,
+    culling: Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")] = None,
+    light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
     seconds: Annotated[float | None, typer.Option(help="The clock of moving casters.")] = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
-    from api.layers import check_suffix, write_layer
+    from api.layers import PASS_LAYERS, check_suffix, write_layer
     from api.snapshot import snapshot, statistics
 
     check_suffix(layer, output)
@@ -81,11 +89,14 @@ def render(
         "map_size": map_size,
         "cascades": cascades,
         "depth_bits": depth_bits,
-        "filter": filter,
+        "filter": int(filter) if filter is not None and filter.isdecimal() else filter,
+        "bias": bias,
+        "culling": culling,
     }
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
-        scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds)
+        kept = PASS_LAYERS & {layer}
+        scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")

@@ -27,7 +27,9 @@ class Overrides(_Value):
     algorithm: str | None = None
     map_size: int | None = None
     depth_bits: int | None = None
-    filter: int | None = None
+    filter: int | str | None = None
+    bias: str | None = None
+    culling: str | None = None
 
     def for_selector(self) -> dict[str, Any]:
         """As ``selector.rules.choose`` takes them. Raises ``InputError``."""

@@ -10,6 +10,7 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from PIL import Image
 
+from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
 from terrain.grid import MapView
@@ -17,15 +18,17 @@ from terrain.scene import Scene
 
 PictureLayer = Literal["color", "shadow", "mask"]
 DataLayer = Literal["visibility", "depth", "position"]
-Layer = Literal[PictureLayer, DataLayer]
+Layer = Literal[PictureLayer, DataLayer, PassLayer]
 
-LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer))
+PASS_LAYERS: frozenset[str] = frozenset(get_args(PassLayer))
+LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer), *get_args(PassLayer))
 SUFFIXES: dict[str, tuple[str, ...]] = {
     "color": (".png", ".webp", ".tif", ".jpg"),
     "shadow": (".png", ".webp", ".tif"), "mask": (".png", ".webp", ".tif"),
     "visibility": (".npy", ".tif"), "depth": (".npy", ".tif"), "position": (".npy",),
+    "shadow-map": (".npy", ".png"), "stencil": (".npy", ".png"), "shadow-height": (".npy", ".tif"),
 }  # fmt: skip
-"""Layer -> file suffixes that can hold it without loss."""
+"""Layer -> file suffixes that can hold it without loss, or as a picture to look at."""
 
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 
@@ -70,10 +73,13 @@ def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
 
     ``visibility`` is float32; ``depth`` float32, metres: in a map straight down from the level's highest ground, in
     perspective along the view's axis from the eye; ``position`` float64 (rows, cols, 3), x and y in the view's CRS (of a
-    perspective view: that of the level's maps) and height in metres. Raises ``InputError``.
+    perspective view: that of the level's maps) and height in metres. The layers of ``shadows.passes`` are as they were kept,
+    of the frame's first light. Raises ``InputError``.
     """
     if layer in get_args(PictureLayer):
         return picture_of(frame, layer)
+    if layer in PASS_LAYERS:
+        return _kept(frame, layer)
     view, there = frame.view, frame.there
     if layer == "visibility":
         return frame.visibility
@@ -92,6 +98,27 @@ def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
             out[row, col] = np.stack(scene.world.map_position(scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
         return out
     raise InputError("layer", layer, ", ".join(LAYERS))
+
+
+def _kept(frame: Frame, layer: str) -> np.ndarray:
+    by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
+    if not by_light:
+        raise InputError("layer", layer, "a layer of something that was drawn: the view shows nothing under a light")
+    if light not in by_light:
+        raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
+    return by_light[light]
+
+
+def viewable(layer: str, array: np.ndarray) -> np.ndarray:
+    """A layer as a picture for PNG. ``shadow-map``: uint16, nearest to the light brightest, black where nothing casts.
+
+    ``stencil``: uint8, its values spread so that the largest is bright. A picture layer is one already.
+    """
+    if layer == "shadow-map":
+        return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
+    if layer == "stencil":
+        return array * np.uint8(255 // max(int(array.max()), 1))
+    return array
 
 
 def encode_picture(array: np.ndarray, suffix: str) -> bytes:
@@ -120,7 +147,7 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     elif suffix == ".tif":
         _write_tiff(frame, array, path)
     else:
-        path.write_bytes(encode_picture(array, suffix))
+        path.write_bytes(encode_picture(viewable(layer, array), suffix))
 
 
 def check_suffix(layer: str, path: Path) -> None:

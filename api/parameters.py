@@ -13,11 +13,12 @@ from pydantic import BeforeValidator
 from api.jobs import Overrides
 from api.layers import PictureLayer
 from api.served import SERVED_ALGORITHMS, names_in
+from shadows.plan import Culling, MapBias
 from terrain.errors import InputError
 from terrain.level import SunSpec, parse_sun
 from terrain.scene import MAX_PERSPECTIVE_PX
 
-PICTURE_PARAMETERS = ("time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter")
+PICTURE_PARAMETERS = ("time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling")
 """What may be asked of any picture or plan."""
 
 
@@ -65,10 +66,16 @@ async def wishes(
     ] = None,
     map_size: Annotated[int | None, Query(ge=64, le=8192, description="Shadow-map texels a side.")] = None,
     depth_bits: Annotated[Literal[16, 24, 32] | None, BeforeValidator(_whole), Query()] = None,
-    filter: Annotated[Literal[1, 2, 3, 5] | None, BeforeValidator(_whole), Query(description="Shadow-map taps a side.")] = None,
+    filter: Annotated[
+        Literal[1, 2, 3, 5, "sun"] | None,
+        BeforeValidator(_whole),
+        Query(description="Shadow-map taps a side, or `sun` for the penumbra of the sun's disc."),
+    ] = None,
+    bias: Annotated[MapBias | None, Query(description="What keeps a surface from shading itself in a shadow map.")] = None,
+    culling: Annotated[Culling | None, Query(description="Faces of closed bodies that are left out of a shadow map.")] = None,
 ) -> Wishes:
     """The dependency for pictures and plans. Raises ``InputError``."""
-    overrides = Overrides(algorithm=algorithm, map_size=map_size, depth_bits=depth_bits, filter=filter)
+    overrides = Overrides(algorithm=algorithm, map_size=map_size, depth_bits=depth_bits, filter=filter, bias=bias, culling=culling)
     names = names_in(overrides.for_selector()["algorithm"])
     if not names <= set(SERVED_ALGORITHMS):
         raise InputError("algorithm", algorithm, ", ".join(["auto", *SERVED_ALGORITHMS]))

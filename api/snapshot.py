@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from selector.rules import choose
+from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
 from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
@@ -27,11 +28,12 @@ def snapshot(
     crs: str | None = None,
     on_block: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
+    layers: frozenset[PassLayer] = frozenset(),
 ) -> tuple[Scene, Frame]:
-    """The scene and the frame of a level's view. Raises ``SkuggaError``."""
+    """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
     scene, seen = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     plan = choose(describe(scene, seen, view), scene.loaded.level, overrides)
-    return scene, render_frame(scene, seen, plan, on_block)
+    return scene, render_frame(scene, seen, plan, on_block, layers)
 
 
 def scene_and_view(

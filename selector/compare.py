@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,7 +23,7 @@ from shadows.truth import Truth
 from shadows.truth_cache import cached_truth
 from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
-from terrain.errors import InputError
+from terrain.errors import InputError, UnsupportedError
 from terrain.geometry import GeometryBuffer
 from terrain.grid import MapView, blocks_of
 from terrain.level import SUN
@@ -82,10 +83,13 @@ def candidates(scene: Scene, view: View, name: str = "map") -> Iterator[Plan]:
     """The plans to compare: every capable algorithm but truth itself, its settings crossed, for all lights alike."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     for algorithm in ALGORITHMS.values():
-        if algorithm.name == "truth" or descriptor.view_kind not in algorithm.views:
+        if algorithm.name == "truth":
             continue
         if algorithm.name != "shadow_map":
-            yield choose(descriptor, level, {"algorithm": algorithm.name})
+            with suppress(UnsupportedError):  # to whoever asks for it by name it says why
+                plan = choose(descriptor, level, {"algorithm": algorithm.name})
+                if plan.headline == algorithm.name:
+                    yield plan
             continue
         for size in MAP_SIZES:
             for taps in FILTERS:

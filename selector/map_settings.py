@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from shadows.map_windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
 from terrain.descriptor import Band, Descriptor, LampFacts, joined
+from terrain.errors import UnsupportedError
 from terrain.level import Shadows
 
 TEXEL_PX = 0.4
@@ -49,7 +51,11 @@ def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapS
     texels = [extent[:2] / (size - 2 * BORDER_TEXELS) for _, extent, _ in runs]
     ranges_m = [run[1][2] * 1.1 + 3 * BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
     shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
-    if bits == "auto":
+    if bits == "auto" and taps == "sun":
+        bits = 24
+        why = "the penumbra goes by how far casters lie before the point, wherever they are"
+        reasons.append(Reasoned(name="depth_bits 24", reason=why))
+    elif bits == "auto":
         worst = int(np.argmax(shifts_px))
         bits = 16 if shifts_px[worst] <= DEPTH_PX else 24
         verdict = "at most" if bits == 16 else "more than"
@@ -66,7 +72,18 @@ def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapS
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
         for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
     )
-    return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades), reasons
+    ways = _bias_and_culling(asked) | {"fit": "stable" if asked.fit == "auto" else asked.fit}
+    if asked.fit == "auto":
+        why = "texels stay where they are on the ground when the view moves"
+        why += ", and neighbouring blocks join" if descriptor.view_kind == "map" else ""
+        reasons.append(Reasoned(name="fit stable", reason=why))
+    if asked.bias == "auto":
+        why = "a comparison on the triangle that is seen needs no bias in depth, whatever the slope"
+        reasons.append(Reasoned(name="bias receiver_plane", reason=why))
+    if asked.culling == "auto" and "meshes" in descriptor.casters:
+        why = "with no bias needed, drawing closed bodies by their back faces gains nothing"
+        reasons.append(Reasoned(name="culling none", reason=why))
+    return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **ways), reasons
 
 
 def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
@@ -83,13 +100,27 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
         why = "a perspective map's steps grow with the square of the distance: even ones need float"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
     taps = 3 if asked.filter == "auto" else asked.filter
-    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
+    if taps == "sun":
+        reason = f"the penumbra of the sun's disc is the sun's alone; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
+        raise UnsupportedError("filter", "sun", reason)
+    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(asked)), reasons
+
+
+def _bias_and_culling(asked: Shadows) -> dict[str, Any]:
+    return {
+        "bias": "receiver_plane" if asked.bias == "auto" else asked.bias,
+        "culling": "none" if asked.culling == "auto" else asked.culling,
+    }
 
 
 def _cascades(
     descriptor: Descriptor, asked: Shadows, altitude: float, reasons: list[Reasoned]
 ) -> list[tuple[float | None, np.ndarray, float]]:
-    """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side, metres."""
+    """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side, metres.
+
+    Their number and automatic size go by the pixels that a texel covers at worst. Of the ways to part what is seen that keep to it
+    (a size that is given promises nothing), the one is taken whose texels cover the fewest pixels in the mean over what is seen.
+    """
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
@@ -97,18 +128,30 @@ def _cascades(
         span = np.subtract(band.high_light_m, band.low_light_m)
         return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP))
 
-    def worst_px(bands: list[Band]) -> float:
-        return max(float(_footprint(extent(band), altitude).max()) / (band.near_m * descriptor.pixel) for band in bands)
+    def texels_a_pixel(run: Band) -> float:
+        """Texels along the run's longer side for one a pixel, at distance 1."""
+        return float(_footprint(extent(run), altitude).max()) / descriptor.pixel
+
+    def worst_px(runs: list[Band]) -> float:
+        return max(texels_a_pixel(run) / run.near_m for run in runs)
+
+    def mean_px(runs: list[Band]) -> float:
+        parts = [[band for band in descriptor.bands if run.near_m <= band.near_m < run.far_m] for run in runs]
+        nearness = [sum(band.share / band.near_m for band in part) for part in parts]
+        return sum(texels_a_pixel(run) * near for run, near in zip(runs, nearness, strict=True))
 
     ways, wished_px = [], _wished_px(descriptor)
     for count in range(1, 5) if asked.cascades == "auto" else [asked.cascades]:
-        best = min(_splits(descriptor.bands, count), key=worst_px)
-        size = _power(worst_px(best) / wished_px, LARGEST) if asked.map_size == "auto" else asked.map_size
-        covers_px = worst_px(best) / (size - 2 * BORDER_TEXELS)
-        ways.append((max(covers_px, wished_px), len(best) * size**2, covers_px, best))
-    _, _, covers_px, best = min(ways, key=lambda way: way[:2])
+        splits = _splits(descriptor.bands, count)
+        worst = min(worst_px(runs) for runs in splits)
+        size = _power(worst / wished_px, LARGEST) if asked.map_size == "auto" else asked.map_size
+        inner = size - 2 * BORDER_TEXELS
+        most = np.inf if asked.map_size != "auto" else max(worst, wished_px * inner)
+        ways.append((max(worst / inner, wished_px), len(splits[0]) * size**2, inner, most, splits))
+    _, _, inner, most, splits = min(ways, key=lambda way: way[:2])
+    best = min((runs for runs in splits if worst_px(runs) <= most), key=mean_px)
     if asked.cascades == "auto":
-        why = f"a texel covers at most {covers_px:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
+        why = f"a texel covers at most {worst_px(best) / inner:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
         reasons.append(Reasoned(name=f"cascades {len(best)}", reason=why))
     far = [band.far_m for band in best[:-1]]
     return [(far_m, extent(band), band.near_m * descriptor.pixel) for far_m, band in zip([*far, None], best, strict=True)]

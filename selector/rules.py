@@ -8,8 +8,8 @@ from pydantic_core import PydanticCustomError
 
 from selector.map_settings import lamp_map_settings, sun_map_settings
 from shadows.passes import PassLog
-from shadows.plan import Plan, Reasoned, Settings, Target, TruthSettings
-from shadows.registry import ALGORITHMS, LightKind, ViewKind
+from shadows.plan import Plan, Reasoned, Settings, SweepSettings, Target, TruthSettings
+from shadows.registry import ALGORITHMS, LightKind, Part, able
 from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
@@ -49,21 +49,22 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         for caster in descriptor.casters:
             wish = choice.get(light, {}).get(caster)
             name, reason = _algorithm(descriptor, light, caster, wish, who, missing if not casting else None)
-            _check(name, kind_of_light, caster, descriptor.view_kind)
+            _check(name, light, caster, _parts(descriptor, kind_of_light, caster), who)
             algorithm.setdefault(light, {})[caster] = name
             reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
     for light, per_kind in algorithm.items():
-        resolved: dict[str, Settings] = {}
+        resolved: dict[str, Settings | None] = {}
         for caster, name in per_kind.items():
-            if name not in resolved and name != "none":
+            if name not in resolved:
                 resolved[name], why = _settings(name, descriptor, light, asked)
                 reasons += why
-            if name in resolved:
-                settings.setdefault(light, {})[caster] = resolved[name]
+            if (its := resolved[name]) is not None:
+                settings.setdefault(light, {})[caster] = its
     used = {name for per_kind in algorithm.values() for name in per_kind.values()}
+    wanted = [_parts(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
     plan = Plan(
         view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
-        rejected=[Reasoned(name=n, reason=_rejected(n, used, missing, who, choice)) for n in ALGORITHMS if n not in used],
+        rejected=[Reasoned(name=n, reason=_rejected(n, used, missing, who, choice, wanted)) for n in ALGORITHMS if n not in used],
         passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
     passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
@@ -85,24 +86,41 @@ def _algorithm(
     return "shadow_map", f"the algorithm at hand for {caster} under {'the sun' if light == SUN else light}"
 
 
-def _check(name: AlgorithmName, light: LightKind, caster: CasterKind, view: ViewKind) -> None:
-    able = ALGORITHMS[name]
-    for wanted, served, what in ((view, able.views, "views"), (light, able.lights, "lights"), (caster, able.casters, "casters")):
-        if wanted not in served:
-            raise UnsupportedError("algorithm", name, f"{able.about}: it serves {what} of the kinds {', '.join(sorted(served))}")
+def _parts(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Part, ...]:
+    """What an algorithm is asked to serve, for a light of a kind and a kind of casters."""
+    level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
+    return descriptor.view_kind, light, caster, "level" if level_ground else "uneven"
 
 
-def _rejected(name: AlgorithmName, used: set[AlgorithmName], missing: str, who: str, choice: Choice) -> str:
+def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Part, ...], who: str) -> None:
+    """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
+    why = ALGORITHMS[name].refusal(parts)
+    if why is not None:
+        key = "algorithm" if who == "the request" else "shadows.algorithm"
+        raise UnsupportedError(key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(able(parts))}")
+
+
+def _rejected(
+    name: AlgorithmName, used: set[AlgorithmName], missing: str, who: str, choice: Choice, wanted: list[tuple[Part, ...]]
+) -> str:
     if missing:
         return missing
     if choice:
         return f"{who} asks for {', '.join(sorted(used))}"
-    return "there are casters and light" if name == "none" else ALGORITHMS[name].about
+    if name == "none":
+        return "there are casters and light"
+    refusals = (ALGORITHMS[name].refusal(parts) for parts in wanted)
+    return next((why for why in refusals if why is not None), ALGORITHMS[name].about)
 
 
-def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows) -> tuple[Settings, list[Reasoned]]:
+def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows) -> tuple[Settings | None, list[Reasoned]]:
+    """The settings of an algorithm, if it has any, and the reasons for them."""
+    if name in ("none", "planar"):
+        return None, []
     if name == "truth":
         return TruthSettings(), []
+    if name == "sweep":
+        return SweepSettings(filter="sun" if asked.filter == "sun" else 1), []
     if light == SUN:
         return sun_map_settings(descriptor, asked)
     return lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)

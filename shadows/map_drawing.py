@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Hashable
+from contextlib import nullcontext
+
 import numpy as np
 from moderngl import Framebuffer
 
 from shadows.map_windows import DepthMap
 from shadows.passes import PassRecord
-from terrain.casting import caster_meshes, caster_sheets
+from shadows.plan import Culling, LampMapSettings, ShadowMapSettings
+from terrain.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.foliage import THRESHOLD, foliage
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device
 from terrain.level import CasterKind
 from terrain.reach import Casters
 from terrain.scene import Scene
+from terrain.stand import Stand
 from terrain.surface import sheet_triangles
 from terrain.visible import set_uniforms, shader
+
+POLYGON_OFFSET = 1.1, 4.0
+"""Factor of the slope and units of the smallest step that ``polygon_offset`` moves depths by: those of Cesium and QGIS."""
 
 
 def draw_map(
@@ -25,48 +34,109 @@ def draw_map(
     scene: Scene,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
+    settings: ShadowMapSettings | LampMapSettings,
     record: PassRecord,
 ) -> Framebuffer:
-    """Draw a map; returns its depth-only framebuffer, whose content lasts until the next map of its size is drawn."""
+    """Draw a map, unless it is still there as it was drawn before; returns its depth-only framebuffer.
+
+    Its content lasts until the next map is drawn.
+    """
+    meshes = caster_meshes(scene, buffer, kinds)
+    # A block's sheets are made anew for every picture of it, and the pictures are kept instead.
+    content = None if buffer.surface is not None else _content(drawn, settings, meshes)
+    kept = None if content is None else gl.depth_targets.kept(content)
+    if kept is not None:
+        record.kept += 1
+        record.bytes = max(record.bytes, drawn.nbytes)
+        return kept
     width, height = drawn.size
     across, down = (3, 2) if len(drawn.faces) == 6 else (1, 1)
     target = gl.depth_target(width * across, height * down, drawn.depth_bits)
     solid = gl.program(shader("shadows/light", "shadows/depth.vert"), shader("shadows/depth.frag"))
     set_uniforms(solid, drawn.uniforms)
-    meshes = caster_meshes(scene, buffer, kinds)
-    if drawn.near_trees is not None:
+    trees = _trees_drawn(drawn)
+    if trees is not None:
         vertex = shader("shadows/light", "terrain/tree", "shadows/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/depth_tree.frag"))
-        set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": drawn.near_trees.curvature})
+        set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
     largest = 0
-    with gl.depth_pass(target):
+    offset = tuple(settings.bias_scale * part for part in POLYGON_OFFSET) if settings.bias == "polygon_offset" else (0.0, 0.0)
+    with gl.depth_pass(target, offset):
         for number, face in enumerate(drawn.faces):
             gl.ctx.viewport = (number % 3 * width, number // 3 * height, width, height)
             if len(drawn.faces) > 1:
                 turned = _turned(drawn.uniforms, face)
                 set_uniforms(solid, turned)
-                if drawn.near_trees is not None:
+                if trees is not None:
                     set_uniforms(leaves, turned)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
                 record.triangles += gl.draw_sheet(solid, sheet)
                 record.draws += 1
                 largest = max(largest, sheet[..., 0].size * 12 + sheet_triangles(*sheet.shape[:2]).nbytes)
-            for vertices, triangles in meshes:
-                record.triangles += gl.draw_triangles(solid, vertices, triangles)
+            for (vertices, triangles), culled in _culled(meshes, scene, kinds, settings.culling):
+                with gl.front_culled(_is_mirrored(drawn)) if culled else nullcontext():
+                    record.triangles += gl.draw_triangles(solid, vertices, triangles)
                 record.draws += 1
                 largest = max(largest, len(vertices) * 12 + triangles.nbytes)
-            if drawn.near_trees is not None:
-                stand = drawn.near_trees
+            if trees is not None:
                 gl.layers(foliage().levels).use(0)
-                look = np.concatenate([stand.turn, stand.look[:, None]], axis=1)
-                instances = [("base", stand.base_frame_m), ("shape", stand.shape), ("look", look)]
+                look = np.concatenate([trees.turn, trees.look[:, None]], axis=1)
+                instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", look)]
                 record.triangles += gl.draw_instances(leaves, 18, instances)
                 record.draws += 1
-                largest = max(largest, len(stand) * 40)
+                largest = max(largest, len(trees) * 40)
     record.map_texels += drawn.texels
     record.bytes = max(record.bytes, drawn.nbytes + largest)
     gl.check("depth map")
+    if content is not None:
+        gl.depth_targets.keep(target, content)
     return target
+
+
+def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
+    """What stands for meshes and ground, each with whether faces towards the light are left out: those of closed bodies alone."""
+    if culling == "none" or "meshes" not in kinds or scene.population.solids is None:
+        return [(mesh, False) for mesh in meshes]
+    *ground, (vertices, triangles) = meshes
+    closed = closed_casters(scene.population)
+    return [*((mesh, False) for mesh in ground), ((vertices, triangles[closed]), True), ((vertices, triangles[~closed]), False)]
+
+
+def _is_mirrored(drawn: DepthMap) -> bool:
+    """Whether corners that go round counter-clockwise, as seen from the light, do so clockwise in the map."""
+    return bool(np.linalg.det(np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
+
+
+class _Same(weakref.ref):
+    """A weak reference that equals those to the same living object: arrays have no equality of that kind."""
+
+    __slots__ = ("number",)
+
+    def __init__(self, of: object) -> None:
+        super().__init__(of)
+        self.number = id(of)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self() is not None and self() is other()
+
+    def __hash__(self) -> int:
+        return self.number
+
+
+def _content(drawn: DepthMap, settings: ShadowMapSettings | LampMapSettings, meshes: list[Mesh]) -> Hashable:
+    """All that the drawing of a map reads: numbers by value, geometry, which never changes, by being the same arrays."""
+    trees = [] if drawn.trees is None else [drawn.trees]
+    geometry = tuple(_Same(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
+    return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry
+
+
+def _trees_drawn(drawn: DepthMap) -> Stand | None:
+    """The trees that reach into a sun's window or lie before it; all of them under a lamp."""
+    if drawn.trees is None or drawn.uniforms["lamp"]:
+        return drawn.trees
+    rotation = np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3).T
+    offset_m, window_m = (np.array(drawn.uniforms[name]) for name in ("light_offset_m", "window_m"))
+    return trees_in_the_way(drawn.trees, rotation, offset_m, np.zeros(3), window_m)
 
 
 def _turned(uniforms: dict, face: np.ndarray) -> dict:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shadows.attached import attached
 from shadows.plan import Cascade, LampMapSettings, ShadowMapSettings
-from terrain.casting import trees_in_the_way
+from shadows.sun_disc import border_texels
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
@@ -38,7 +39,7 @@ CUBE = np.array([
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, and trees, and in
+    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, the trees that there are, and in
     perspective the points that it is for (flat indices).
     """
 
@@ -46,7 +47,7 @@ class DepthMap:
     size: tuple[int, int]
     faces: tuple[np.ndarray, ...]
     depth_bits: int
-    near_trees: Stand | None
+    trees: Stand | None
     pixels: np.ndarray | None
 
     @property
@@ -58,21 +59,28 @@ class DepthMap:
         return self.texels * (2 if self.depth_bits == 16 else 4)
 
 
-def sun_maps(buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None) -> list[DepthMap]:
-    """The maps of the cascades that have receivers."""
+def sun_maps(
+    buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None, nearest_m: float = np.inf
+) -> list[DepthMap]:
+    """The maps of the cascades that have receivers. Depths count from ``nearest_m`` on, where that is before the receivers.
+
+    What is turned away from the sun needs no map; but a map view's stable windows go by all of its ground, whatever the sun.
+    """
     extent_m = _extent_m(buffer)
-    if len(settings.cascades) == 1 or isinstance(buffer.view, MapView):
-        if not buffer.there.any():
+    in_map = isinstance(buffer.view, MapView)
+    receivers = buffer.there if in_map and settings.fit == "stable" else buffer.there & ~attached(buffer, scene)
+    if len(settings.cascades) == 1 or in_map:
+        if not receivers.any():
             return []
-        return [_sun_map(buffer, buffer.there, scene, settings.cascades[0], settings, trees, extent_m)]
+        return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, extent_m, nearest_m)]
     eye, _ = buffer.view.in_frame(buffer.frame)
     away_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
     for cascade in settings.cascades:
         far_m = np.inf if cascade.far_m is None else cascade.far_m
-        here = (away_m > near_m) & (away_m <= far_m)
+        here = receivers & (away_m > near_m) & (away_m <= far_m)
         if here.any():
-            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, extent_m))
+            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, extent_m, nearest_m))
         near_m = far_m
     return maps
 
@@ -85,37 +93,41 @@ def _sun_map(
     settings: ShadowMapSettings,
     trees: Stand | None,
     extent_m: float,
+    nearest_m: float,
 ) -> DepthMap:
     """The map of a cascade, whose receivers are ``here``; ``extent_m`` is the largest coordinate of the buffer's points."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
-    texel = np.array(cascade.texel_m)
-    first, size = _window(low, high, texel)
-    for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
-        while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * BORDER_TEXELS + SIZE_STEP):
-            texel[axis] *= 2.0
-            first, size = _window(low, high, texel)
     error_m = POSITION_ERROR * (extent_m + float(np.abs(high - low).max()))
-    step_m = cascade.depth_step_m
-    before_m = 4.0 * (error_m + step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
+    stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
+    if not stable:  # never coarser, nor finer than what float32 makes of positions
+        own_m = (high - low)[:2] / max(settings.map_size - 2 * BORDER_TEXELS - 1, 1)
+        texel = np.minimum(texel, np.maximum(own_m, 4.0 * error_m))
+    border = np.full(2, BORDER_TEXELS)
+    if settings.filter == "sun":
+        low[2] = min(low[2], nearest_m)
+        border += border_texels(float(high[2] - low[2]), texel)
+    first, size = _window(low, high, texel, border, stable)
+    for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
+        while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + SIZE_STEP):
+            texel[axis] *= 2.0
+            first, size = _window(low, high, texel, border, stable)
     steps = _steps(settings.depth_bits)
-    near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
-    while near + steps * step_m < high[2]:  # a block deeper than the plan foresaw keeps its depths, more coarsely
-        step_m *= 2.0
-        near = np.floor((low[2] - before_m) / (step_m * 256)) * 256 * step_m
+    before_m = 4.0 * (error_m + cascade.depth_step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
+    near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
     uniforms = {
         "lamp": False,
         "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
         "light_offset_m": tuple(translation - np.array([*(first * texel), near])),
         "window_m": (*(size * texel), steps * step_m),
         "texel_m": tuple(texel),
+        "first_texel": (int(first[0]), int(first[1])),
         "error_m": error_m,
         "depth_step": 1.0 / steps,
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(here)
-    reached = None if trees is None else trees_in_the_way(trees, rotation, translation, low, high)
-    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, reached, pixels)
+    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels)
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> DepthMap | None:
@@ -169,8 +181,26 @@ def _steps(depth_bits: int) -> int:
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
-def _window(low: np.ndarray, high: np.ndarray, texel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First texel and size in texels of the map over light bounds, on the lattice counted from the anchor."""
-    first = np.floor(low[:2] / texel).astype(np.int64) - BORDER_TEXELS
-    size = np.floor(high[:2] / texel).astype(np.int64) + 1 + BORDER_TEXELS - first
+def _window(
+    low: np.ndarray, high: np.ndarray, texel: np.ndarray, border: np.ndarray, stable: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """First texel and size in texels of the map over light bounds and a border; a stable one lies on the lattice of texels
+    counted from the anchor.
+    """
+    first = (np.floor(low[:2] / texel) if stable else low[:2] / texel) - border
+    size = np.floor(high[:2] / texel - first).astype(np.int64) + 1 + border
     return first, -(-size // SIZE_STEP) * SIZE_STEP
+
+
+def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
+    """Depth 0 and the depth step, metres, on the lattice of steps; coarser ones where the plan foresaw less depth."""
+    while True:
+        near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
+        if near + steps * step_m >= high_m:
+            return near, step_m
+        step_m *= 2.0
+
+
+def _tight_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
+    """Depth 0 and the depth step, metres, of the bounds themselves."""
+    return low_m, (high_m - low_m) / steps * (1.0 + 1e-6)

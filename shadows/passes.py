@@ -1,17 +1,29 @@
-"""The record of what really ran: written by the passes themselves while they run, never copied from a plan."""
+"""The record of what really ran, and the intermediate pictures that were asked for: both written by the passes themselves
+while they run, never copied from a plan.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+PassLayer = Literal["shadow-map", "stencil", "shadow-height"]
+"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), the height in
+metres above which the sun is seen (float32)."""
+
+OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "shadow-height"})
+"""Those that hold a value for each pixel of the picture; the others are of a size of their own."""
 
 
 @dataclass
 class PassRecord:
-    """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, and the bytes of
-    textures and buffers it held at a time.
+    """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
+    and buffers it held at a time, and how many maps it found as they were drawn before.
     """
 
     name: str
@@ -20,13 +32,19 @@ class PassRecord:
     triangles: int = 0
     map_texels: int = 0
     bytes: int = 0
+    kept: int = 0
 
 
 @dataclass
 class PassLog:
-    """The passes of a frame in the order of their first run; blocks of one frame add up."""
+    """The passes of a frame in the order of their first run; blocks of one frame add up.
+
+    ``wanted`` are the layers that passes shall leave behind, ``layers`` what they left, by layer and light, in order.
+    """
 
     records: dict[str, PassRecord] = field(default_factory=dict)
+    wanted: frozenset[PassLayer] = frozenset()
+    layers: dict[tuple[PassLayer, str], list[np.ndarray]] = field(default_factory=dict)
 
     @contextmanager
     def run(self, name: str) -> Iterator[PassRecord]:
@@ -37,6 +55,20 @@ class PassLog:
             yield record
         finally:
             record.ms += (time.perf_counter() - start) * 1000.0
+
+    def keep(self, layer: PassLayer, light: str, made: Callable[..., np.ndarray], *of: object) -> None:
+        """Keep the picture ``made(*of)``, which is made only if it is wanted.
+
+        One of ``OF_PIXELS`` has the rows and columns of the geometry buffer (rows of samples below its own do not count); of
+        any other, row 0 is the upper one.
+        """
+        if layer in self.wanted:
+            self.layers.setdefault((layer, light), []).append(made(*of))
+
+    def take(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
+        """What was kept since the last call."""
+        layers, self.layers = self.layers, {}
+        return layers
 
     @property
     def names(self) -> list[str]:

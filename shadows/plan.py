@@ -71,13 +71,20 @@ class LampMapSettings(_Value):
     bias_scale: float = Field(default=1.0, ge=0)
 
 
+class SweepSettings(_Value):
+    """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
+
+    lines: int = Field(default=4, ge=1, le=16)
+    filter: Literal[1, "sun"] = 1
+
+
 class TruthSettings(_Value):
     """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
 
     sun_samples: int = Field(default=1, ge=1, le=1024)
 
 
-Settings = ShadowMapSettings | LampMapSettings | TruthSettings
+Settings = ShadowMapSettings | LampMapSettings | SweepSettings | TruthSettings
 
 
 class Target(_Value):

@@ -1,42 +1,67 @@
-"""The shadow algorithms and what they can do, as data."""
+"""The shadow algorithms and what they can do, as data: what one cannot serve is listed with the sentence that says why."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
 
-from shadows import shadow_map, truth
+from shadows import planar, shadow_map, sweep, truth
+from shadows.passes import PassLayer
 from terrain.level import AlgorithmName, CasterKind
 
 ViewKind = Literal["map", "perspective"]
 LightKind = Literal["sun", "spot", "omni"]
+GroundKind = Literal["level", "uneven"]
+"""``level`` is one plane: without relief, in a flat world."""
 
-EVERY_LIGHT = frozenset(get_args(LightKind))
-EVERY_CASTER = frozenset(get_args(CasterKind))
-EVERY_VIEW = frozenset(get_args(ViewKind))
+Part = ViewKind | LightKind | CasterKind | GroundKind
+"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground."""
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """An algorithm's name, the lights, casters and views it serves, the passes it runs for each, and a sentence about it."""
+    """An algorithm's name, the passes it runs for each light, a sentence about it, and why it refuses what it does."""
 
     name: AlgorithmName
-    lights: frozenset[LightKind]
-    casters: frozenset[CasterKind]
-    views: frozenset[ViewKind]
     passes: tuple[str, ...]
     about: str
+    refuses: Mapping[Part, str] = field(default_factory=dict)
+    """What it cannot serve -> why; it serves everything else."""
+    layers: tuple[PassLayer, ...] = ()
+    """Intermediate pictures that it leaves behind when they are asked for."""
     served: bool = True
     """Whether a request over HTTP may ask for it."""
+
+    def refusal(self, parts: Iterable[Part]) -> str | None:
+        """Why it cannot serve all of these together; ``None`` if it can."""
+        return next((self.refuses[part] for part in parts if part in self.refuses), None)
 
 
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {
     "shadow_map": Algorithm(
-        "shadow_map", EVERY_LIGHT, EVERY_CASTER, EVERY_VIEW, shadow_map.PASSES,
-        "depth map from the light, which follows what is looked at",
+        "shadow_map", shadow_map.PASSES, "depth map from the light, which follows what is looked at", layers=("shadow-map",),
     ),
-    "truth": Algorithm(
-        "truth", EVERY_LIGHT, EVERY_CASTER, EVERY_VIEW, truth.PASSES, "rays: the reference, not for real time", served=False,
+    "planar": Algorithm(
+        "planar", planar.PASSES, "casters projected onto level ground through the stencil; they throw no shadow on one another",
+        {"uneven": "it projects onto one plane, and the ground of this level is not flat"}, layers=("stencil",),
     ),
-    "none": Algorithm("none", EVERY_LIGHT, EVERY_CASTER, EVERY_VIEW, (), "no cast shadows"),
+    "sweep": Algorithm(
+        "sweep", sweep.PASSES, "lines along the sun's azimuth over the heightfield, good at every azimuth; needs no OpenGL",
+        {
+            "spot": "its lines run along the one azimuth of the sun: a lamp's rays spread",
+            "omni": "its lines run along the one azimuth of the sun: a lamp's rays spread",
+            "meshes": "it knows one height per place, and a mesh may have several above each other",
+            "forest": "a tree is no heightfield: light passes under its crown and between its leaves",
+        },
+        layers=("shadow-height",),
+    ),
+    "truth": Algorithm("truth", truth.PASSES, "rays: the reference, not for real time", served=False),
+    "none": Algorithm("none", (), "no cast shadows"),
 }  # fmt: skip
+
+
+def able(parts: Iterable[Part]) -> list[AlgorithmName]:
+    """The algorithms that throw shadows and can serve all of these together, but for the reference."""
+    parts = tuple(parts)
+    return [name for name, each in ALGORITHMS.items() if each.passes and each.served and each.refusal(parts) is None]

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shadows import shadow_map, truth
+from shadows import planar, shadow_map, sweep, truth
 from shadows.attached import attached
-from shadows.passes import PassLog, PassRecord
+from shadows.kept_layers import KeptLayers
+from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
+from shadows.registry import ALGORITHMS
 from terrain.antialias import Sampled, sampled
 from terrain.camera import PerspectiveView
-from terrain.errors import InputError, RenderError
+from terrain.errors import InputError, RenderError, UnsupportedError
 from terrain.grid import MapView, blocks_of
 from terrain.picture import geometry_of
 from terrain.reach import Reach, casters_of
@@ -24,7 +26,7 @@ GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "casters"
 SHADING_PASS = "shading"
 
-FILLS = {"shadow_map": shadow_map.fill, "truth": truth.fill}
+FILLS = {"shadow_map": shadow_map.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill}
 """Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
 
 MAX_PIXELS = 64_000_000
@@ -40,6 +42,7 @@ class Frame:
 
     ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``height_m`` float32
     likewise; ``position_earth_m`` float64 (rows, cols, 3) of a perspective view, ``None`` in a map; ``passes`` what really ran.
+    ``layers`` are the intermediate pictures that were asked for, by layer and light (``shadows.passes``).
     """
 
     view: MapView | PerspectiveView
@@ -50,6 +53,7 @@ class Frame:
     position_earth_m: np.ndarray | None
     passes: tuple[PassRecord, ...]
     reach: Reach
+    layers: dict[PassLayer, dict[str, np.ndarray]] = field(default_factory=dict)
 
     @property
     def visibility(self) -> np.ndarray:
@@ -77,17 +81,24 @@ class Frame:
     @property
     def nbytes(self) -> int:
         """Bytes of the layers."""
-        arrays = [self.color, self.height_m, *self.visibilities.values()]
+        kept = [picture for by_light in self.layers.values() for picture in by_light.values()]
+        arrays = [self.color, self.height_m, *self.visibilities.values(), *kept]
         return sum(array.nbytes for array in arrays) + (0 if self.position_earth_m is None else self.position_earth_m.nbytes)
 
 
 def render_frame(
-    scene: Scene, view: MapView | PerspectiveView, plan: Plan, on_block: Callable[[int, int], None] | None = None
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    plan: Plan,
+    on_block: Callable[[int, int], None] | None = None,
+    layers: frozenset[PassLayer] = frozenset(),
 ) -> Frame:
-    """Execute a plan; ``on_block(done, total)`` is called after each block.
+    """Execute a plan and keep the intermediate ``layers``; ``on_block(done, total)`` is called after each block.
 
-    Raises ``RenderError`` where the work fails or where other passes ran than the plan lists.
+    Raises ``UnsupportedError`` for a layer that the plan's algorithms do not have, ``RenderError`` where the work fails or
+    where other passes ran than the plan lists.
     """
+    _check_layers(plan, layers)
     if view.rows * view.cols > MAX_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
     size = view.rows, view.cols
@@ -95,7 +106,7 @@ def render_frame(
     visibilities = {light: np.full(size, np.nan, np.float32) for light in plan.lights}
     height = np.full(size, np.nan, np.float32)
     position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
-    log, reach = PassLog(), Reach(0.0, 0.0, False)
+    log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), KeptLayers(size)
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     for done, (part, row, col) in enumerate(parts, start=1):
         block = _render_block(scene, part, plan, log)
@@ -110,11 +121,19 @@ def render_frame(
             whole[ours] = block.visibilities[light][theirs]
         if position is not None and block.position_earth_m is not None:
             position[ours] = block.position_earth_m[theirs]
+        kept.add(log.take(), ours, theirs)
         if on_block is not None:
             on_block(done, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
-    return Frame(view, plan, color, visibilities, height, position, tuple(log.records.values()), reach)
+    return Frame(view, plan, color, visibilities, height, position, tuple(log.records.values()), reach, kept.whole)
+
+
+def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
+    has = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
+    for layer in sorted(layers - has):
+        able = ", ".join(name for name, each in ALGORITHMS.items() if layer in each.layers) or "nothing"
+        raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {able}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

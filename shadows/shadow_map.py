@@ -48,15 +48,17 @@ past what touches its surface.
 from __future__ import annotations
 
 import numpy as np
+from moderngl import Framebuffer
 
 from shadows.map_drawing import draw_map
 from shadows.map_lookup import look_up
 from shadows.map_windows import DepthMap, lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import LampMapSettings, ShadowMapSettings
+from shadows.sun_disc import nearest_caster_m
 from terrain.casting import caster_trees
 from terrain.geometry import GeometryBuffer
-from terrain.gl import device
+from terrain.gl import Device, device
 from terrain.level import CasterKind
 from terrain.reach import Casters
 from terrain.scene import Scene
@@ -75,13 +77,14 @@ def fill(
 ) -> np.ndarray:
     """Visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
 
-    Where there is no surface the value means nothing. Raises ``GraphicsError``.
+    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
     if isinstance(settings, ShadowMapSettings):
-        maps = sun_maps(buffer, scene, settings, trees)
+        nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
+        maps = sun_maps(buffer, scene, settings, trees, nearest_m)
     elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
         maps = [lit]
     if not maps:  # no receivers
@@ -91,7 +94,14 @@ def fill(
     visibility = np.ones(buffer.there.shape, np.float32)
     for drawn in maps:
         with log.run(depth_pass) as record:
-            target = draw_map(gl, drawn, buffer, scene, kinds, casters, record)
+            target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
+        log.keep("shadow-map", light, depths, gl, drawn, target)
         with log.run(visibility_pass) as record:
             look_up(gl, drawn, target, buffer, settings, visibility, record)
     return visibility
+
+
+def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
+    """A map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts; the light's up is at the top."""
+    texels = gl.read(target, -1)
+    return texels if drawn.uniforms["lamp"] else texels[::-1]

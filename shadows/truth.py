@@ -3,11 +3,14 @@
 Class of a pixel: lit if its triangle's geometric normal faces the sun and a ray from its visible point, lifted off the
 triangle by the offset that ``terrain.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one, two and
 four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there.
+
+A raster does not say along which diagonal its quads are cut. Where that is to be no matter of luck, a map's pixel whose class
+changes when the ground is cut from north-west to south-east, instead of as drawn, is boundary too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import get_args
 
@@ -25,8 +28,9 @@ from terrain.light_space import light_bounds
 from terrain.picture import geometry_of
 from terrain.rays import RayScene, trees_as_mesh
 from terrain.reach import Casters, casters_of
-from terrain.resolve import FOREST
+from terrain.resolve import FOREST, RELIEF
 from terrain.scene import Scene
+from terrain.surface import Cut
 
 UNLIMITED_TRIANGLES = 2**31
 """A limit that no ground reaches: its mesh is whole."""
@@ -87,8 +91,13 @@ def truth_of(
     seed: int = 0,
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
+    either_diagonal: bool = False,
 ) -> Truth:
-    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel."""
+    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel.
+
+    With ``either_diagonal`` they must be the same along whichever diagonal the ground's quads are cut: in a map. A camera's
+    ground is a mesh, which knows its triangles.
+    """
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
     if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
@@ -101,7 +110,53 @@ def truth_of(
     for view in sub_views(buffer.view, samples, seed):
         sample = geometry_of(scene, view, buffer.frame)
         decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
+    if either_diagonal:
+        decidable &= ~changed_by_diagonal(buffer, scene, casters, lit, light, kinds)
     return Truth(lit, turned, decidable, buffer.there)
+
+
+def changed_by_diagonal(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    casters: Casters,
+    lit: np.ndarray,
+    light: str = SUN,
+    kinds: tuple[CasterKind, ...] = ALL_KINDS,
+) -> np.ndarray:
+    """Where a map's classes ``lit`` (rows, cols) change when the ground's quads are cut NW to SE: bool, False off the surface.
+
+    Points of the ground move to the surface cut so, those on nodes stay. Where that has no triangle, at the rim of the data,
+    the class counts as changed. Nowhere True in perspective.
+    """
+    if buffer.surface is None:
+        return np.zeros(buffer.there.shape, bool)
+    other = _on_other_diagonal(buffer)
+    changed = lit_from(other, scene, light, _build_rays(buffer, scene, casters, kinds, "NW-SE")) != lit
+    return buffer.there & (changed | ~other.there)
+
+
+def _on_other_diagonal(buffer: GeometryBuffer) -> GeometryBuffer:
+    """A map's buffer whose ground's points and normals are those of quads cut NW to SE; not ``there`` without a triangle.
+
+    A point on the diagonal, and so one on a node, belongs to the NE triangle.
+    """
+    assert buffer.surface is not None and buffer.triangle is not None and isinstance(buffer.view, MapView)
+    view, surface = buffer.view, buffer.surface
+    i, j = np.nonzero(buffer.there & (buffer.kind == RELIEF))
+    quad = buffer.triangle[i, j]
+    down, right = view.row0 + i * view.row_step - quad[:, 0], view.col0 + j * view.col_step - quad[:, 1]
+    in_ne = right >= down
+    row, col = quad[:, 0] - surface.row0, quad[:, 1] - surface.col0
+    nw, se = surface.position_frame_m[row, col], surface.position_frame_m[row + 1, col + 1]
+    third = surface.position_frame_m[row + ~in_ne, col + in_ne]
+    a, b = nw - third, se - third
+    along_a, along_b = np.where(in_ne, (1.0 - right, down), (1.0 - down, right))
+    normal = np.where(in_ne[:, None], 1.0, -1.0) * np.cross(a, b)
+    position, normals, there = buffer.position_frame_m.copy(), buffer.normal_frame.copy(), buffer.there.copy()
+    position[i, j] = third + along_a[:, None] * a + along_b[:, None] * b
+    normals[i, j] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    there[i, j] = np.isfinite(normal[:, 2])
+    return replace(buffer, position_frame_m=position, normal_frame=normals, there=there)
 
 
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
@@ -201,6 +256,12 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 @lru_cache(maxsize=1)
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
     """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
+    return _build_rays(buffer, scene, casters, kinds)
+
+
+def _build_rays(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], cut: Cut = "SW-NE"
+) -> RayScene:
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
         rotation, translation = scene.light.from_frame(buffer.frame)
@@ -208,7 +269,7 @@ def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tup
         pixel_m = 2.0 * pixels_m(buffer)  # sub-samples lie beside the pixels' points
         trees = trees_in_the_way(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
-    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha)
+    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, cut)
 
 
 def pixels_m(buffer: GeometryBuffer) -> float:

@@ -39,10 +39,11 @@ def cached_truth(
     light: str = SUN,
     folder: Path | None = None,
     make: Callable[..., Truth] = truth_of,
+    either_diagonal: bool = False,
 ) -> Truth:
     """``truth_of``, from disk where it has been made before. A folder that cannot be written is no error."""
     folder = folder or cache_folder()
-    path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
+    path = folder / f"{content_key(buffer, scene, casters, samples, light, either_diagonal)}.npz"
     shape = buffer.there.shape
     try:
         with np.load(path) as stored:
@@ -51,7 +52,7 @@ def cached_truth(
         return Truth(*arrays)
     except (OSError, ValueError, KeyError, EOFError):  # absent or damaged
         pass
-    truth = make(buffer, scene, casters, samples, light=light)
+    truth = make(buffer, scene, casters, samples, light=light, either_diagonal=either_diagonal)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.npz")
@@ -63,7 +64,9 @@ def cached_truth(
     return truth
 
 
-def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN) -> str:
+def content_key(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN, either_diagonal: bool = False
+) -> str:
     """A digest of all that truth depends on."""
     digest = hashlib.blake2b(digest_size=20)
     to_light = np.zeros(3)
@@ -72,7 +75,8 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg])
     elif scene.sun is not None:
         to_light = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    digest.update(repr((_numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light)).encode())
+    numbers = _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light, either_diagonal
+    digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)
     parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.look, foliage().levels[0]]
     for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):

@@ -51,6 +51,17 @@ def trees_in_the_way(stand: Stand, rotation: np.ndarray, translation: np.ndarray
     return stand.some(stand.reaching(rotation, translation, before, high))
 
 
+@lru_cache(maxsize=2)
+def closed_casters(population: Population) -> np.ndarray:
+    """Which triangles (m,) of what stands for the meshes bound a closed body with its faces outwards, bool."""
+    placement = population.placement
+    casting = () if placement is None else placement.casting
+    bodies = {id(placed.body): placed.body for placed in casting}  # one body may stand in many places
+    closed = {key: body.closed and body.volume_m3 > 0.0 for key, body in bodies.items()}
+    counts = [len(placed.body.triangles) for placed in casting]
+    return np.repeat(np.array([closed[id(placed.body)] for placed in casting], bool), counts)
+
+
 @lru_cache(maxsize=4)
 def _solid_casters(population: Population, frame: LocalFrame) -> Mesh:
     solids = population.solids

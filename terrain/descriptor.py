@@ -39,12 +39,15 @@ class LampFacts(BaseModel):
 
 
 class Band(BaseModel):
-    """What is seen at distances from ``near_m`` to ``far_m``, the next power of two: its bounds in light space, metres."""
+    """What is seen at distances from ``near_m`` to ``far_m``, the next power of two: its share of all that is seen, and its bounds
+    in light space, metres.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     near_m: float
     far_m: float
+    share: float
     low_light_m: tuple[float, float, float]
     high_light_m: tuple[float, float, float]
 
@@ -137,7 +140,8 @@ def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: flo
         here = light_m[octave == number]
         margin = slack * 2.0**number + tallest_m * np.array([0.0, 1.0, 1.0])
         low, high = (tuple(float(v) for v in bound) for bound in (here.min(axis=0) - margin, here.max(axis=0) + margin))
-        bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, low_light_m=low, high_light_m=high))
+        share = len(here) / len(light_m)
+        bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, low_light_m=low, high_light_m=high))
     return tuple(bands)
 
 
@@ -145,7 +149,8 @@ def joined(bands: tuple[Band, ...]) -> Band:
     """The band of neighbouring bands."""
     low = np.min([band.low_light_m for band in bands], axis=0)
     high = np.max([band.high_light_m for band in bands], axis=0)
-    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, low_light_m=tuple(low.tolist()), high_light_m=tuple(high.tolist()))
+    bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
+    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, share=sum(band.share for band in bands), **bounds)
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:

@@ -3,7 +3,7 @@
 A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
 thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
 returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
-memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and nowhere else.
+memory. What moderngl has no call for (16-bit and float depth storage, depth clamp, stencil) is here and nowhere else.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
+from terrain.depth_targets import DepthTargets  # noqa: E402
 from terrain.errors import GraphicsError  # noqa: E402
 from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
+_CLIP_DISTANCE0 = 0x3000
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
 _INDEX_BUFFERS = 2
-_DEPTH_TARGETS = 2
 
 
 class Device:
@@ -52,9 +53,12 @@ class Device:
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
         self._programs: dict[tuple[str, str], moderngl.Program] = {}
         self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
-        self._depth_targets: OrderedDict[tuple[int, int, int], moderngl.Framebuffer] = OrderedDict()
+        self.depth_targets = DepthTargets(
+            self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
+        )
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_target: moderngl.Framebuffer | None = None
+        self._stencil_target: tuple[moderngl.Framebuffer, int] | None = None
         self._layers: OrderedDict[int, moderngl.TextureArray] = OrderedDict()
         self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
@@ -94,19 +98,14 @@ class Device:
     def depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
         """A depth-only framebuffer of 16, 24 (normalised) or 32 bits (float), the texture without comparison.
 
-        The last ones are kept for reuse; their content is whatever was drawn last.
+        Its content lasts until the next one of its shape is asked for, unless ``depth_targets.keep`` is told what it is.
         """
         self.require_current()
-        key = width, height, bits
-        if key in self._depth_targets:
-            self._depth_targets.move_to_end(key)
-            return self._depth_targets[key]
-        if len(self._depth_targets) >= _DEPTH_TARGETS:
-            _, old = self._depth_targets.popitem(last=False)
-            self._release_target(old, old.depth_attachment)
+        return self.depth_targets.take(width, height, bits)
+
+    def _made_depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
         target = self.ctx.framebuffer(depth_attachment=self._depth_texture(width, height, bits))
         self.check("depth_target")
-        self._depth_targets[key] = target
         return target
 
     def _depth_texture(self, width: int, height: int, bits: int) -> moderngl.Texture:
@@ -130,19 +129,36 @@ class Device:
         return self._float_target
 
     @contextmanager
-    def depth_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Draw depth only, nearest wins, geometry before the near plane kept at depth 0 (clamped, not clipped)."""
+    def depth_pass(self, target: moderngl.Framebuffer, offset: tuple[float, float] = (0.0, 0.0)) -> Iterator[None]:
+        """Draw depth only, nearest wins, geometry before the near plane kept at depth 0 (clamped, not clipped).
+
+        ``offset`` is what depths are moved back by: a factor of their slope, and units of the smallest step (glPolygonOffset).
+        """
         self.require_current()
         target.use()
         target.clear(depth=1.0)
         self.ctx.enable_only(moderngl.DEPTH_TEST)
         self.ctx.depth_func = "<="
+        self.ctx.polygon_offset = offset
         self.ctx.enable_direct(_DEPTH_CLAMP)
         try:
             yield
         finally:
             self.ctx.disable_direct(_DEPTH_CLAMP)
+            self.ctx.polygon_offset = 0.0, 0.0
             self.ctx.enable_only(moderngl.NOTHING)
+
+    @contextmanager
+    def front_culled(self, clockwise: bool) -> Iterator[None]:
+        """Leave out triangles that face the viewer; their corners go round counter-clockwise as drawn, or ``clockwise``."""
+        self.require_current()
+        self.ctx.front_face, self.ctx.cull_face = "cw" if clockwise else "ccw", "front"
+        self.ctx.enable(moderngl.CULL_FACE)
+        try:
+            yield
+        finally:
+            self.ctx.disable(moderngl.CULL_FACE)
+            self.ctx.front_face, self.ctx.cull_face = "ccw", "back"
 
     def visible_target(self, width: int, height: int) -> moderngl.Framebuffer:
         """A framebuffer of one uint32 (what is seen), one RGBA8 (its albedo) and a float depth; the last one is kept."""
@@ -173,6 +189,69 @@ class Device:
             GL.glClipControl(_LOWER_LEFT, _NEGATIVE_ONE_TO_ONE)
             self.ctx.depth_func = "<="
             self.ctx.enable_only(moderngl.NOTHING)
+
+    def stencil_target(self, width: int, height: int) -> moderngl.Framebuffer:
+        """A framebuffer of an eight-bit stencil (beside a depth of 24 bits); the last one is kept. Its content is 0."""
+        from OpenGL import GL
+
+        self.require_current()
+        if self._stencil_target is None or self._stencil_target[0].size != (width, height):
+            if self._stencil_target is not None:
+                old, storage = self._stencil_target
+                self._release_target(old, *old.color_attachments)
+                GL.glDeleteRenderbuffers(1, [storage])
+            target = self.ctx.framebuffer([self.ctx.renderbuffer((width, height), 1)])  # moderngl needs a colour
+            target.color_mask = (False,) * 4
+            storage = int(GL.glGenRenderbuffers(1))
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, storage)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH24_STENCIL8, width, height)
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, 0)
+            target.use()
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, storage)
+            self.check("stencil_target")
+            self._stencil_target = target, storage
+        self._stencil_target[0].use()
+        GL.glStencilMask(0xFF)
+        GL.glClearBufferiv(GL.GL_STENCIL, 0, [0])
+        return self._stencil_target[0]
+
+    @contextmanager
+    def stencil_pass(self, target: moderngl.Framebuffer, held: int, clip_distances: int = 0) -> Iterator[None]:
+        """Draw into a stencil alone: what holds ``held`` holds one more where anything is drawn, however often.
+
+        ``clip_distances`` is the number of distances that the vertex shaders write.
+        """
+        from OpenGL import GL
+
+        self.require_current()
+        target.use()
+        self.ctx.enable_only(moderngl.NOTHING)
+        GL.glEnable(GL.GL_STENCIL_TEST)
+        GL.glStencilFunc(GL.GL_EQUAL, held, 0xFF)
+        GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_INCR)
+        for number in range(clip_distances):
+            self.ctx.enable_direct(_CLIP_DISTANCE0 + number)
+        try:
+            yield
+        finally:
+            for number in range(clip_distances):
+                self.ctx.disable_direct(_CLIP_DISTANCE0 + number)
+            GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_KEEP)
+            GL.glStencilFunc(GL.GL_ALWAYS, 0, 0xFF)
+            GL.glDisable(GL.GL_STENCIL_TEST)
+
+    def read_stencil(self, target: moderngl.Framebuffer) -> np.ndarray:
+        """Read a stencil as uint8 (rows, cols); row 0 is the first. Raises ``GraphicsError`` as ``read``."""
+        from OpenGL import GL
+
+        self.require_current()
+        width, height = target.size
+        out = np.zeros((height, width), np.uint8)
+        target.use()
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+        GL.glReadPixels(0, 0, width, height, GL.GL_STENCIL_INDEX, GL.GL_UNSIGNED_BYTE, out)
+        self.check("read_stencil")
+        return out
 
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
         """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.

@@ -69,8 +69,10 @@ class GroundMesh:
 
 
 @dataclass(frozen=True, eq=False)
-class _Nodes:
-    """All nodes of a level's ground: heights (rows, cols), NaN where there is none, and their decimation errors."""
+class GroundNodes:
+    """All nodes of a level's ground from row ``row0`` and column ``col0`` of a surface's grid on: heights (rows, cols), NaN where
+    there is none, and, where they are too many to be drawn, their decimation errors.
+    """
 
     surface: Surface
     row0: int
@@ -82,6 +84,11 @@ class _Nodes:
 def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_TRIANGLES) -> GroundMesh:
     """The ground as an eye sees it, in the eye's frame; the last ones are kept. A view's parts and shifts share one."""
     return _ground_mesh(scene.world, scene.elevation, scene.map_crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
+
+
+def ground_nodes(scene: Scene) -> GroundNodes:
+    """The nodes that a level's perspective views are made from."""
+    return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_TRIANGLES)
 
 
 @lru_cache(maxsize=3)
@@ -109,13 +116,13 @@ def _ground_mesh(
 
 
 @lru_cache(maxsize=2)
-def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> _Nodes:
+def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
     grid, row0, col0, rows, cols = _window(world, elevation, crs)
     surface = Surface(world, elevation, grid)
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
     whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_TRIANGLES else max_triangles)
-    return _Nodes(surface, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
+    return GroundNodes(surface, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:

@@ -23,7 +23,7 @@ import numpy as np
 from terrain.errors import RenderError
 from terrain.foliage import THRESHOLD, foliage
 from terrain.stand import Stand
-from terrain.surface import known_triangles
+from terrain.surface import Cut, known_triangles
 
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256
@@ -48,8 +48,8 @@ class AlphaMesh:
 
 
 class RayScene:
-    """What rays can meet: sheets of nodes (rows, cols, 3), quads cut SW to NE; meshes of vertices (n, 3) and triangles
-    (m, 3); and alpha-tested meshes. All float64 in one frame, metres.
+    """What rays can meet: sheets of nodes (rows, cols, 3), quads cut along a diagonal (as drawn: SW to NE); meshes of
+    vertices (n, 3) and triangles (m, 3); and alpha-tested meshes. All float64 in one frame, metres.
 
     ``offset_m`` is the derived distance by which a start is lifted off its triangle.
     """
@@ -59,8 +59,9 @@ class RayScene:
         sheets: Iterable[np.ndarray] = (),
         meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
         alpha: Iterable[AlphaMesh] = (),
+        cut: Cut = "SW-NE",
     ) -> None:
-        parts = [(sheet.reshape(-1, 3), known_triangles(sheet)) for sheet in sheets if min(sheet.shape[:2]) >= 2]
+        parts = [(sheet.reshape(-1, 3), known_triangles(sheet, cut)) for sheet in sheets if min(sheet.shape[:2]) >= 2]
         parts += list(meshes)
         self._alpha_meshes = tuple(alpha)
         known = [part[np.isfinite(part[:, 2])] for part, _ in parts] + [mesh.vertices_m for mesh in self._alpha_meshes]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -18,11 +19,18 @@ from terrain.elevation import Elevation
 from terrain.grid import Grid
 from terrain.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 
+Cut = Literal["SW-NE", "NW-SE"]
+"""The diagonal that a sheet's quads are cut along. What is drawn is cut SW to NE; a raster itself does not say."""
+
 EXACT_SPACING_M = 16000.0
 """Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""
 
 EXACT_STRIDE = 64
 """Largest distance between exactly computed nodes, in nodes."""
+
+
+BAND_ROWS = 256
+"""Rows of a window that are worked on at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +93,22 @@ class Surface:
         exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
         return _scattered(exact, exact_rows, exact_cols, self._stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
+    def along(
+        self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray
+    ) -> np.ndarray:
+        """Coordinates (rows, cols) float32, metres, of a window's nodes with their heights, along an earth-fixed unit axis."""
+        rows, cols = height_m.shape
+        first_row, first_col, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)
+        point, up = self.world.ground(self.grid.crs, x, y)
+        exact = np.stack([(point - origin_earth_m) @ axis_earth, up @ axis_earth], axis=-1)
+        out = np.empty((rows, cols), np.float32)
+        for start in range(0, rows, BAND_ROWS):
+            some = slice(start, min(start + BAND_ROWS, rows))
+            count = some.stop - start
+            placed = _interpolate(exact, first_row, first_col, self._stride, row0 + start, col0, count, cols)
+            out[some] = placed[..., 0] + height_m[some] * placed[..., 1]
+        return out
+
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) of a window's nodes, and where there is a surface."""
         stride = self._stride
@@ -130,19 +154,27 @@ class Surface:
         return self.elevation.cell_of(x, y)
 
 
+def sheet_triangles(rows: int, cols: int, cut: Cut = "SW-NE") -> np.ndarray:
+    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only.
+
+    Cut the other way they are NE, NW, SE and SW, SE, NW.
+    """
+    return _sheet_triangles(rows, cols, cut)
+
+
 @lru_cache(maxsize=2)
-def sheet_triangles(rows: int, cols: int) -> np.ndarray:
-    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only."""
+def _sheet_triangles(rows: int, cols: int, cut: Cut) -> np.ndarray:
     node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
-    triangles = np.stack([nw, sw, ne, se, ne, sw], axis=-1).reshape(-1, 3)
+    corners = [nw, sw, ne, se, ne, sw] if cut == "SW-NE" else [ne, nw, se, sw, se, nw]
+    triangles = np.stack(corners, axis=-1).reshape(-1, 3)
     triangles.flags.writeable = False
     return triangles
 
 
-def known_triangles(position: np.ndarray) -> np.ndarray:
+def known_triangles(position: np.ndarray, cut: Cut = "SW-NE") -> np.ndarray:
     """Node indices (n, 3) int32 of the triangles of a sheet (rows, cols, 3) that have no NaN corner."""
-    triangles = sheet_triangles(*position.shape[:2])
+    triangles = sheet_triangles(*position.shape[:2], cut)
     known = np.isfinite(position[..., 2]).ravel()
     return triangles if known.all() else triangles[known[triangles].all(axis=1)]
 

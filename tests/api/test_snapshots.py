@@ -264,7 +264,7 @@ def test_documentation(yards: Client):
     described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {each["name"] for each in described["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
-        "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter",
+        "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
     }  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     plan = plan_of(scene, scene.view())
     assert plan.algorithm == {"sun": {"relief": "shadow_map"}} and plan.headline == "shadow_map"
     assert [effect.name for effect in plan.effects] == ["cast_shadows"]
-    assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter"}
+    assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias"}
     assert [item.name for item in plan.rejected] == ["truth", "none"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
 

@@ -1,0 +1,285 @@
+"""Accuracy of the line sweep on real rasters against rays, at azimuths off the 45-degree axes.
+
+    python benchmarks/sweep_accuracy.py FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 4] [--crop 1024]
+                                        [--processes 2] [--markdown FILE]
+    python benchmarks/sweep_accuracy.py FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
+
+Every raster of heights below FOLDER is an array in a flat world: its middle, holes filled as for casting, cells as long and
+wide as at its middle latitude. Truth are rays from the nodes; it is counted where it does not hang on the rays' offset, nor on
+the diagonal that quads are cut along. ``--all-azimuths`` takes the 360 whole degrees on the raster of that name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from shadows.metrics import INTERIOR_PX, interior
+from shadows.sweep_grid import sunlit
+from terrain.elevation import Elevation
+from terrain.errors import SkuggaError
+from terrain.rays import RayScene
+from terrain.world import WGS84
+
+NO_HEIGHTS = ("landcover", "rgb")
+"""Parts of the names of rasters that hold something else."""
+
+LIFT = 1.0 / 8.0
+"""What a node is lifted by, in offsets of ``terrain.rays``: it is a vertex, rounded to float32 just as the triangles are."""
+
+BATCH_RAYS = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Heights (rows, cols) float32 in metres, NaN where no ground is near; sides (row, column) of a cell in metres."""
+
+    name: str
+    height_m: np.ndarray
+    there: np.ndarray
+    cell_m: tuple[float, float]
+
+    @property
+    def steepest_deg(self) -> float:
+        """The steepest step from a cell to a neighbour."""
+        steps = (np.abs(np.diff(self.height_m, axis=axis)) / self.cell_m[axis] for axis in (0, 1))
+        return float(np.degrees(np.arctan(max(np.nanmax(step, initial=0.0) for step in steps))))
+
+
+@dataclass(frozen=True, eq=False)
+class GridTruth:
+    """What rays say of a grid's nodes under one sun; bool arrays (rows, cols), False where there is no ground.
+
+    ``lit`` is the class with quads cut SW to NE, ``drawn`` where it is certain for them, ``decidable`` where along either diagonal.
+    """
+
+    lit: np.ndarray
+    drawn: np.ndarray
+    decidable: np.ndarray
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One raster under one sun. Shares of the decidable cells; ``undecided`` and ``other_diagonal`` of all cells."""
+
+    raster: str
+    azimuth_deg: float
+    altitude_deg: float
+    cells: int
+    shadow: float
+    wrong: float
+    false_shadow: float
+    missed_shadow: float
+    interior: float
+    undecided: float
+    other_diagonal: float
+
+
+class GridRays:
+    """Rays through the triangles of a heightfield (rows, cols), quads cut either way."""
+
+    def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
+        rows, cols = height_m.shape
+        sheet = np.empty((rows, cols, 3))
+        sheet[..., 0], sheet[..., 1] = np.arange(cols) * cell_m[1], -np.arange(rows)[:, None] * cell_m[0]
+        sheet[..., 2] = height_m
+        self._nodes = sheet.reshape(-1, 3)
+        self._there = np.isfinite(height_m)
+        self._drawn, self._other = RayScene([sheet]), RayScene([sheet], cut="NW-SE")
+
+    def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
+        """Classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
+
+        A node is on the surface whichever way quads are cut. It is lifted upwards, by e, 2e and 4e. What is clear from e is so
+        from anything higher, as this is a heightfield, and what is dark from 4e from anything lower: these two are all that
+        need be asked. What only stands less than e in a ray's way is missed; hence the small e.
+        """
+        azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+        to_sun = np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+        there = np.flatnonzero(self._there)
+        lit = self._sees(self._drawn, there, to_sun, 1.0)
+        dark = ~lit
+        dark[dark] = ~self._sees(self._drawn, there[dark], to_sun, 4.0)
+        sure = [lit.copy(), dark.copy()]
+        for known, offsets in zip(sure, (1.0, 4.0), strict=True):
+            known[known] = self._sees(self._other, there[known], to_sun, offsets) == (offsets == 1.0)
+        truth = GridTruth(*(self._grid(there, values) for values in (lit, lit | dark, sure[0] | sure[1])))
+        if azimuth_deg % 90.0 == 0.0:  # rays along the sheet's rim may pass beside it
+            truth.decidable[[0, -1]] = truth.decidable[:, [0, -1]] = False
+        return truth
+
+    def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
+        seen = np.empty(len(nodes), bool)
+        for first in range(0, len(nodes), BATCH_RAYS):
+            some = slice(first, first + BATCH_RAYS)
+            start = self._nodes[nodes[some]] + np.array([0.0, 0.0, offsets * LIFT * rays.offset_m])
+            seen[some] = ~rays.blocked(start, to_sun)
+        return seen
+
+    def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        out = np.zeros(self._there.shape, bool)
+        out.flat[nodes] = values
+        return out
+
+
+def figures_of(raster: Raster, lit: np.ndarray, truth: GridTruth, azimuth_deg: float, altitude_deg: float) -> Figures:
+    """Hold an answer (rows, cols), True where the sun is seen, against truth."""
+    known = np.isfinite(raster.height_m)
+    decidable = truth.decidable & raster.there
+    wrong = decidable & (lit != truth.lit)
+    count = max(int(decidable.sum()), 1)
+    return Figures(
+        raster=raster.name,
+        azimuth_deg=azimuth_deg,
+        altitude_deg=altitude_deg,
+        cells=int(decidable.sum()),
+        shadow=int((decidable & ~truth.lit).sum()) / count,
+        wrong=int(wrong.sum()) / count,
+        false_shadow=int((wrong & truth.lit).sum()) / count,
+        missed_shadow=int((wrong & ~truth.lit).sum()) / count,
+        interior=int(interior(wrong, ~truth.lit & known, known, INTERIOR_PX).sum()) / count,
+        undecided=float((~truth.decidable)[raster.there].mean()),
+        other_diagonal=float((truth.drawn & ~truth.decidable)[raster.there].mean()),
+    )
+
+
+def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
+    """The rasters of heights below a folder, at most ``crop`` cells a side; says which are left out."""
+    for path in sorted(folder.rglob("*.tif")):
+        if any(word in path.stem.lower() for word in NO_HEIGHTS):
+            continue
+        try:
+            yield read(path, crop)
+        except SkuggaError as error:
+            print(f"left out: {error}", flush=True)
+
+
+def read(path: Path, crop: int) -> Raster:
+    """The middle of a raster's heights: round the median of its known cells. Raises ``SourceError``."""
+    elevation = Elevation(str(path))
+    shape = elevation.shape
+    known = np.nonzero(np.isfinite(elevation.overview.heights_m))
+    size = [min(crop, length) for length in shape]
+    middle = [int(np.median(at) + 0.5) * 2**elevation.overview.level for at in known]
+    first = [int(np.clip(m - s // 2, 0, length - s)) for m, s, length in zip(middle, size, shape, strict=True)]
+    row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
+    height_m, there = elevation.heights_at(0, row, col)
+    unit_m = 1.0 if elevation.crs.is_geographic else elevation.crs.axis_info[0].unit_conversion_factor
+    if elevation.units is None:  # where nothing is said, heights are in the unit of the map: feet in feet
+        height_m = height_m * np.float32(unit_m)
+    name = f"{path.parent.name}/{path.stem}"
+    cell_m = _cell_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)
+    elevation.close()
+    return Raster(name, height_m, there, cell_m)
+
+
+def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:
+    """Sides (row, column) in metres of the cell at a place."""
+    x, y = elevation.xy(np.array([row - 0.5, row + 0.5, row, row]), np.array([col, col, col - 0.5, col + 0.5]))
+    if elevation.crs.is_geographic:
+        _, _, length = WGS84.inv(x[::2], y[::2], x[1::2], y[1::2])
+        return float(length[0]), float(length[1])
+    return tuple(float(np.hypot(x[k + 1] - x[k], y[k + 1] - y[k])) * unit_m for k in (0, 2))  # type: ignore[return-value]
+
+
+def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[Figures]:
+    """Figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
+    rays = GridRays(raster.height_m, raster.cell_m)
+    return [figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), rays.truth(*sun), *sun) for sun in suns]
+
+
+def report(rasters: list[Raster], found: list[Figures], lines: int) -> list[str]:
+    """Markdown: a row per raster, and what holds over all."""
+    rows = [
+        f"# The line sweep against rays: {lines} line(s) a cell",
+        "",
+        "Made by `benchmarks/sweep_accuracy.py`. Shares of decidable cells in per cent; `interior`: wrong and farther than 2 cells",
+        "from truth's boundary. Steepest: from a cell to its neighbour. Undecided: all of it, and for the other diagonal alone.",
+        "",
+        "| raster | size | cell m | steepest | wrong: mean | worst | at | its shadow | `interior` | worst | undecided | diagonal |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for raster in sorted(rasters, key=lambda raster: -raster.steepest_deg):
+        figures = [row for row in found if row.raster == raster.name]
+        worst = max(figures, key=lambda f: f.wrong)
+        means = {key: np.mean([getattr(f, key) for f in figures]) for key in ("wrong", "interior", "undecided", "other_diagonal")}
+        rows.append(
+            f"| {raster.name} | {raster.height_m.shape[1]} x {raster.height_m.shape[0]} | "
+            f"{raster.cell_m[1]:.4g} x {raster.cell_m[0]:.4g} | {raster.steepest_deg:.0f}° | {100 * means['wrong']:.4f} | "
+            f"{100 * worst.wrong:.4f} | {worst.azimuth_deg:g} / {worst.altitude_deg:g} | {100 * worst.shadow:.1f} | "
+            f"{100 * means['interior']:.5f} | {100 * max(f.interior for f in figures):.5f} | "
+            f"{100 * means['undecided']:.3f} | {100 * means['other_diagonal']:.3f} |"
+        )
+    return rows + ["", *_over_all(found)]
+
+
+def _over_all(figures: list[Figures]) -> list[str]:
+    wrong = np.array([f.wrong for f in figures])
+    azimuths, altitudes = (sorted({getattr(f, key) for f in figures}) for key in ("azimuth_deg", "altitude_deg"))
+    per_azimuth = [np.mean([f.wrong for f in figures if f.azimuth_deg == azimuth]) for azimuth in azimuths]
+    worst, middle = float(np.max(per_azimuth)), float(np.median(per_azimuth))
+    cells = sum(f.cells for f in figures)
+    count = sum(f.wrong * f.cells for f in figures)
+    by_altitude = ", ".join(f"{a:g}°: {100 * np.mean([f.wrong for f in figures if f.altitude_deg == a]):.4f} %" for a in altitudes)
+    shares = {key: 100 * np.mean([getattr(f, key) for f in figures]) for key in ("false_shadow", "missed_shadow", "interior")}
+    return [
+        f"Over {len(figures)} pictures: wrong {100 * wrong.mean():.4f} % (false {shares['false_shadow']:.4f} %, missed "
+        f"{shares['missed_shadow']:.4f} %), worst {100 * wrong.max():.4f} %; by altitude {by_altitude}; "
+        f"{100 * count / max(cells, 1):.4f} % of all {cells / 1e6:.0f} million cells.",
+        f"Interior {shares['interior']:.5f} %, worst {100 * max(f.interior for f in figures):.5f} %.",
+        f"Azimuths: the worst ({azimuths[int(np.argmax(per_azimuth))]:g}°) has {100 * worst:.4f} %, the median one "
+        f"{100 * middle:.4f} %: " + (f"{worst / middle:.2f} times as many." if middle > 0 else "no ratio, as the median has none."),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--azimuths", type=int, default=24, help="evenly spread, from half a step on")
+    parser.add_argument("--altitudes", type=float, nargs="+")
+    parser.add_argument("--all-azimuths", metavar="NAME", help="all whole degrees, on the raster with this in its name")
+    parser.add_argument("--lines", type=int, default=4)
+    parser.add_argument("--crop", type=int)
+    parser.add_argument("--processes", type=int, default=os.cpu_count())
+    parser.add_argument("--markdown", type=Path)
+    parser.add_argument("--json", type=Path, help="every figure of every sun")
+    given = parser.parse_args()
+    every = given.all_azimuths is not None
+    azimuths = np.arange(360.0) if every else (np.arange(given.azimuths) + 0.5) * 360.0 / given.azimuths
+    if not every and not (azimuths % 45.0).all():
+        parser.error(
+            f"--azimuths {given.azimuths}: one of them is a multiple of 45 degrees, where errors hide; 8, 24 or 72 are not"
+        )
+    suns = [(float(a), h) for h in given.altitudes or ([10.0] if every else [3.0, 10.0, 30.0]) for a in azimuths]
+    rasters = list(rasters_of(given.folder, given.crop or (512 if every else 1024)))
+    if every:
+        rasters = [raster for raster in rasters if given.all_azimuths in raster.name][:1]
+    if not rasters:
+        parser.error(f"no raster of heights below {given.folder}" + (f" is called {given.all_azimuths}" if every else ""))
+    rasters.sort(key=lambda raster: -raster.height_m.size)  # the longest work first, so that no core waits at the end
+    parts = [suns[first :: given.processes] for first in range(given.processes)] if every else [suns]
+    start, figures = time.perf_counter(), []
+    with ProcessPoolExecutor(given.processes) as pool:
+        work = {pool.submit(measure, raster, part, given.lines): raster.name for raster in rasters for part in parts}
+        for done in as_completed(work):
+            figures += done.result()
+            mean, worst = (100 * f([row.wrong for row in done.result()]) for f in (np.mean, np.max))
+            print(f"{time.perf_counter() - start:4.0f} s  {work[done]}: wrong {mean:.4f} %, worst {worst:.4f} %", flush=True)
+    lines = report(rasters, figures, given.lines)
+    print("\n".join(lines))
+    if given.markdown:
+        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if given.json:
+        given.json.write_text(json.dumps([asdict(row) for row in figures], indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+"""Speed and wrong cells of the line sweep on fractal mountains, beside the fastest sweep that others offer.
+
+    python benchmarks/sweep_speed.py [--side 4096] [--truth-side 2048] [--lines 4] [--repeats 5] [--markdown FILE]
+
+The other one is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
+its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own:
+figures are medians of one run, memory is what a process's peak grows by while it works. Wrong cells are held against rays on
+a smaller terrain of the same make, since the rays' triangles take 0.5 GB per million cells.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import resource
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numba
+import numpy as np
+from sweep_accuracy import GridRays, Raster, figures_of
+
+from shadows.sweep_grid import sunlit
+
+CELL_M = 10.0
+RELIEF_M = 2000.0
+ROUGHNESS = 2.1
+"""Amplitudes of the spectral synthesis fall with this power of the frequency: slopes of 16 degrees on average."""
+
+SUNS = [(azimuth, altitude) for azimuth in (202.0, 113.0, 67.0) for altitude in (30.0, 10.0, 3.0)]
+
+CELLS_PER_S = 50e6
+"""Target on one core."""
+
+WRONG_RATIO = 15.0
+CORES_RATIO = 1.7
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A way to answer: its name, threads, and lines a cell for the sweep (0: the other one)."""
+
+    name: str
+    threads: int
+    lines: int
+
+    def lit(self, height_m: np.ndarray, azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+        """Where the sun is seen: bool (rows, cols)."""
+        if self.lines:
+            return sunlit(height_m, CELL_M, azimuth_deg, altitude_deg, lines=self.lines, cores=self.threads)
+        from insolation import insolf
+
+        numba.set_num_threads(self.threads)
+        azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+        to_sun_south = np.array(  # its y axis points south
+            [np.sin(azimuth) * np.cos(altitude), -np.cos(azimuth) * np.cos(altitude), np.sin(altitude)]
+        )
+        return insolf.doshade(height_m, CELL_M, to_sun_south).view(bool)
+
+
+def mountains(side: int, seed: int = 42) -> np.ndarray:
+    """Fractal heights (side, side) float32 in metres by spectral synthesis: white noise whose spectrum falls by a power law."""
+    spectrum = np.fft.rfft2(np.random.default_rng(seed).standard_normal((side, side)))
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
+    frequency[0, 0] = np.inf
+    height = np.fft.irfft2(spectrum * frequency**-ROUGHNESS, s=(side, side))
+    return ((height - height.min()) * (RELIEF_M / np.ptp(height))).astype(np.float32)
+
+
+def check_convention(tool: Tool) -> None:
+    """A pole of 100 m on a flat floor throws its shadow away from the sun, as long as it should. Raises ``RuntimeError``."""
+    height = np.zeros((201, 201), np.float32)
+    height[100, 100] = 100.0
+    for azimuth, (down, right) in {0.0: (1, 0), 90.0: (0, -1), 180.0: (-1, 0), 270.0: (0, 1), 45.0: (1, -1)}.items():
+        dark = np.argwhere(~tool.lit(height, azimuth, 10.0)) - 100
+        along = dark @ np.array([down, right]) / np.hypot(down, right)
+        reach = 100.0 / np.tan(np.radians(10.0)) / CELL_M
+        if abs(along.max() - reach) > 2.0 or abs(np.median(along) - reach / 2) > 3.0:
+            raise RuntimeError(
+                f"{tool.name}: at azimuth {azimuth:g} the pole's shadow ends {along.max():.1f} cells away, not {reach:.1f}"
+            )
+
+
+class Worker:
+    """A process that times one tool after another on a terrain."""
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        self.peak_bytes()  # started now: a process's peak begins with that of the one that starts it
+
+    def load(self, path: Path) -> None:
+        """Take a terrain (rows, cols) from a file."""
+        self._pool.submit(_load, path).result()
+
+    def seconds(self, tool: Tool, sun: tuple[float, float]) -> float:
+        """Wall time of one answer."""
+        return self._pool.submit(_seconds, tool, sun).result()
+
+    def peak_bytes(self) -> int:
+        """The most memory that the process has held so far."""
+        return self._pool.submit(_peak_bytes).result()
+
+    def close(self) -> None:
+        """End the process."""
+        self._pool.shutdown()
+
+
+_terrain_m = np.zeros((0, 0), np.float32)
+
+
+def _load(path: Path) -> None:
+    global _terrain_m
+    _terrain_m = np.load(path)
+
+
+def _seconds(tool: Tool, sun: tuple[float, float]) -> float:
+    start = time.perf_counter()
+    tool.lit(_terrain_m, *sun)
+    return time.perf_counter() - start
+
+
+def _peak_bytes() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.ndarray], dict[Tool, int]]:
+    """Seconds (repeats, suns) of each tool, all in turns, and what its process's peak grew by, bytes."""
+    workers = {tool: Worker() for tool in tools}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "terrain.npy"
+        np.save(path, mountains(side))
+        for worker in workers.values():
+            worker.load(path)
+    before = {tool: worker.peak_bytes() for tool, worker in workers.items()}
+    for tool, worker in workers.items():  # loops are compiled and threads started before anything counts
+        worker.seconds(tool, SUNS[0])
+    seconds = {tool: np.empty((repeats, len(SUNS))) for tool in tools}
+    for repeat in range(repeats):
+        for k, sun in enumerate(SUNS):
+            for tool, worker in workers.items():
+                seconds[tool][repeat, k] = worker.seconds(tool, sun)
+        print(f"round {repeat + 1} of {repeats}: " + ", ".join(_speed(t, seconds[t][repeat], side) for t in tools), flush=True)
+    memory = {tool: worker.peak_bytes() - before[tool] for tool, worker in workers.items()}
+    for worker in workers.values():
+        worker.close()
+    return seconds, memory
+
+
+def _speed(tool: Tool, seconds: np.ndarray, side: int) -> str:
+    return f"{tool.name} {tool.threads}: {side**2 / np.median(seconds) / 1e6:.0f} Mcells/s"
+
+
+def wrong_cells(tools: list[Tool], side: int) -> dict[Tool, np.ndarray]:
+    """Wrong, false, missed and interior shares of decidable cells (suns, 4) of each tool, against the same rays."""
+    terrain = Raster("mountains", mountains(side), np.ones((side, side), bool), (CELL_M, CELL_M))
+    rays = GridRays(terrain.height_m, terrain.cell_m)
+    out = {tool: np.empty((len(SUNS), 4)) for tool in tools}
+    for k, sun in enumerate(SUNS):
+        truth = rays.truth(*sun)
+        for tool in tools:
+            found = figures_of(terrain, tool.lit(terrain.height_m, *sun), truth, *sun)
+            out[tool][k] = found.wrong, found.false_shadow, found.missed_shadow, found.interior
+    return out
+
+
+def report(
+    side: int, seconds: dict[Tool, np.ndarray], memory: dict[Tool, int], truth_side: int, wrong: dict[Tool, np.ndarray]
+) -> list[str]:
+    """Markdown: a row per tool, its wrong cells by sun, and the targets."""
+    rows = [
+        f"# The line sweep on {side} x {side} fractal mountains, nine suns",
+        "",
+        f"Made by `benchmarks/sweep_speed.py` on {_processor()}, {os.cpu_count()} cores. Medians; memory beside the terrain.",
+        "",
+        "| what | threads | ms | million cells/s: median | slowest sun | memory MB |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for tool, taken in seconds.items():
+        per_sun = np.median(taken, axis=0)
+        rows.append(
+            f"| {tool.name} | {tool.threads} | {1000 * np.median(per_sun):.0f} | {side**2 / np.median(per_sun) / 1e6:.0f} | "
+            f"{side**2 / per_sun.max() / 1e6:.0f} | {memory[tool] / 1e6:.0f} |"
+        )
+    rows += [
+        "",
+        f"Wrong cells in per cent of the decidable ones, {truth_side} x {truth_side}; azimuth / altitude; last: `interior`, mean.",
+        "",
+        "| what | " + " | ".join(f"{a:g} / {h:g}" for a, h in SUNS) + " | mean | false | missed | interior |",
+        "| --- |" + " --- |" * (len(SUNS) + 4),
+    ]
+    for tool, found in wrong.items():
+        shares = [*found[:, 0], *found.mean(axis=0)]
+        rows.append(f"| {tool.name} | " + " | ".join(f"{100 * share:.4f}" for share in shares) + " |")
+    return rows + ["", *_targets(seconds, wrong, side)]
+
+
+def _targets(seconds: dict[Tool, np.ndarray], wrong: dict[Tool, np.ndarray], side: int) -> list[str]:
+    """What was aimed at, and what came out; ratios are medians over the pairs of one run."""
+    by_threads = {(bool(tool.lines), tool.threads): taken for tool, taken in seconds.items()}
+    own = by_threads[True, 1]
+    found = [("million cells/s on one core", side**2 / np.median(own) / 1e6, CELLS_PER_S / 1e6)]
+    if (True, 2) in by_threads:
+        found.append(("two cores against one", float(np.median(own / by_threads[True, 2])), CORES_RATIO))
+    if (False, 1) in by_threads:
+        found.append(("speed against insolation's, one core", float(np.median(by_threads[False, 1] / own)), 1.0))
+        ours, theirs = (float(np.mean([w[:, 0] for t, w in wrong.items() if bool(t.lines) == own])) for own in (True, False))
+        found.append(("insolation's wrong cells against the sweep's", theirs / ours if ours else np.inf, WRONG_RATIO))
+    return [f"- {what}: {value:.2f}, aim at least {aim:g}: {'met' if value >= aim else 'missed'}" for what, value, aim in found]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--side", type=int, default=4096)
+    parser.add_argument("--truth-side", type=int, default=2048)
+    parser.add_argument("--lines", type=int, default=4)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--markdown", type=Path)
+    given = parser.parse_args()
+    cores = os.cpu_count() or 1
+    tools = [Tool("sweep", count, given.lines) for count in sorted({1, min(2, cores)})]
+    try:
+        import insolation  # noqa: F401
+    except ImportError:
+        print("insolation is left out: it is not installed (pip install insolation)")
+    else:
+        others = [Tool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
+        check_convention(others[0])
+        tools += others
+    seconds, memory = timed(tools, given.side, given.repeats)
+    wrong = wrong_cells([tool for tool in tools if tool.threads == 1], given.truth_side)
+    lines = report(given.side, seconds, memory, given.truth_side, wrong)
+    print("\n".join(lines))
+    if given.markdown:
+        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""Intermediate pictures of a frame, put together from what the passes of its blocks left behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.passes import OF_PIXELS, PassLayer
+from terrain.errors import InputError
+
+MAX_TEXELS = 64_000_000
+"""Most texels of a layer that has a size of its own."""
+
+Pixels = tuple[slice, slice]
+
+
+class KeptLayers:
+    """Pictures by layer and light: those of pixels at their blocks' places in a frame of ``size`` (rows, cols), others beside
+    one another.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._of_pixels: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
+        self._others: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
+
+    def add(self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], ours: Pixels, theirs: Pixels) -> None:
+        """Put in what a block's passes kept; its pixels ``theirs`` are the frame's ``ours``. Raises ``InputError`` for too much."""
+        for (layer, light), pictures in kept.items():
+            if layer in OF_PIXELS:
+                wholes = self._of_pixels.setdefault((layer, light), [_empty(self._size, each.dtype) for each in pictures])
+                for whole, each in zip(wholes, pictures, strict=True):
+                    whole[ours] = each[theirs]
+            else:
+                others = self._others.setdefault((layer, light), [])
+                others += pictures
+                if sum(each.size for each in others) > MAX_TEXELS:
+                    raise InputError("layer", layer, f"at most {MAX_TEXELS} texels: a smaller view, or smaller maps")
+
+    @property
+    def whole(self) -> dict[PassLayer, dict[str, np.ndarray]]:
+        """Layer -> light -> picture."""
+        out: dict[PassLayer, dict[str, np.ndarray]] = {}
+        for (layer, light), pictures in (*self._of_pixels.items(), *self._others.items()):
+            out.setdefault(layer, {})[light] = beside_one_another(pictures)
+        return out
+
+
+def beside_one_another(pictures: list[np.ndarray]) -> np.ndarray:
+    """Pictures (rows, cols) of one type row by row in a grid that is about as wide as high, NaN (or 0) between them."""
+    rows, cols = (max(each.shape[axis] for each in pictures) for axis in (0, 1))
+    across = int(np.ceil(np.sqrt(len(pictures))))
+    out = _empty((-(-len(pictures) // across) * rows, across * cols), pictures[0].dtype)
+    for number, each in enumerate(pictures):
+        row, col = number // across * rows, number % across * cols
+        out[row : row + each.shape[0], col : col + each.shape[1]] = each
+    return out
+
+
+def _empty(size: tuple[int, int], dtype: np.dtype) -> np.ndarray:
+    return np.full(size, np.nan if dtype.kind == "f" else 0, dtype)

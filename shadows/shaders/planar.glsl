@@ -1,0 +1,7 @@
+// A caster's point, projected onto the plane z = 0 and into the view; see shadows/planar.py.
+uniform mat4 clip_from_caster;
+
+vec4 projected(vec3 caster_m) {
+    gl_ClipDistance[0] = caster_m.z;
+    return clip_from_caster * vec4(caster_m, 1.0);
+}

@@ -1,0 +1,3 @@
+in vec3 position;
+
+void main() { gl_Position = projected(position); }

@@ -1,0 +1,184 @@
+"""`sweep`: the sun's shadows of a heightfield by lines along the sun's azimuth, in time linear in its nodes; no OpenGL.
+
+``shadows.sweep_lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any other.
+Ground alone casts; what is shaded may be anything that stands on it: a line knows at each place the height above which the sun
+is seen.
+
+**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``terrain.reach``). Each detail is
+swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line does not
+matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
+
+**Lines.** A place's t is its light-space coordinate to the right, in cells: the same for all points of a ray. Where the rays run
+on a grid is computed for ground of middling height. The vertical leans by a hundredth of a degree per kilometre, so ground that
+is higher by h stands aside by that share of it, metres at the far corners of a wide block.
+
+**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area, each swept for its middle: suns of one azimuth
+share lines and points, and only the levels are tilted. The horizon is taken to be level over the disc's half degree.
+
+**Points.** A map's nodes are answered where they lie. Other points are sorted into the rows that they lie between. Those of the
+ground take their level from the very triangles that cast. In perspective these are the drawn ground's, decimated or not.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from shadows.passes import PassLog
+from shadows.plan import SweepSettings
+from shadows.sweep_grid import NO_LEVELS, Points, passed, sweep
+from shadows.sweep_lines import LOWEST
+from shadows.sweep_rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
+from shadows.truth import SUN_RADIUS_DEG
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import CasterKind
+from terrain.light_space import light_bounds
+from terrain.reach import Casters
+from terrain.resolve import RELIEF
+from terrain.scene import Scene
+
+PASSES = ("sweep",)
+
+ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
+"""What float32 makes of a level, as a share of the levels' range: what is higher by less shades no point."""
+
+STRIPS = 16
+"""Horizontal strips that the sun's disc is cut into for its penumbra."""
+
+CORES = os.cpu_count() or 1
+
+
+def fill(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: SweepSettings,
+    log: PassLog,
+) -> np.ndarray:
+    """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the ground.
+
+    Where there is no surface the value means nothing. Raises ``UnsupportedError`` where the sun's rays are too bent.
+    """
+    (sweep_pass,) = log.named(light, kinds, PASSES)
+    with log.run(sweep_pass) as record:
+        if not buffer.there.any():
+            return np.ones(buffer.there.shape, np.float32)
+        soft = settings.filter == "sun"
+        rays, grounds = _grounds(buffer, scene, casters, soft)
+        asked = _asked(rays, grounds[-1], buffer)
+        visibility = np.zeros(buffer.there.shape, np.float32)
+        angles = strips_of_sun(STRIPS) if soft else np.zeros(1)
+        for angle in angles:
+            visibility += _seen(rays, grounds, asked, settings.lines, angle)
+        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, asked, settings.lines, buffer)
+        sheets = sum((1 + soft) * its.sheet.level.nbytes + its.towards_m.nbytes for its in grounds)
+        record.bytes = max(record.bytes, sheets + 33 * asked.row.size + grounds[-1].sheet.level.size)
+        return visibility / np.float32(len(angles))
+
+
+def strips_of_sun(count: int) -> np.ndarray:
+    """Angles (count,), radians, from the middle of the sun's disc up to the middles of horizontal strips of equal area.
+
+    A disc's share below a height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
+    """
+    x = np.linspace(-1.0, 1.0, 2001)
+    share = 0.5 + (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) / np.pi
+    return np.radians(SUN_RADIUS_DEG) * np.interp((np.arange(count) + 0.5) / count, share, x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` of the turned ground and
+    in a ``window`` of its grid; and the ``others``: their turned rows, t, levels (NaN: the ground's) and metres towards the sun.
+    """
+
+    t_range: tuple[float, float]
+    nodes: np.ndarray
+    rows: tuple[int, int]
+    window: tuple[slice, slice]
+    others: np.ndarray
+    row: np.ndarray
+    t: np.ndarray
+    level_m: np.ndarray
+    towards_m: np.ndarray
+
+
+def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[Rays, list[Ground]]:
+    """The rays over a view, and the ground that they pass: the coarsest first."""
+    view = buffer.view
+    if isinstance(view, MapView):
+        rays = rays_over(scene, view.grid, view.row0 + view.rows * view.row_step / 2, view.col0 + view.cols * view.col_step / 2)
+        return rays, grounds_of_block(rays, buffer, casters, soft)
+    assert buffer.ground is not None
+    rays, ground = ground_of_level(scene, buffer.ground, soft)
+    return rays, [ground]
+
+
+def _asked(rays: Rays, ground: Ground, buffer: GeometryBuffer) -> _Asked:
+    view = buffer.view
+    low, high = light_bounds(buffer.position_frame_m, buffer.there, *rays.light.from_frame(buffer.frame))
+    ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
+    on_nodes = isinstance(view, MapView) and view.on_nodes
+    nodes = buffer.there & (buffer.kind == RELIEF) & on_nodes
+    others = buffer.there & ~nodes
+    rows, window = (0, 0), (slice(0), slice(0))
+    seen = buffer.position_frame_m[others]
+    t, level_m, towards_m = rays.t_level_towards(seen, buffer.frame)
+    if isinstance(view, MapView):
+        if nodes.any():
+            top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
+            i, _ = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
+            rows, window = (int(i.min()), int(i.max()) + 1), (slice(top, top + view.rows), slice(left, left + view.cols))
+        at = np.nonzero(others)
+        row, col = view.row0 + at[0] * view.row_step, view.col0 + at[1] * view.col_step
+    else:
+        earth = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
+        x, y, _ = rays.scene.world.map_position(rays.grid.crs, earth)
+        row, col = (rays.grid.y0 - y) / rays.grid.step, (x - rays.grid.x0) / rays.grid.step
+    turned_row, _ = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
+    level_m[buffer.kind[others] == RELIEF] = np.nan
+    return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, t, level_m, towards_m)
+
+
+def _swept(
+    grounds: list[Ground], asked: _Asked, lines: int, angle: float, shade: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``sweep_grid.sweep`` over all ground, for a sun that stands higher by an angle, radians."""
+    *coarser, ground = grounds
+    entry, detail = None, 0
+    for before in coarser:
+        own_range = asked.t_range[0] / 2**before.detail, asked.t_range[1] / 2**before.detail
+        entry = passed(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail))
+        detail = before.detail
+    sheet = ground.tilted(angle)
+    own_m = np.cos(angle) * asked.level_m - np.sin(angle) * asked.towards_m
+    highest_m = max(abs(float(np.nanmin(sheet.level))), abs(float(np.nanmax(sheet.level))))
+    points = Points(asked.row, asked.t, own_m, ROUNDING * highest_m)
+    return sweep(sheet, lines, asked.t_range, entry, 2.0**detail, asked.rows, points, shade, CORES)
+
+
+def _seen(rays: Rays, grounds: list[Ground], asked: _Asked, lines: int, angle: float) -> np.ndarray:
+    """Which of a buffer's points (rows, cols) see a sun that stands higher by an angle, radians."""
+    lit, others_lit, _ = _swept(grounds, asked, lines, angle, NO_LEVELS)
+    seen = np.ones(asked.nodes.shape, np.bool_)
+    if asked.nodes.any():
+        seen[:] = rays.turn.back(lit)[asked.window]
+    seen[asked.others] = others_lit
+    return seen
+
+
+def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
+    """The height (rows, cols) float32, metres, above which the sun is seen: no less than that of what is seen there."""
+    level = grounds[-1].sheet.level
+    shade = np.full(level.shape if asked.nodes.any() else (0, 0), LOWEST, np.float32)
+    _, _, others_above_m = _swept(grounds, asked, lines, 0.0, shade)
+    above_m = np.zeros(asked.nodes.shape, np.float32)
+    if asked.nodes.any():
+        above_m[:] = rays.turn.back(shade - level)[asked.window]
+    above_m[asked.others] = others_above_m
+    return buffer.height_m + np.maximum(above_m, 0.0) / np.float32(rays.rise)

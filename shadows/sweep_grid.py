@@ -1,0 +1,244 @@
+"""Grids for the line sweep: turned so that the sun stands before row 0, with the lines' places, strip by strip on several cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from shadows.sweep_lines import LOWEST, sweep_rows
+from terrain.compiled import compiled
+from terrain.errors import UnsupportedError
+
+STRIP_CELLS = 1024
+"""Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""
+
+LATTICE = 17
+"""Rows and columns on which the lines' places are computed exactly, at most."""
+
+BENT_CELLS = 0.1
+"""How far, in cells, the lines may leave the cubics that stand for them."""
+
+Cell = float | tuple[float, float]
+"""Sides of a cell down and right, metres; one number for both."""
+
+NO_LEVELS = np.zeros((0, 0), np.float32)
+NO_MASK = np.zeros((0, 0), np.bool_)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """How a grid is turned and mirrored: first the axes are swapped, then rows and columns are reversed."""
+
+    swapped: bool
+    rows_reversed: bool
+    cols_reversed: bool
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether quads, cut from SW to NE, are cut from (i, j) to (i + 1, j + 1) in the turned grid."""
+        return self.rows_reversed != self.cols_reversed
+
+    def onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the turned grid for those of a grid (rows, cols); any numbers."""
+        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
+        return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
+
+    def origin(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of a grid (rows, cols) for those of the turned one; any numbers."""
+        n, m = (cols, rows) if self.swapped else (rows, cols)
+        i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
+        return (j, i) if self.swapped else (i, j)
+
+    def turned(self, values: np.ndarray) -> np.ndarray:
+        """Values (rows, cols) of a grid in the turned one's order: a view."""
+        return (values.T if self.swapped else values)[self._order]
+
+    def back(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, m) of the turned grid in the grid's own order: a view."""
+        values = values[self._order]
+        return values.T if self.swapped else values
+
+    @property
+    def _order(self) -> tuple[slice, slice]:
+        return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
+
+
+def turn_towards(rows: float, cols: float) -> Turn:
+    """The turn for a sun that stands in a direction (rows, columns) of a grid."""
+    swapped = abs(cols) > abs(rows)
+    along, across = (cols, rows) if swapped else (rows, cols)
+    return Turn(swapped, along > 0, across > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A turned grid (n, m) with its lines' places: what ``sweep_rows`` takes."""
+
+    level: np.ndarray
+    place: np.ndarray
+    at: np.ndarray
+    mirrored: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points (n,) to be seen to, besides nodes: turned ``row``, ``t``, and ``own`` level (NaN: that of the ground there)."""
+
+    row: np.ndarray
+    t: np.ndarray
+    own: np.ndarray
+    rounding: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What lines have met: ``held`` (lines, cells) float32 of the cells from ``first_cell`` on."""
+
+    first_cell: int
+    held: np.ndarray
+
+    def on(self, first_cell: int, cells: int, lines: int, factor: float) -> State:
+        """The state between these lines for those of a grid whose cells are ``factor`` times as small."""
+        mine = self.first_cell + np.arange(self.held.size) / self.held.shape[0]
+        wanted = (first_cell + np.arange(cells * lines) / lines) / factor
+        met = np.interp(wanted, mine, self.held.T.ravel()).astype(np.float32)
+        return State(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
+
+
+def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cubics ``place`` and ``at`` (rows, 4) of a turned grid for a smooth t of turned rows and columns.
+
+    Raises ``UnsupportedError`` where cubics cannot follow it.
+    """
+    i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE)).round())
+    j = np.linspace(0, cols - 1, min(cols, LATTICE))
+    t = t_of(*np.meshgrid(i, j, indexing="ij"))
+    if not np.isfinite(t).all():
+        raise UnsupportedError("algorithm", "sweep", "the view leaves the area of its CRS: shadow_map serves it")
+    degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
+    cubics = np.zeros((2, len(i), 4))
+    for n, values in enumerate(t):
+        for cubic, (x, y) in zip(cubics, ((values, j), (j, values)), strict=True):
+            coefficients = np.polynomial.Polynomial.fit(x, y, degree).convert().coef
+            cubic[n, : len(coefficients)] = coefficients
+    place, at = (make_interp_spline(i, cubic, k=along)(np.arange(rows)) for cubic in cubics)
+    some = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
+    columns = np.linspace(0, cols - 1, 4 * LATTICE)
+    exact = t_of(*np.meshgrid(some.astype(float), columns, indexing="ij"))
+    found = np.stack([np.polynomial.polynomial.polyval(values, place[n]) for n, values in zip(some, exact, strict=True)])
+    if np.abs(found - columns).max() > BENT_CELLS:
+        raise UnsupportedError("algorithm", "sweep", "the sun's rays bend too much across a view this wide: shadow_map serves it")
+    return place, at
+
+
+def sweep(
+    sheet: Sheet,
+    lines: int,
+    t_range: tuple[float, float],
+    entry: State | None = None,
+    factor: float = 2.0,
+    rows: tuple[int, int] = (0, 0),
+    points: Points | None = None,
+    shade: np.ndarray = NO_LEVELS,
+    cores: int = 1,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """See to the nodes of turned rows [rows[0], rows[1]) and to points whose t is in a range.
+
+    ``entry`` is what the lines of a coarser grid bring along, whose cells are ``factor`` times as large. Returns which nodes see
+    the sun (n, m) (empty without rows), and of the points whether they do and by how many metres the highest level on their way
+    exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes.
+    """
+    n, m = sheet.level.shape
+    first, last = rows
+    lit = np.ones((n, m) if last > first else (0, 0), np.bool_)
+    points = points or Points(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+    points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
+    base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
+    end = max(last - 1, int(base.max(initial=-1)) + 1)
+    low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
+
+    def strip(start: int) -> None:
+        stop = min(start + STRIP_CELLS, high)
+        cells = stop - start + 3
+        held = np.full((lines, cells), LOWEST, np.float32) if entry is None else entry.on(start - 1, cells, lines, factor).held
+        mine = np.flatnonzero((points.t >= start) & (points.t < stop))
+        mine = mine[np.argsort(base[mine], kind="stable")]
+        begins = np.searchsorted(base[mine], np.arange(n + 1))
+        seen = np.ones(len(mine), np.bool_), np.empty(len(mine), np.float32)
+        bundle = (begins, points.row[mine], points.t[mine], points.own[mine], points.rounding, *seen)
+        about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, start - 1, held
+        before = min(max(first - 1, 0), end)
+        sweep_rows(*about, 0, before, NO_LEVELS, NO_MASK, bundle)
+        sweep_rows(*about, before, end, shade, lit, bundle)
+        points_lit[mine], points_above_m[mine] = seen
+
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(strip, range(low, high, STRIP_CELLS)))
+    return lit, points_lit, points_above_m
+
+
+def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State | None = None, factor: float = 2.0) -> State:
+    """What lines in a range of t have met in the end, all rows of a sheet passed."""
+    low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
+    begin = State(low, np.full((lines, high - low), LOWEST, np.float32))
+    if entry is not None:
+        begin = entry.on(low, high - low, lines, factor)
+    none = np.zeros(0)
+    nothing = np.zeros(len(sheet.level) + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
+    about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, low, begin.held
+    sweep_rows(*about, 0, len(sheet.level) - 1, NO_LEVELS, NO_MASK, nothing)
+    return begin
+
+
+def sunlit(
+    height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, altitude_deg: float, lines: int = 4, cores: int = 1
+) -> np.ndarray:
+    """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
+
+    ``height_m`` (rows, cols), row 0 north, NaN where there is no ground; ``cell_m`` is the side of a cell, or its (row, column)
+    sides; the azimuth is clockwise from north. Quads are cut from SW to NE.
+    """
+    turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
+    level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m)
+    n, m = level.shape
+    lit, _, _ = sweep(Sheet(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m - 1), rows=(0, n), cores=cores)
+    return turn.back(lit)
+
+
+def flat_grid(shape: tuple[int, int], cell_m: Cell, azimuth_deg: float) -> tuple[Turn, float, float, np.ndarray, np.ndarray]:
+    """A flat world's grid (rows, cols) under an azimuth: its turn, the sides of a cell down and right, and ``places``."""
+    row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
+    towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
+    turn = turn_towards(*towards)
+    along, across = towards[::-1] if turn.swapped else towards
+    n = shape[1] if turn.swapped else shape[0]
+    shift, one, zero = np.arange(n) * abs(across / along), np.ones(n), np.zeros(n)
+    place, at = (np.stack([shift * sign, one, zero, zero], axis=1) for sign in (1.0, -1.0))
+    return turn, row_m, col_m, place, at
+
+
+def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: float, per_col: float) -> np.ndarray:
+    """Values float32 (turned) that are linear in the heights, rows and columns of a grid (rows, cols)."""
+    out = np.empty(height.shape[::-1] if turn.swapped else height.shape, np.float32)
+    _turn_levels(height, turn.swapped, turn.rows_reversed, turn.cols_reversed, per_height, per_row, per_col, out)
+    return out
+
+
+@compiled
+def _turn_levels(height, swapped, rows_reversed, cols_reversed, per_height, per_row, per_col, out):  # type: ignore[no-untyped-def]
+    rows, cols = height.shape
+    n, m = out.shape
+    for r0 in range(0, rows, 32):  # in blocks, for the cache
+        for c0 in range(0, cols, 32):
+            for r in range(r0, min(r0 + 32, rows)):
+                row = r * per_row
+                for c in range(c0, min(c0 + 32, cols)):
+                    i, j = (c, r) if swapped else (r, c)
+                    i = n - 1 - i if rows_reversed else i
+                    j = m - 1 - j if cols_reversed else j
+                    out[i, j] = height[r, c] * per_height + (row + c * per_col)

@@ -1,0 +1,245 @@
+"""The horizon towards one azimuth, for all suns that share it: along each line the upper convex hull of the ground passed.
+
+What a point sees last of the ground towards the sun is where the tangent from it touches that hull (Timonen and Westerholm 2010,
+*Scalable Height Field Self-Shadowing*). A line keeps its hull as a stack: a new piece of ground takes off all that it leaves
+below, so that each is put on and taken off at most once, and the work is linear in the nodes.
+
+A place has two coordinates in the vertical plane of the sun: its *level*, at right angles to a direction of reference, and how far
+it lies *towards* it. The horizon is the angle above that direction. Lines, places and turned grids are those of
+``shadows.sweep_lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from shadows.sweep_grid import Cell, flat_grid, turned_levels
+from shadows.sweep_points import cubic, ground_at
+from terrain.compiled import compiled
+
+LOWEST = -1e30
+"""Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
+
+STRIP_LINES = 256
+"""Lines that a thread takes at a time."""
+
+STRIP_NODES = 2**21
+"""Nodes of a whole grid that are worked on at a time, about."""
+
+
+def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
+    """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
+
+    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep_grid.sunlit``.
+    """
+    turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    azimuth = np.radians(azimuth_deg)
+    level = turned_levels(height_m, turn, 1.0, 0.0, 0.0)
+    towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m)
+    n, m = level.shape
+    out = np.full((n, m), LOWEST)
+    low, high = float(at[:, 0].min()), float((at[:, 0] + at[:, 1] * (m - 1)).max())
+    for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
+        i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
+        nothing = np.full(len(i), np.nan)
+        out[i, j] = slopes(level, towards, place, turn.mirrored, lines, i.astype(float), t, nothing, nothing, cores)
+    out[~np.isfinite(level)] = np.nan
+    return turn.back(np.degrees(np.arctan(out)))
+
+
+def slopes(
+    level: np.ndarray,
+    towards: np.ndarray,
+    place: np.ndarray,
+    mirrored: bool,
+    lines: int,
+    row: np.ndarray,
+    t: np.ndarray,
+    own_level: np.ndarray,
+    own_towards: np.ndarray,
+    cores: int = 1,
+) -> np.ndarray:
+    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``LOWEST`` without any ground.
+
+    ``level`` and ``towards`` (n, m) float32, metres, are a turned grid's, ``place`` and ``mirrored`` as for ``sweep_rows``.
+    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; for a NaN level both are the ground's there.
+    """
+    if not len(row):
+        return np.zeros(0)
+    base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
+    line = np.floor(t * lines).astype(np.int64)
+    first, count = int(line.min()), int(np.ptp(line)) + 1
+    _, by_row = _grouped(base, len(level))
+    begins, order = _grouped(line[by_row] - first, count)
+    order = by_row[order]
+    own = np.stack([own_level, own_towards], axis=1)
+    near, beside = np.full(len(row), LOWEST), np.full((len(row), 2), LOWEST)
+    _look_near(level, towards, place, mirrored, base, row, t, own, near)
+
+    def strip(start: int) -> None:
+        stop = min(start + STRIP_LINES, count)
+        _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside)
+
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(strip, range(0, count, STRIP_LINES)))
+    return np.maximum(near, beside[:, 0] + (t * lines - line) * (beside[:, 1] - beside[:, 0]))
+
+
+@compiled
+def _grouped(key, count):  # type: ignore[no-untyped-def]
+    """Where the groups of keys in [0, count) begin (count + 1,), and their members in their order: sorting by counting."""
+    begins = np.zeros(count + 1, np.int64)
+    for value in key:
+        begins[value + 1] += 1
+    for n in range(count):
+        begins[n + 1] += begins[n]
+    following, order = begins.copy(), np.empty(len(key), np.int64)
+    for n in range(len(key)):
+        order[following[key[n]]] = n
+        following[key[n]] += 1
+    return begins, order
+
+
+@compiled
+def _nodes_between(place, at, low, high, cols):  # type: ignore[no-untyped-def]
+    """Turned rows, columns and t of the nodes with t in [low, high), but for the first row, which has nothing before it."""
+    rows = len(place)
+    ends = np.empty((rows, 2), np.int64)
+    total = 0
+    for i in range(rows):
+        for side in range(2):
+            t = high if side else low
+            column = min(max(int(np.ceil(cubic(place[i], t))), 0), cols)
+            while column > 0 and cubic(at[i], column - 1) >= t:
+                column -= 1
+            while column < cols and cubic(at[i], column) < t:
+                column += 1
+            ends[i, side] = column
+        total += ends[i, 1] - ends[i, 0]
+    row, col, t_of = np.empty(total, np.int64), np.empty(total, np.int64), np.empty(total)
+    n = 0
+    for i in range(rows):
+        for j in range(ends[i, 0], ends[i, 1]):
+            row[n], col[n], t_of[n] = i, j, cubic(at[i], j)
+            n += 1
+    return row, col, t_of
+
+
+@compiled
+def _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside):  # type: ignore[no-untyped-def]
+    """Walk the lines from the sun on, and answer the points to the right of each and, up to the next line, to its left."""
+    rows, cols = level.shape
+    hull = np.empty((4 * rows, 2))
+    for number in range(start, stop + 1):
+        t = (first + number) / lines
+        size = 0
+        right_of, right_end = (begins[number], begins[number + 1]) if number < stop else (0, 0)
+        left_of, left_end = (begins[number - 1], begins[number]) if number > start else (0, 0)
+        x = cubic(place[0], t)
+        for i in range(rows - 1):
+            while right_of < right_end and base[order[right_of]] == i:
+                beside[order[right_of], 0] = _tangent(hull, size, own[order[right_of]])
+                right_of += 1
+            while left_of < left_end and base[order[left_of]] == i:
+                beside[order[left_of], 1] = _tangent(hull, size, own[order[left_of]])
+                left_of += 1
+            if right_of == right_end and left_of == left_end:
+                break
+            further = cubic(place[i + 1], t)
+            s, c = further - x, int(np.floor(x))
+            f = x - c
+            x = further
+            if c < 0 or c + 1 >= cols:
+                continue
+            size = _put(hull, size, level, towards, i, c, i, c + 1, f)
+            if mirrored:
+                if f <= 1.0 - s:
+                    size = _put(hull, size, level, towards, i, c, i + 1, c + 1, f / max(1.0 - s, 1e-9))
+                else:
+                    size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            else:
+                size = _put(hull, size, level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+                if f + s > 1.0 and c + 2 < cols:
+                    size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                    size = _put(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+
+
+@compiled
+def _put(hull, size, level, towards, i, j, k, l, share):  # type: ignore[no-untyped-def]
+    """Put what lies at a share of the way between two nodes on the hull; returns its size."""
+    u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
+    if not np.isfinite(u):
+        return size
+    d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
+    while size > 0 and d >= hull[size - 1, 1]:  # rounding: no ground lies behind what was passed before it
+        if u <= hull[size - 1, 0]:
+            return size
+        size -= 1
+    while size > 1:
+        a, b = hull[size - 2], hull[size - 1]
+        if (b[0] - u) * (a[1] - d) > (a[0] - u) * (b[1] - d):
+            break
+        size -= 1
+    hull[size, 0], hull[size, 1] = u, d
+    return size + 1
+
+
+@compiled
+def _tangent(hull, size, own):  # type: ignore[no-untyped-def]
+    """The largest slope from a point up to a hull: it grows along it up to where it touches."""
+    best = LOWEST
+    for n in range(size - 1, -1, -1):
+        ahead = hull[n, 1] - own[1]
+        if ahead <= 0.0:
+            continue
+        slope = (hull[n, 0] - own[0]) / ahead
+        if slope < best:
+            break
+        best = slope
+    return best
+
+
+@compiled
+def _look_near(level, towards, place, mirrored, base, row, t, own, near):  # type: ignore[no-untyped-def]
+    """The slopes up to what lies before points, from the row before them on; puts points without a level on the ground."""
+    cols = level.shape[1]
+    for n in range(len(row)):
+        i = base[n]
+        x = cubic(place[i], t[n])
+        s = cubic(place[i + 1], t[n]) - x
+        c = int(np.floor(x))
+        f, end = x - c, row[n] - i
+        if np.isnan(own[n, 0]):
+            own[n, 0] = ground_at(level[i], level[i + 1], c, f + s * end, end, mirrored, cols)
+            own[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, mirrored, cols)
+        if c < 0 or c + 1 >= cols:
+            continue
+        end -= 1e-6  # nearer than a millionth of a cell is the point itself
+        best = _steeper(LOWEST, own[n], level, towards, i, c, i, c + 1, f)
+        if mirrored:
+            if f <= 1.0 - s:
+                if f / max(1.0 - s, 1e-9) < end:
+                    best = _steeper(best, own[n], level, towards, i, c, i + 1, c + 1, f / max(1.0 - s, 1e-9))
+            elif (1.0 - f) / s < end:
+                best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+        else:
+            if (1.0 - f) / (1.0 + s) < end:
+                best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+            if f + s > 1.0 and c + 2 < cols:
+                if (1.0 - f) / s < end:
+                    best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                if (2.0 - f) / (1.0 + s) < end:
+                    best = _steeper(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+        near[n] = best
+
+
+@compiled
+def _steeper(best, own, level, towards, i, j, k, l, share):  # type: ignore[no-untyped-def]
+    u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
+    d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
+    if not d > own[1]:
+        return best
+    slope = (u - own[0]) / (d - own[1])
+    return slope if slope > best else best

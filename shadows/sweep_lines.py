@@ -1,0 +1,237 @@
+"""The line sweep: how high the sun's rays pass over every node of a grid, in time linear in its nodes.
+
+**Space.** The grid is turned and mirrored (``shadows.sweep_grid``) so that the sun stands before row 0 and a ray, followed away
+from the sun, moves by 0 to 1 columns to the right per row. A node's *level* is its coordinate along light space's second axis
+("up": at right angles to the rays, in the vertical plane of the sun). Along a ray the level is constant, so a point sees the sun
+exactly if nothing on the way to it has a higher level: no slopes, no distances, and a curved earth bends the nodes, not the rays.
+
+**Lines.** Rays seen from above are lines, ``lines`` of them per column. Line number k of cell j stands at ``t = j + k / lines``
+and crosses row i at a column that is a cubic in t: t and a shift, were it not that meridians converge. Each line carries the
+highest level that it has met. Between two rows it crosses the sides and the diagonals of the quads; there, and on the rows, the
+surface's level along the line has its kinks, and between them it is linear, so that a line's maximum over the very triangles
+that are drawn is exact.
+
+**Nodes.** A node lies between two lines. What shades it from beyond the row before it is interpolated between their maxima: the
+maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. What
+shades it from the row before it, where errors would count most, is exact on its own line.
+
+All lines of one number k cross a row at nearly the same place of their cells, so whole runs of them are worked on at once with
+the machine's vector instructions; nothing is gathered, nothing branches.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.sweep_points import cubic, see_points
+from terrain.compiled import compiled
+
+LOWEST = np.float32(-1e30)
+"""Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
+
+RUN = 512
+"""Lines of a run: over so few of them their places in their cells change linearly."""
+
+
+@compiled
+def sweep_rows(level, place, at, lines, mirrored, first_cell, held, first, last, shade, lit, points):  # type: ignore[no-untyped-def]
+    """Take a strip of lines from before row ``first`` of a grid to before row ``last``, and see to what lies on the way.
+
+    ``level`` (n, m) float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take
+    t to a row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1),
+    else from (i, j + 1) to (i + 1, j). ``held`` (lines, cells) float32 is the strip's state, of the cells from ``first_cell`` on:
+    what the lines have met before row ``first``, and in the end, before row ``last``. The strip owns what stands from the start of
+    its second cell to the end of its last but two.
+
+    Of the nodes of rows (first, last] are written, where these are not empty, ``shade`` (n, m) float32, the level that a node must
+    reach to see the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes: (n + 1,) where those of each
+    row interval (i, i + 1] begin, then what ``sweep_points.see_points`` takes, in their order.
+    """
+    begins, row, t, own, rounding, points_lit, points_above_m = points
+    nodes = shade.size > 0 or lit.size > 0
+    for i in range(first, last):
+        if nodes:
+            _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i)
+        if begins[i] < begins[i + 1]:
+            see_points(
+                level, place, lines, mirrored, first_cell, held, i, begins[i], begins[i + 1], row, t, own, rounding,
+                points_lit, points_above_m,
+            )  # fmt: skip
+        for k in range(lines):
+            _advance(level, place, lines, mirrored, first_cell, held[k], k, i)
+
+
+@compiled
+def _class_of(place, i, t, j):  # type: ignore[no-untyped-def]
+    """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
+    x = cubic(place[i], t)
+    c = int(np.floor(x))
+    return 2 * (c - j) + (1 if cubic(place[i + 1], t) > c + 1 else 0)
+
+
+@compiled
+def _advance(level, place, lines, mirrored, first_cell, held, k, i):  # type: ignore[no-untyped-def]
+    """Take the lines of number ``k`` from before row ``i`` to before row ``i + 1``."""
+    cells, cols = held.size, level.shape[1]
+    share = k / lines
+    start = 0
+    while start < cells:
+        end = min(start + RUN, cells)
+        kind = _class_of(place, i, first_cell + start + share, first_cell + start)
+        if _class_of(place, i, first_cell + end - 1 + share, first_cell + end - 1) != kind:
+            low, high = start, end - 1  # kind holds at low, not at high
+            while high - low > 1:
+                middle = (low + high) // 2
+                if _class_of(place, i, first_cell + middle + share, first_cell + middle) == kind:
+                    low = middle
+                else:
+                    high = middle
+            end = high
+        crosses = kind % 2 == 1
+        shift = (kind - kind % 2) // 2 + first_cell  # column left of the line, less its place in ``held``
+        begin = max(start, -shift)
+        last = min(end, cols - (2 if crosses else 1) - shift)
+        if begin < last:
+            t0, t1 = first_cell + begin + share, first_cell + last - 1 + share
+            f0, f1 = cubic(place[i], t0) - (begin + shift), cubic(place[i], t1) - (last - 1 + shift)
+            s0, s1 = cubic(place[i + 1], t0) - (begin + shift) - f0, cubic(place[i + 1], t1) - (last - 1 + shift) - f1
+            above, below = level[i, begin + shift :], level[i + 1, begin + shift :]
+            _meet(above, below, held[begin:last], f0, f1, s0, s1, crosses, mirrored)
+        start = end
+
+
+@compiled
+def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):  # type: ignore[no-untyped-def]
+    """What a run of lines meets from a row on and before the next one.
+
+    Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
+    """
+    count = held.size
+    per = 1.0 / max(count - 1, 1)
+    f, df = np.float32(f0), np.float32((f1 - f0) * per)
+    if mirrored:
+        if crosses:
+            v0, v1 = (1.0 - f0) / s0, (1.0 - f1) / s1
+            v, dv = np.float32(v0), np.float32((v1 - v0) * per)
+            for n in range(count):
+                g, w = f + df * np.float32(n), v + dv * np.float32(n)
+                a = above[n] + g * (above[n + 1] - above[n])
+                b = above[n + 1] + w * (below[n + 1] - above[n + 1])
+                h = held[n]
+                h = a if a > h else h
+                held[n] = b if b > h else h
+        else:
+            v0, v1 = f0 / max(1.0 - s0, 1e-9), f1 / max(1.0 - s1, 1e-9)
+            v, dv = np.float32(min(v0, 1.0)), np.float32((min(v1, 1.0) - min(v0, 1.0)) * per)
+            for n in range(count):
+                g, w = f + df * np.float32(n), v + dv * np.float32(n)
+                a = above[n] + g * (above[n + 1] - above[n])
+                b = above[n] + w * (below[n + 1] - above[n])
+                h = held[n]
+                h = a if a > h else h
+                held[n] = b if b > h else h
+        return
+    v0, v1 = (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1)
+    v, dv = np.float32(v0), np.float32((v1 - v0) * per)
+    if not crosses:
+        for n in range(count):
+            g, w = f + df * np.float32(n), v + dv * np.float32(n)
+            a = above[n] + g * (above[n + 1] - above[n])
+            b = above[n + 1] + w * (below[n] - above[n + 1])
+            h = held[n]
+            h = a if a > h else h
+            held[n] = b if b > h else h
+        return
+    u0, u1 = (1.0 - f0) / s0, (1.0 - f1) / s1
+    u, du = np.float32(u0), np.float32((u1 - u0) * per)
+    z0, z1 = (2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1)
+    z, dz = np.float32(z0), np.float32((z1 - z0) * per)
+    for n in range(count):
+        x = np.float32(n)
+        g, w, q, p = f + df * x, v + dv * x, u + du * x, z + dz * x
+        a = above[n] + g * (above[n + 1] - above[n])
+        b = above[n + 1] + w * (below[n] - above[n + 1])
+        c = above[n + 1] + q * (below[n + 1] - above[n + 1])
+        d = above[n + 2] + p * (below[n + 1] - above[n + 2])
+        h = held[n]
+        h = a if a > h else h
+        h = b if b > h else h
+        h = c if c > h else h
+        held[n] = d if d > h else h
+
+
+@compiled
+def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i):  # type: ignore[no-untyped-def]
+    """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
+    cols, cells = level.shape[1], held.shape[1]
+    here = at[i + 1]
+    first = _first_from(place[i + 1], here, first_cell + 1, cols)
+    last = _first_from(place[i + 1], here, first_cell + cells - 2, cols)
+    while first < last:
+        end = min(first + RUN, last)
+        number = int(np.floor(cubic(here, first) * lines))
+        if int(np.floor(cubic(here, end - 1) * lines)) - lines * (end - 1 - first) != number:
+            low, high = first, end - 1
+            while high - low > 1:
+                middle = (low + high) // 2
+                if int(np.floor(cubic(here, middle) * lines)) - lines * (middle - first) == number:
+                    low = middle
+                else:
+                    high = middle
+            end = high
+        count = end - first
+        cell, k = number // lines - first_cell, number % lines
+        left = held[k, cell : cell + count]
+        right = held[k + 1, cell : cell + count] if k + 1 < lines else held[0, cell + 1 : cell + 1 + count]
+        e0, e1 = cubic(here, first) * lines - number, cubic(here, end - 1) * lines - number - lines * (count - 1)
+        s0, s1 = first - cubic(place[i], cubic(here, first)), end - 1 - cubic(place[i], cubic(here, end - 1))
+        seen = _see(level[i], level[i + 1], first, left, right, (e0, e1), (s0, s1), mirrored)
+        if shade.size:
+            shade[i + 1, first:end] = seen
+        if lit.size:
+            for n in range(count):
+                lit[i + 1, first + n] = not seen[n] > level[i + 1, first + n]
+        first = end
+
+
+@compiled
+def _first_from(place, at, t, cols):  # type: ignore[no-untyped-def]
+    """The first column of a row whose t is no less than one: by ``at`` alone, so that strips share out all nodes."""
+    column = min(max(int(np.ceil(cubic(place, t))), 0), cols)
+    while column > 0 and cubic(at, column - 1) >= t:
+        column -= 1
+    while column < cols and cubic(at, column) < t:
+        column += 1
+    return column
+
+
+@compiled
+def _see(above, here, first, left, right, between, aside, mirrored):  # type: ignore[no-untyped-def]
+    """The level of the rays over a run of nodes from column ``first`` on: float32 (count,).
+
+    ``between``: how far they stand between their lines, ``aside``: how far their rays come from the left, from first to last.
+    """
+    count = left.size
+    out = np.empty(count, np.float32)
+    per = 1.0 / max(count - 1, 1)
+    e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
+    s, ds = np.float32(aside[0]), np.float32((aside[1] - aside[0]) * per)
+    for n in range(count):
+        out[n] = left[n] + (e + de * np.float32(n)) * (right[n] - left[n])
+    skip = 0
+    if first == 0:  # no ground to the left: only a ray straight along the border comes over some
+        out[0] = max(out[0], above[0]) if aside[0] < 1e-6 else out[0]
+        skip = 1
+    above, here = above[first + skip - 1 :], here[first + skip - 1 :]
+    for n in range(count - skip):
+        a = above[n + 1] + (s + ds * np.float32(n)) * (above[n] - above[n + 1])
+        h = out[n + skip]
+        out[n + skip] = a if a > h else h
+    if not mirrored:  # the diagonal of the quad to the left
+        d0, d1 = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
+        d, dd = np.float32(d0), np.float32((d1 - d0) * per)
+        for n in range(count - skip):
+            b = above[n + 1] + (d + dd * np.float32(n)) * (here[n] - above[n + 1])
+            h = out[n + skip]
+            out[n + skip] = b if b > h else h
+    return out

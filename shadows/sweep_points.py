@@ -1,0 +1,78 @@
+"""The line sweep's answers for single points: on the ground between nodes, and above it on meshes and trees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+
+@compiled
+def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, row, t, own, rounding, lit, above_m):  # type: ignore[no-untyped-def]
+    """Points of rows (i, i + 1], while the lines stand before row ``i``.
+
+    Of the points ``first`` to ``last``: ``row`` and ``t`` say where they are, ``own`` their levels (NaN: on the ground there).
+    Written are ``above_m``, by how much the highest level on the way exceeds a point's, and ``lit``, whether that is no more than
+    ``rounding``.
+    """
+    cols = level.shape[1]
+    above, below = level[i], level[i + 1]
+    for n in range(first, last):
+        x = cubic(place[i], t[n])
+        s = cubic(place[i + 1], t[n]) - x
+        c = int(np.floor(x))
+        f, end = x - c, row[n] - i
+        number = int(np.floor(t[n] * lines))
+        cell, k = number // lines - first_cell, number % lines
+        left = held[k, cell]
+        right = held[k + 1, cell] if k + 1 < lines else held[0, cell + 1]
+        highest = np.float64(left) + (t[n] * lines - number) * (np.float64(right) - np.float64(left))
+        itself = own[n]
+        if np.isnan(itself):
+            itself = ground_at(above, below, c, f + s * end, end, mirrored, cols)
+        if 0 <= c and c + 1 < cols:
+            highest = _higher(highest, above[c], above[c + 1], f)
+            if mirrored:
+                if f <= 1.0 - s:
+                    v = f / max(1.0 - s, 1e-9)
+                    if v < end:
+                        highest = _higher(highest, above[c], below[c + 1], v)
+                elif (1.0 - f) / s < end:
+                    highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
+            else:
+                v = (1.0 - f) / (1.0 + s)
+                if v < end:
+                    highest = _higher(highest, above[c + 1], below[c], v)
+                if f + s > 1.0 and c + 2 < cols:
+                    if (1.0 - f) / s < end:
+                        highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
+                    if (2.0 - f) / (1.0 + s) < end:
+                        highest = _higher(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
+        above_m[n] = highest - itself
+        lit[n] = not highest > itself + rounding
+
+
+@compiled
+def cubic(p, x):  # type: ignore[no-untyped-def]
+    """The value of a cubic (4,) at a place."""
+    return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
+
+
+@compiled
+def _higher(highest, a, b, share):  # type: ignore[no-untyped-def]
+    """The higher of a level and of the one at a share of the way from ``a`` to ``b``, if there is ground."""
+    value = np.float64(a) + share * (np.float64(b) - np.float64(a))
+    return value if value > highest else highest
+
+
+@compiled
+def ground_at(above, below, c, u, v, mirrored, cols):  # type: ignore[no-untyped-def]
+    """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below its row; NaN where there is none."""
+    c += int(np.floor(u))
+    u -= np.floor(u)
+    if c < 0 or c + 1 >= cols:
+        return np.nan
+    nw, ne, sw, se = np.float64(above[c]), np.float64(above[c + 1]), np.float64(below[c]), np.float64(below[c + 1])
+    if mirrored:
+        return nw + u * (ne - nw) + v * (se - ne) if u > v else nw + v * (sw - nw) + u * (se - sw)
+    return nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)

@@ -1,0 +1,181 @@
+"""The sun's rays over a map grid: where they run, and which ground they pass on the way to a view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from shadows.sweep_grid import NO_LEVELS, Sheet, Turn, places, turn_towards
+from terrain.compiled import compiled
+from terrain.geometry import GeometryBuffer
+from terrain.grid import Grid
+from terrain.ground_mesh import GroundMesh, ground_nodes
+from terrain.light_space import LightSpace
+from terrain.reach import PATCH_QUADS, Casters
+from terrain.scene import Scene
+from terrain.world import LocalFrame
+
+Window = tuple[int, int, np.ndarray]
+"""First row and column of a window of a grid, and the heights (rows, cols) of its nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays over a grid. A place's t is its light-space coordinate to the right, less ``right_m``, in cells of ``cell_m`` (negative
+    where columns of the turned grid run to the left); its level is the one up, less ``level_m``; ``rise`` is what a metre of height
+    adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed.
+    """
+
+    scene: Scene
+    grid: Grid
+    turn: Turn
+    height_m: float
+    right_m: float
+    cell_m: float
+    level_m: float
+    rise: float
+
+    @property
+    def light(self) -> LightSpace:
+        """The sun's light space."""
+        assert self.scene.light is not None
+        return self.scene.light
+
+    def t_level_towards(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """t, levels, and metres towards the sun (n,) of points (n, 3) of a frame."""
+        rotation, translation = self.light.from_frame(frame)
+        right, up, away = (point_frame_m @ rotation.T + translation).T
+        return (right - self.right_m) / self.cell_m, up - self.level_m, -away
+
+    def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """``sweep_grid.places`` of a window of the grid of every 2**detail-th node."""
+        grid = self.grid.coarser(detail)
+
+        def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+            row, col = self.turn.origin(i, j, rows, cols)
+            return (_right_m(self.scene, grid, row + row0, col + col0, self.height_m) - self.right_m) / (self.cell_m * 2**detail)
+
+        return places(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
+
+    def levels(self, detail: int, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
+        """Levels (rows, cols) float32 of a window's nodes with their heights."""
+        up = self.light.light_from_earth[1]
+        surface = self.scene.surface(self.grid.coarser(detail))
+        return surface.along(up, self.light.origin_earth_m + self.level_m * up, row0, col0, height_m)
+
+    def towards(self, detail: int, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
+        """How far towards the sun a window's nodes lie, metres (rows, cols) float32."""
+        surface = self.scene.surface(self.grid.coarser(detail))
+        return surface.along(-self.light.light_from_earth[2], self.light.origin_earth_m, row0, col0, height_m)
+
+
+def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
+    """The rays over a grid round one of its places."""
+    height_m = float(np.mean(scene.height_range_m))
+    light = scene.light
+    assert light is not None
+    at = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
+    point, up = scene.world.ground(grid.crs, grid.x(at[:, 1]), grid.y(at[:, 0]))
+    space = light.from_earth(point + height_m * up)
+    per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
+    towards = np.array([per_col[0], -per_row[0]])  # along it, nothing moves to the right
+    towards *= np.sign(light.towards_sun_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
+    turn = turn_towards(*towards)
+    across = (per_row if turn.swapped else per_col)[0]
+    return Rays(
+        scene, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across), float(space[0, 1]),
+        float(light.light_from_earth[1] @ up[0]),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A window (rows, cols) of the grid of every 2**detail-th node, from ``row0`` and ``col0`` on: its turned sheet, and how far
+    its nodes lie towards the sun, float32, turned likewise (empty where nobody asked).
+    """
+
+    detail: int
+    row0: int
+    col0: int
+    shape: tuple[int, int]
+    sheet: Sheet
+    towards_m: np.ndarray
+
+    def tilted(self, angle: float) -> Sheet:
+        """The sheet for a sun that stands higher by an angle, radians."""
+        if angle == 0.0:
+            return self.sheet
+        level = np.float32(np.cos(angle)) * self.sheet.level - np.float32(np.sin(angle)) * self.towards_m
+        return replace(self.sheet, level=level)
+
+
+def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[Ground]:
+    """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
+    own = buffer.surface
+    assert own is not None
+    windows: dict[int, list[Window]] = {0: [(own.row0, own.col0, own.height_m)]}
+    for patch in casters.patches:
+        row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
+        surface = rays.scene.surface(rays.grid.coarser(patch.level))
+        height_m, _ = surface.heights(row0, col0, PATCH_QUADS + 1, PATCH_QUADS + 1)
+        windows.setdefault(patch.level, []).append((row0, col0, height_m))
+    return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
+
+
+@lru_cache(maxsize=1)
+def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, Ground]:
+    """The ground that a perspective view draws, as heights of its grid's nodes, and the rays over it; the last one is kept."""
+    nodes = ground_nodes(scene)
+    rows, cols = nodes.height_m.shape
+    height_m = nodes.height_m
+    if drawn.tolerance_px > 0.0:
+        row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
+        corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
+        height_m = _heights_of(corner, drawn.height_m, drawn.triangles, rows, cols)
+    rays = rays_over(scene, nodes.surface.grid, nodes.row0 + rows / 2, nodes.col0 + cols / 2)
+    return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft)
+
+
+def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Ground:
+    """One sheet over windows of heights; where there is none, there is no ground."""
+    row0, col0 = (min(window[axis] for window in windows) for axis in (0, 1))
+    rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
+    cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
+
+    def sheet(values_of: Callable[[int, int, int, np.ndarray], np.ndarray]) -> np.ndarray:
+        values = np.full((rows, cols), np.nan, np.float32)
+        for row, col, height_m in windows:
+            here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
+            values[here] = values_of(detail, row, col, height_m)
+        return np.ascontiguousarray(rays.turn.turned(values))
+
+    its = Sheet(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
+    return Ground(detail, row0, col0, (rows, cols), its, sheet(rays.towards) if soft else NO_LEVELS)
+
+
+@compiled
+def _heights_of(corner, height, triangles, rows, cols):  # type: ignore[no-untyped-def]
+    """Heights (rows, cols) of the nodes on triangles whose corners (row, column) are nodes; NaN beside them."""
+    out = np.full((rows, cols), np.nan, np.float32)
+    for n in range(len(triangles)):
+        a, b, c = corner[triangles[n, 0]], corner[triangles[n, 1]], corner[triangles[n, 2]]
+        h0, h1, h2 = np.float64(height[triangles[n, 0]]), height[triangles[n, 1]], height[triangles[n, 2]]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0:
+            continue
+        for row in range(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]) + 1):
+            for col in range(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]) + 1):
+                v = ((row - a[0]) * (c[1] - a[1]) - (col - a[1]) * (c[0] - a[0])) / area
+                w = ((b[0] - a[0]) * (col - a[1]) - (b[1] - a[1]) * (row - a[0])) / area
+                if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
+                    out[row, col] = h0 + v * (h1 - h0) + w * (h2 - h0)
+    return out
+
+
+def _right_m(scene: Scene, grid: Grid, row: np.ndarray, col: np.ndarray, height_m: float) -> np.ndarray:
+    assert scene.light is not None
+    point, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
+    return scene.light.from_earth(point + height_m * up)[..., 0]

@@ -1,0 +1,78 @@
+"""The depth targets of a device: framebuffers for reuse, and some whose content is kept until it is asked for again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+from moderngl import Framebuffer
+
+MOST_TARGETS, MOST_BYTES = 16, 2**28
+"""So many are held, of so many bytes together: the one used last at any size, those used before it while there is room."""
+
+
+@dataclass
+class _Target:
+    framebuffer: Framebuffer
+    shape: tuple[int, int, int]
+    content: Hashable | None = None
+
+
+class DepthTargets:
+    """Depth-only framebuffers by shape (width, height, bits) or by what is drawn in them, the ones used last."""
+
+    def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
+        self._make, self._release = make, release
+        self._held: list[_Target] = []  # the one used last at the end
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the texels of all that are held."""
+        return sum(depth_bytes(*each.shape) for each in self._held)
+
+    def take(self, width: int, height: int, bits: int) -> Framebuffer:
+        """One to draw in, whose content lasts until the next one of its shape is taken, unless it is kept."""
+        shape = width, height, bits
+        found = next((each for each in self._held if each.shape == shape and each.content is None), None)
+        if found is not None:
+            self._held.remove(found)
+        while found is None and self._held and not self._has_room(shape):
+            oldest = self._held.pop(0)
+            if oldest.shape == shape:
+                found = oldest
+            else:
+                self._release(oldest.framebuffer)
+        framebuffer = self._make(*shape) if found is None else found.framebuffer
+        self._held.append(_Target(framebuffer, shape))
+        return framebuffer
+
+    def keep(self, framebuffer: Framebuffer, content: Hashable) -> None:
+        """Say what is drawn in one, so that it can be found again while there is room."""
+        for each in self._held:
+            if each.framebuffer is framebuffer:
+                each.content = content
+
+    def kept(self, content: Hashable) -> Framebuffer | None:
+        """The one with a content, if it is still there."""
+        found = next((each for each in self._held if each.content is not None and each.content == content), None)
+        if found is None:
+            return None
+        self._held.remove(found)
+        self._held.append(found)
+        return found.framebuffer
+
+    def forget(self) -> None:
+        """Forget what is drawn in them, so that everything is drawn anew; the framebuffers stay for reuse."""
+        for each in self._held:
+            each.content = None
+
+    def _has_room(self, shape: tuple[int, int, int]) -> bool:
+        return len(self._held) < MOST_TARGETS and self.nbytes + depth_bytes(*shape) <= MOST_BYTES
+
+
+def depth_bytes(width: int, height: int, bits: int) -> int:
+    """Bytes of a depth target's texels."""
+    return width * height * (2 if bits == 16 else 4)

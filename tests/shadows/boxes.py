@@ -1,0 +1,64 @@
+"""Boxes over level ground, and the sun's visibility of what is seen of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from shadows import shadow_map
+from shadows.attached import attached
+from shadows.passes import PassLog
+from terrain.camera import PerspectiveView
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of
+
+View = MapView | PerspectiveView
+
+
+def box(size_m: tuple[float, float, float], bottom_m: float = 0.0, at_m: tuple[float, float] = (0.0, 0.0)) -> trimesh.Trimesh:
+    """A closed box over a place, its faces outwards; a pebble on the ground keeps one that hovers from being set down."""
+    mesh = trimesh.creation.box(extents=size_m)
+    mesh.apply_translation([*at_m, bottom_m + size_m[2] / 2])
+    if not bottom_m:
+        return mesh
+    pebble = trimesh.creation.box(extents=(0.01, 0.01, 0.01))
+    pebble.apply_translation([*at_m, 0.005])
+    return trimesh.util.concatenate([mesh, pebble])
+
+
+def level_of(folder: Path, meshes: list[trimesh.Trimesh], azimuth: float, altitude: float, **keys) -> Scene:
+    """A scene of meshes, whose heights count from level ground of 200 m a side."""
+    names = [f"mesh{number}.obj" for number in range(len(meshes))]
+    for name, mesh in zip(names, meshes, strict=True):
+        mesh.export(folder / name)
+    level = {
+        "version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [20, 20]}},
+        "meshes": [{"source": name, "at": [0, 0]} for name in names],
+        "sun": {"azimuth": azimuth, "altitude": altitude}, **keys,
+    }  # fmt: skip
+    path = folder / "boxes.yaml"
+    path.write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
+    return build_scene(load_level(path))
+
+
+def visibility(
+    scene: Scene, view: View, light: str = "sun", bias_scale: float = 1.0, **overrides
+) -> tuple[np.ndarray, GeometryBuffer]:
+    """Visibility of a light by shadow maps, attached shadow included, NaN where there is no surface; and what it is of."""
+    buffer = geometry_of(scene, view)
+    seen = np.ones(buffer.there.shape, np.float32)
+    for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:
+        if step.light == light and step.settings is not None:
+            settings = step.settings.model_copy(update={"bias_scale": bias_scale})
+            seen *= shadow_map.fill(buffer, scene, light, step.kinds, casters_of(scene, buffer), settings, PassLog())
+    seen[attached(buffer, scene, light)] = 0.0
+    seen[~buffer.there] = np.nan
+    return seen, buffer

@@ -1,0 +1,136 @@
+"""Cascades: finer near the eye and as fine far away, in the memory of one map; where they part goes by what is seen."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from selector.map_settings import CASCADE_PX, LARGEST
+from selector.rules import choose
+from shadows import shadow_map
+from shadows.attached import attached
+from shadows.map_windows import sun_maps
+from shadows.metrics import errors_of
+from shadows.passes import PassLog
+from shadows.plan import Plan
+from shadows.truth import truth_of
+from terrain.descriptor import Band, Descriptor, describe
+from terrain.level import Level, load_level
+from terrain.level_parts import SunSpec
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+
+SIZE = [320, 240]
+EYE_M = np.array([-9692.0, -11_000.0])
+AWAY_M = (70, 110, 170, 260, 400, 600)
+
+
+@pytest.fixture(scope="module")
+def mountains(tmp_path_factory) -> Scene:
+    """24 x 24 km of ridges seen from a summit over a few houses."""
+    folder = tmp_path_factory.mktemp("mountains")
+    trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
+    ahead = -EYE_M / np.linalg.norm(EYE_M)
+    aside = np.array([-ahead[1], ahead[0]])
+    houses = [(EYE_M + away * (ahead + share * aside)).round(1).tolist() for away in AWAY_M for share in (-0.3, -0.05, 0.25)]
+    level = {
+        "version": 1,
+        "terrain": {"generate": {"kind": "ridges", "size": [24_000, 24_000], "cell": 40, "relief": 1500, "seed": 3}},
+        "meshes": [{"source": "house.obj", "at": houses, "turn": 20}],
+        "sun": {"azimuth": 300, "altitude": 15},
+        "views": {"main": {"kind": "perspective", "eye": [*EYE_M, 25], "target": [0, 0, -100], "fov": 50, "size": SIZE}},
+    }
+    path = folder / "level.yaml"
+    path.write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def plan_for(scene: Scene, **asked) -> Plan:
+    view = scene.view("main")
+    return choose(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **asked})
+
+
+@pytest.mark.parametrize(("azimuth", "altitude"), [(300, 15), (100, 10)])
+def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(gl, mountains, azimuth, altitude):
+    scene = mountains.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+    away_m = [band.far_m for band in describe(scene, scene.view("main"), "main").bands]
+    assert away_m[0] <= 128 and away_m[-1] >= 16_384
+    buffer = geometry_of(scene, scene.view("main"))
+    casters = casters_of(scene, buffer)
+    truth, found = truth_of(buffer, scene, casters), {}
+    for count, size in ((1, 1024), (4, 512)):
+        (step,) = plan_for(scene, cascades=count, map_size=size, depth_bits=24).steps
+        assert len(step.settings.cascades) == count
+        seen = shadow_map.fill(buffer, scene, step.light, step.kinds, casters, step.settings, PassLog())
+        seen[attached(buffer, scene)] = 0.0
+        found[count] = errors_of(seen, truth, 1.0)
+    assert found[1].edge_p95 > 1.0
+    assert found[4].edge_p95 <= 0.5 * found[1].edge_p95
+    assert found[4].wrong_cast <= 0.5 * found[1].wrong_cast
+
+
+def test_every_receiver_belongs_to_one_cascade(gl, mountains):
+    buffer = geometry_of(mountains, mountains.view("main"))
+    plan = plan_for(mountains, cascades=4, map_size=256)
+    maps = sun_maps(buffer, mountains, plan.settings["sun"]["relief"], None)
+    ours = np.concatenate([each.pixels for each in maps])
+    assert len(maps) == 4 and len(np.unique(ours)) == len(ours)
+    np.testing.assert_array_equal(np.sort(ours), np.flatnonzero(buffer.there & ~attached(buffer, mountains)))
+
+
+# -- where cascades part, from descriptors alone
+
+
+def band(octave: int, share: float) -> Band:
+    """What is seen of level ground in an octave of distances, the sun 45 degrees high."""
+    far = 2.0**octave
+    return Band(near_m=far / 2, far_m=far, share=share, low_light_m=(-far / 2, 0.0, 0.0), high_light_m=(far / 2, far / 2, far / 2))
+
+
+def descriptor(shares: list[float]) -> Descriptor:
+    bands = tuple(band(5 + number, share) for number, share in enumerate(shares))
+    return Descriptor(
+        view="main", view_kind="perspective", flat_world=True, pixel_m=0.1, pixel=0.0015, node_m=10.0, casters=("relief",),
+        relief_m=100.0, block_relief_m=100.0, sun_azimuth_deg=180.0, sun_altitude_deg=45.0, highest_sun_deg=45.0,
+        receivers_light_m=(1e4, 1e4, 1e4), bands=bands,
+    )  # fmt: skip
+
+
+LEVEL = Level.model_validate({"version": 1, "terrain": {"flat": {"size": [10, 10], "cells": [2, 2]}}})
+
+
+def ends_of(shares: list[float], **asked) -> list[float | None]:
+    plan = choose(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **asked})
+    return [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]
+
+
+def test_cascades_part_where_more_is_seen():
+    """With a size that is given: most pixels far away draw the splits there, most of them near draw them back."""
+    near = [0.4, 0.3, 0.2, 0.04, 0.02, 0.02, 0.01, 0.01]
+    asked = {"map_size": 512, "cascades": 3}
+    close, remote = ends_of(near, **asked), ends_of(near[::-1], **asked)
+    assert close[-1] is None and remote[-1] is None
+    assert close[0] < remote[0] and close[1] < remote[1]
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=11), st.sampled_from(["auto", 1, 2, 3, 4]))
+def test_an_automatic_size_keeps_what_it_promises_wherever_the_cascades_part(shares, cascades):
+    shares = [share / sum(shares) for share in shares]
+    plan = choose(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
+    chosen = plan.settings["sun"]["relief"]
+    if chosen.map_size == LARGEST:
+        return
+    near_m, bands = 0.0, descriptor(shares).bands
+    for cascade in chosen.cascades:
+        nearest = next(each.near_m for each in bands if each.near_m >= near_m)
+        sides_m = np.array(cascade.texel_m) / np.array([1.0, np.sin(np.radians(45.0))])
+        assert sides_m.max() <= CASCADE_PX * nearest * 0.0015 * (1.0 + 1e-9)
+        near_m = cascade.far_m
+    assert near_m is None

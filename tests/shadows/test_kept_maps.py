@@ -1,0 +1,206 @@
+"""Depth maps are kept while nothing that they were drawn from has changed, drawn anew otherwise, and few of them are held."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector.rules import choose
+from shadows.plan import Plan
+from shadows.render import Frame, render_frame
+from terrain.depth_targets import MOST_BYTES, MOST_TARGETS, DepthTargets, depth_bytes
+from terrain.descriptor import describe
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import plan_of
+
+Build = Callable[..., Scene]
+
+EYE = {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [96, 72]}
+LAMP = {"kind": "spot", "position": [-30, 10, 18], "target": [0, 0, 0], "cutoff": 40}
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory) -> Build:
+    """``build(trees=3, **keys)`` builds a level of a floor, a box, two tetrahedra that turn, and some trees."""
+    folder: Path = tmp_path_factory.mktemp("kept")
+    trimesh.creation.box(extents=(8.0, 6.0, 5.0)).export(folder / "house.obj")
+    for count in (3, 4):
+        points = shapely.to_wkb([shapely.Point(12.0 - 9.0 * n, 14.0 - 4.0 * n) for n in range(count)])
+        heights = np.full(count, 6.0)
+        pyogrio.raw.write(folder / f"trees{count}.gpkg", points, [heights], ["height"], geometry_type="Point", crs=ENGINEERING)
+
+    def level(trees: int = 3, **keys: Any) -> Scene:
+        path = folder / "level.yaml"
+        whole = {
+            "version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [40, 40]}},
+            "forest": [{"source": f"trees{trees}.gpkg", "height": "height"}],
+            "meshes": [{"source": "house.obj", "at": [2, -6]}, {"generate": "tetrahedra", "at": [-14, 6], "motion": {"spin": 30}}],
+            "sun": {"azimuth": 215, "altitude": 32}, "views": {"eye": EYE}, **keys,
+        }  # fmt: skip
+        path.write_text(json.dumps(whole), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return level
+
+
+def planned(scene: Scene, **asked: Any) -> Plan:
+    chosen = {"algorithm": "shadow_map", "map_size": 256, "cascades": 1, **asked}
+    return choose(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, chosen)
+
+
+def drawn(scene: Scene, plan: Plan | None = None, **asked: Any) -> Frame:
+    return render_frame(scene, scene.view("eye"), plan or planned(scene, **asked))
+
+
+def draws(frame: Frame) -> tuple[int, int]:
+    """Draw calls of a frame's depth maps, and how many maps it found."""
+    records = [record for record in frame.passes if record.name.endswith("depth map")]
+    assert records and [record.name for record in frame.passes] == frame.plan.passes
+    return sum(record.draws for record in records), sum(record.kept for record in records)
+
+
+def test_a_frame_that_repeats_another_draws_no_map_and_looks_the_same(gl, build):
+    gl.depth_targets.forget()
+    scene = build()
+    first, again = drawn(scene), drawn(scene)
+    assert draws(first) == (3, 0) and draws(again) == (0, 1)
+    assert 0.005 < (first.visibility < 0.5).mean() < 0.6
+    np.testing.assert_array_equal(first.visibility, again.visibility)
+    np.testing.assert_array_equal(first.color, again.color)
+
+
+def test_what_is_forgotten_is_drawn_anew(gl, build):
+    scene = build()
+    first = drawn(scene)
+    gl.depth_targets.forget()
+    again = drawn(scene)
+    assert draws(again) == (3, 0)
+    np.testing.assert_array_equal(first.visibility, again.visibility)
+
+
+def test_cascades_and_lamps_are_kept_each_by_itself(gl, build):
+    gl.depth_targets.forget()
+    scene = build(lights={"lamp": LAMP})
+    plan = planned(scene, cascades=3)
+    count, _ = draws(drawn(scene, plan))
+    maps = len(plan.settings["sun"]["relief"].cascades) + 1
+    assert maps > 2 and count == 3 * maps
+    assert draws(drawn(scene, plan)) == (0, maps)
+
+
+CHANGES: dict[str, dict[str, Any]] = {
+    "map size": {"map_size": 320},
+    "depth bits": {"depth_bits": 32},
+    "bias": {"bias": "normal_offset"},
+    "culling": {"culling": "front"},
+    "fit": {"fit": "tight"},
+    "cascades": {"cascades": 2},
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_each_changed_setting_draws_anew(gl, build, name):
+    gl.depth_targets.forget()
+    scene = build()
+    before = drawn(scene)
+    changed = drawn(scene, **CHANGES[name])
+    assert changed.plan.settings != before.plan.settings
+    assert draws(changed)[0] > 0 and draws(changed)[1] == 0
+    assert draws(drawn(scene)) == (0, 1)  # the first one is still there
+
+
+def test_each_change_of_the_scene_draws_anew(gl, build):
+    """The sun, the clock of what moves, the camera's place, a tree more: under one and the same plan, so that it is they."""
+    gl.depth_targets.forget()
+    scene = build()
+    plan = planned(scene)
+    drawn(scene, plan)
+    moved = build(views={"eye": {**EYE, "eye": [-35.5, -55, 14]}})
+    for other in (scene.with_sun(SunSpec(azimuth=215.5, altitude=32)), scene.at_second(1.0), moved, build(trees=4)):
+        assert draws(drawn(other, plan)) == (3, 0)
+
+
+def test_a_change_shows(gl, build):
+    """A turned caster's shadow is the new one, as if no map had been kept."""
+    scene = build()
+    plan = planned(scene)
+    drawn(scene, plan)
+    turned = drawn(scene.at_second(1.0), plan)
+    gl.depth_targets.forget()
+    np.testing.assert_array_equal(turned.visibility, drawn(scene.at_second(1.0), plan).visibility)
+    assert (turned.visibility != drawn(scene, plan).visibility).any()
+
+
+def test_maps_of_map_views_are_not_kept(gl, build):
+    """Their pictures are: block by block, by whoever asks for them."""
+    scene = build()
+    view = scene.view(bounds=(-40, -40, 40, 40), size=(120, 120))
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
+    for _ in range(2):
+        count, kept = draws(render_frame(scene, view, plan))
+        assert count > 0 and kept == 0
+
+
+def test_what_no_longer_exists_is_not_mistaken_for_what_follows(gl, build):
+    """Scenes come and go at the same addresses: each draws its own maps."""
+    plan = None
+    for number in range(12):
+        scene = build(trees=3 + number % 2)
+        plan = plan or planned(scene)
+        assert draws(drawn(scene, plan)) == (3, 0)
+        del scene
+
+
+SHAPES = st.tuples(st.sampled_from([64, 512, 2048, 4096, 8192, 16384]), st.just(4096), st.sampled_from([16, 24, 32]))
+
+
+@given(st.lists(st.tuples(SHAPES, st.one_of(st.none(), st.integers(0, 5))), max_size=60))
+def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
+    """Numbers and bytes are bounded, nothing leaks, and a content is found exactly where it was drawn and is still held."""
+    alive: dict[int, tuple[int, int, int]] = {}
+    made = itertools.count()
+
+    def make(*shape: int) -> int:
+        alive[number := next(made)] = shape
+        return number
+
+    targets = DepthTargets(make, alive.pop)
+    drawn_in: dict[int, int | None] = {}
+    for shape, content in asked:
+        found = None if content is None else targets.kept((shape, content))
+        if found is not None:
+            assert drawn_in[found] == content and alive[found] == shape
+            continue
+        taken = targets.take(*shape)
+        assert alive[taken] == shape
+        drawn_in[taken] = content
+        if content is not None:
+            targets.keep(taken, (shape, content))
+        assert len(targets) == len(alive) <= MOST_TARGETS
+        assert targets.nbytes == sum(depth_bytes(*each) for each in alive.values())
+        assert targets.nbytes <= MOST_BYTES or len(targets) == 1
+    targets.forget()
+    assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
+
+
+def test_the_targets_used_last_stay_longest():
+    made = itertools.count()
+    targets = DepthTargets(lambda *shape: next(made), lambda _: None)
+    for number in range(3 * MOST_TARGETS):
+        targets.keep(targets.take(64, 64, 24), number)
+        assert targets.kept(0) == 0
+    assert targets.kept(1) is None and targets.kept(3 * MOST_TARGETS - 1) is not None

@@ -1,0 +1,208 @@
+"""Intermediate pictures that algorithms leave behind: only where they are asked for, as drawn, and refused with a sentence."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from api.layers import LAYERS, PASS_LAYERS, SUFFIXES, layer_of, viewable, write_layer
+from shadows import kept_layers
+from shadows.kept_layers import KeptLayers, beside_one_another
+from shadows.passes import PassLog
+from shadows.registry import ALGORITHMS
+from shadows.render import Frame, render_frame
+from terrain.errors import InputError, UnsupportedError
+from terrain.gl import Device
+from terrain.level import SUN, load_level
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of, render
+
+SPOT = {"kind": "spot", "position": [-20, 10, 25], "target": [0, 0, 0], "cutoff": 40}
+OMNI = {"kind": "omni", "position": [0, -12, 20]}
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 120]}
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    """``build(at, azimuth)`` builds the scene of a figure on a flat floor, under a sun, a spot and an omni light."""
+
+    def level(at: tuple[float, float] = (0.0, 0.0), azimuth: float = 200.0) -> Scene:
+        path = tmp_path_factory.mktemp("layers") / "figure.yaml"
+        keys = {
+            "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
+            "meshes": [{"generate": "tetrahedra", "at": at}], "sun": {"azimuth": azimuth, "altitude": 35},
+            "lights": {"spot": SPOT, "omni": OMNI},
+        }  # fmt: skip
+        path.write_text(json.dumps(keys), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return level
+
+
+@pytest.fixture(scope="module")
+def scene(build) -> Scene:
+    return build()
+
+
+def with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
+    view = view or scene.view("eye")
+    return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers))
+
+
+# -- the mechanism
+
+
+def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
+    """A layer costs nothing unless it is wanted: the picture is not even read back."""
+    made = []
+    log = PassLog()
+    log.keep("stencil", SUN, made.append, 1)
+    assert made == [] and log.take() == {}
+    log = PassLog(wanted=frozenset({"stencil"}))
+    log.keep("stencil", SUN, np.full, (2, 2), 7)
+    log.keep("shadow-map", SUN, made.append, 1)
+    assert made == [] and [each.tolist() for each in log.take()["stencil", SUN]] == [[[7, 7], [7, 7]]] and log.take() == {}
+    reads = []
+    original = Device.read
+    monkeypatch.setattr(Device, "read", lambda self, target, *of: reads.append(of) or original(self, target, *of))
+    plain = render(scene, scene.view("eye"), algorithm="shadow_map")
+    count = len(reads)
+    kept = with_layers(scene, "shadow-map", algorithm="shadow_map")
+    assert plain.layers == {} and set(kept.layers) == {"shadow-map"}
+    assert len(reads) - count > count
+    np.testing.assert_array_equal(plain.color, kept.color)
+    assert kept.nbytes > plain.nbytes and [record.name for record in kept.passes] == kept.plan.passes
+
+
+def test_pictures_are_laid_out_beside_one_another():
+    one, two, three = np.full((2, 3), 1.0, np.float32), np.full((3, 1), 2.0, np.float32), np.full((1, 1), 3.0, np.float32)
+    np.testing.assert_array_equal(beside_one_another([one]), one)
+    out = beside_one_another([one, two, three])
+    assert out.shape == (6, 6) and out.dtype == np.float32
+    np.testing.assert_array_equal(out[:2, :3], one)
+    np.testing.assert_array_equal(out[:3, 3:4], two)
+    assert out[3, 0] == 3.0 and np.isfinite(out).sum() == one.size + two.size + three.size
+
+
+def test_pictures_of_pixels_lie_where_their_blocks_do():
+    """Samples of pixels below a block's own rows are left out; what no block covers is 0 or NaN."""
+    kept = KeptLayers((4, 5))
+    ours, theirs = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
+    block = np.arange(20, dtype=np.uint8).reshape(5, 4)
+    kept.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, ours, theirs)
+    whole = kept.whole
+    np.testing.assert_array_equal(whole["stencil"][SUN][ours], block[theirs])
+    assert whole["stencil"][SUN].sum() == block[theirs].sum() and whole["stencil"][SUN].dtype == np.uint8
+    assert np.isnan(whole["shadow-height"][SUN]).sum() == 20 - 6
+
+
+def test_more_texels_than_a_picture_holds_are_refused(monkeypatch):
+    monkeypatch.setattr(kept_layers, "MAX_TEXELS", 100)
+    kept, nowhere = KeptLayers((4, 4)), (slice(0, 0), slice(0, 0))
+    kept.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, nowhere, nowhere)
+    with pytest.raises(InputError, match="shadow-map.*100 texels"):
+        kept.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, nowhere, nowhere)
+
+
+# -- what is in them
+
+
+def test_every_light_leaves_its_maps(gl, scene):
+    """A sun's map for each cascade, one of a spot, six of an omni light; depths as drawn, nearest 0."""
+    frame = with_layers(scene, "shadow-map", algorithm="shadow_map", map_size=256, cascades=2)
+    maps = frame.layers["shadow-map"]
+    assert set(maps) == {SUN, "spot", "omni"}
+    texels = {light: sum(r.map_texels for r in frame.passes if r.name.startswith(f"{light}/")) for light in maps}
+    for light, picture in maps.items():
+        assert picture.dtype == np.float32 and np.nanmin(picture) >= 0.0 and np.nanmax(picture) == 1.0
+        assert np.isfinite(picture).sum() == texels[light] and (picture < 1.0).any()
+    assert maps["spot"].shape == (256, 256) and maps["omni"].shape == (512, 768)
+    assert layer_of(scene, frame.under("omni"), "shadow-map") is maps["omni"]
+
+
+def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
+    """The sun in the south: what stands farther north, and is farther away from it, appears higher up."""
+    middle = []
+    for y in (-30.0, 30.0):
+        scene = build((0.0, y), 180.0)
+        view = scene.view(bounds=(-50, -50, 50, 50), size=(90, 90))
+        choice = {"relief": "none", "meshes": "shadow_map", "spot": "none", "omni": "none"}
+        picture = with_layers(scene, "shadow-map", view=view, algorithm=choice).layers["shadow-map"][SUN]
+        middle.append(np.nonzero(picture < 1.0)[0].mean() / len(picture))
+    assert middle[0] > middle[1] + 0.2
+
+
+def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
+    monkeypatch.setattr("terrain.grid.BLOCK_PX", 32)
+    view = scene.view(bounds=(-20, -20, 20, 20), size=(50, 60))
+    overrides = {"sun": "planar", "spot": "shadow_map", "omni": "none"}
+    frame = with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)
+    assert frame.layers["shadow-map"]["spot"].shape == (128, 128)
+    stencil = frame.layers["stencil"][SUN]
+    assert stencil.shape == frame.there.shape == (60, 50)
+    ground = frame.there & (frame.height_m == 0.0)
+    assert (stencil == 2).sum() > 20
+    np.testing.assert_array_equal((stencil == 2)[ground], (frame.visibilities[SUN] < 0.5)[ground])
+    np.testing.assert_array_equal(stencil > 0, ground)
+
+
+# -- files
+
+
+def test_files_of_layers(gl, scene, tmp_path):
+    """Depths as 16-bit gray, nearest brightest; the stencil spread over eight bits; both exact in .npy."""
+    frame = with_layers(scene, "shadow-map", "stencil", algorithm={"sun": "planar", "spot": "shadow_map"}, map_size=128)
+    for layer, light in (("stencil", SUN), ("shadow-map", "spot")):
+        for suffix in SUFFIXES[layer]:
+            write_layer(scene, frame.under(light), layer, tmp_path / f"{layer}{suffix}")
+    depths = np.load(tmp_path / "shadow-map.npy")
+    gray = np.asarray(Image.open(tmp_path / "shadow-map.png"))
+    assert gray.dtype == np.uint16 and gray.shape == depths.shape
+    np.testing.assert_allclose(gray / 65535.0, 1.0 - depths, atol=0.6 / 65535)
+    stencil = np.load(tmp_path / "stencil.npy")
+    gray = np.asarray(Image.open(tmp_path / "stencil.png"))
+    np.testing.assert_array_equal(gray, stencil * 127)
+    assert set(np.unique(stencil)) == {0, 1, 2}
+    assert viewable("shadow-map", np.array([[np.nan, 1.0, 0.0]], np.float32)).tolist() == [[0, 0, 65535]]
+    assert viewable("stencil", np.zeros((1, 2), np.uint8)).tolist() == [[0, 0]]
+
+
+def test_every_layer_has_a_file_and_every_layer_of_an_algorithm_is_known():
+    assert set(LAYERS) == set(SUFFIXES)
+    left = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
+    assert left <= PASS_LAYERS and {"shadow-map", "stencil"} <= left
+
+
+# -- refusals
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "layer", "words"),
+    [
+        ("none", "shadow-map", "with is none; what has this layer: shadow_map"),
+        ("shadow_map", "stencil", "with is shadow_map; what has this layer: planar"),
+        ("planar", "shadow-map", "with is planar; what has this layer: shadow_map"),
+    ],
+)
+def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):
+    monkeypatch.setattr("shadows.render._render_block", None)
+    with pytest.raises(UnsupportedError) as caught:
+        with_layers(scene, layer, algorithm=algorithm)
+    assert layer in str(caught.value) and words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
+    frame = with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
+    assert layer_of(scene, frame.under("spot"), "stencil").max() == 2
+    with pytest.raises(InputError, match="light: 'sun'.*layer stencil: spot"):
+        layer_of(scene, frame, "stencil")
+
+
+def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):
+    view = scene.view(bounds=(9000, 9000, 9050, 9050), size=(48, 48))
+    frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
+    with pytest.raises(InputError, match="shows nothing"):
+        write_layer(scene, frame, "shadow-map", tmp_path / "map.png")

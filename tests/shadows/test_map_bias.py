@@ -1,0 +1,165 @@
+"""Ways of keeping a surface from shading itself in a shadow map, and faces that are left out of one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import binary_dilation
+
+from shadows.attached import attached
+from shadows.truth import Truth, truth_of
+from terrain.errors import InputError
+from terrain.geometry import GeometryBuffer
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.resolve import MESHES, RELIEF
+from tests.conftest import ENGINEERING
+from tests.render import plan_of
+from tests.shadows.boxes import box, level_of, visibility
+
+EYE = {"kind": "perspective", "eye": [-15, -21, 14], "target": [-3, 1, 1], "fov": 45, "size": [320, 240]}
+SPOT = {"kind": "spot", "position": [20, -12, 20], "target": [0, 0, 0], "cutoff": 40}
+TAPS = [1, 2, 3, 5]
+
+
+def plane(write_raster, slope_deg: float, towards_deg: float):
+    """A plane of 960 m that rises by a slope away from the azimuth it faces."""
+    axis = (np.arange(96) - 47.5) * 10.0
+    east, north = np.meshgrid(axis, -axis)
+    facing = np.radians(towards_deg)
+    rise = -np.tan(np.radians(slope_deg)) * (east * np.sin(facing) + north * np.cos(facing))
+    return write_raster(rise.astype(np.float32), ENGINEERING, -480, 480, 10.0, name="plane.tif")
+
+
+def shaded(make_scene, raster, azimuth: float, altitude: float, **how) -> float:
+    """Share of a plane's pixels that are not wholly lit; the sun faces the plane."""
+    scene = make_scene(raster, azimuth, altitude)
+    view = scene.view(bounds=(-300, -300, 300, 300), size=(120, 120))
+    assert not attached(geometry_of(scene, view), scene).any()
+    return float((visibility(scene, view, map_size=512, **how)[0] < 1.0).mean())
+
+
+def wrong_inside(seen: np.ndarray, real: Truth, buffer: GeometryBuffer) -> np.ndarray:
+    """Pixels of the wrong class beyond two pixels of a shadow's edge and of where ground and meshes touch."""
+    touching = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
+    return real.there & ~binary_dilation(~real.decidable | touching, iterations=2) & ((seen >= 0.5) != real.lit)
+
+
+# -- bias
+
+
+@pytest.mark.parametrize(
+    ("bias", "slope", "towards"),
+    [("receiver_plane", 45, 203), ("normal_offset", 0, 0), ("normal_offset", 45, 203), ("normal_offset", 70, 290)],
+)
+def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope, towards, bias):
+    raster = plane(write_raster, slope, towards)
+    for altitude, aside in ((60.0, 20.0), (25.0, -60.0), (5.0, 75.0)):
+        for taps in TAPS:
+            assert shaded(make_scene, raster, towards + aside, altitude, bias=bias, filter=taps) == 0.0, (altitude, aside, taps)
+
+
+@pytest.mark.parametrize("taps", TAPS)
+def test_the_normal_offset_is_no_more_than_needed(gl, write_raster, make_scene, taps):
+    """At 0.8 times it a plane that the sun grazes along a diagonal of the texels shades itself."""
+    raster = plane(write_raster, 60, 37)
+    how = {"bias": "normal_offset", "filter": taps}
+    assert shaded(make_scene, raster, 127, 20, **how) == 0.0
+    assert shaded(make_scene, raster, 127, 20, bias_scale=0.8, **how) > 1e-3
+
+
+@pytest.mark.parametrize(("taps", "enough"), [(1, 1.0), (2, 2.0), (3, 3.0), (5, 5.0)])
+def test_a_polygon_offset_is_enough_for_one_tap_alone(gl, write_raster, make_scene, taps, enough):
+    """The slope's factor that n taps a side need is n; the customary one is 1.1."""
+    raster = plane(write_raster, 60, 37)
+    how = {"bias": "polygon_offset", "filter": taps}
+    share = shaded(make_scene, raster, 127, 20, **how)
+    assert share == 0.0 if taps == 1 else share > 0.05
+    assert shaded(make_scene, raster, 127, 20, bias_scale=enough, **how) == 0.0
+
+
+@pytest.mark.parametrize("light", ["sun", "lamp"])
+@pytest.mark.parametrize("bias", ["receiver_plane", "normal_offset", "polygon_offset"])
+def test_shadows_are_right_away_from_their_edges(gl, tmp_path, bias, light):
+    scene = level_of(tmp_path, [box((9, 6, 5)), box((3, 3, 3), 0, (-6, -5))], 110, 28, views={"eye": EYE}, lights={"lamp": SPOT})
+    view = scene.view("eye")
+    seen, buffer = visibility(scene, view, light, bias=bias, filter=1, map_size=4096)
+    real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
+    assert (real.there & ~real.lit & ~real.attached).mean() > 0.03
+    assert not wrong_inside(seen, real, buffer).any()
+
+
+def test_biases_differ(gl, tmp_path):
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE})
+    seen = [visibility(scene, scene.view("eye"), bias=name)[0] for name in ("receiver_plane", "normal_offset", "polygon_offset")]
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        assert np.nanmax(np.abs(seen[one] - seen[other])) > 0.3
+
+
+# -- culling
+
+
+@pytest.mark.parametrize("light", ["sun", "lamp"])
+def test_closed_bodies_need_no_bias_without_their_lit_faces(gl, tmp_path, light):
+    """No acne on the lit sides at no bias at all, where there is plenty with them drawn; the ground's shadows are the same."""
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": SPOT})
+    view = scene.view("eye")
+    seen = {}
+    for culling in ("none", "front"):
+        for scale in (0.0, 1.0):
+            seen[culling, scale], buffer = visibility(scene, view, light, scale, culling=culling, filter=1, map_size=1024)
+    lit_side = (buffer.kind == MESHES) & ~attached(buffer, scene, light)
+    inside = lit_side & ~binary_dilation(~lit_side, iterations=3)
+    assert inside.mean() > 0.02
+    assert (seen["none", 0.0][inside] < 1.0).mean() > 0.05
+    assert (seen["front", 0.0][inside] == 1.0).all() and (seen["front", 1.0][inside] == 1.0).all()
+    ground = buffer.kind == RELIEF
+    assert (seen["none", 1.0][ground] < 0.5).mean() > 0.02
+    contact = binary_dilation(buffer.kind == MESHES, iterations=3)
+    np.testing.assert_array_equal(seen["none", 1.0][ground & ~contact], seen["front", 1.0][ground & ~contact])
+
+
+def test_what_is_not_closed_is_drawn_whole(gl, tmp_path):
+    """A box without a face, a box inside out, a sheet, and the ground."""
+    lidless, inside_out = box((6, 6, 5)), box((4, 4, 4), 0, (-9, 5))
+    lidless = trimesh.Trimesh(lidless.vertices, lidless.faces[2:], process=False)
+    inside_out.invert()
+    sheet = trimesh.Trimesh([[6, -8, 3], [10, -8, 3], [10, -4, 4], [6, -4, 4]], [[0, 1, 2], [0, 2, 3]], process=False)
+    scene = level_of(tmp_path, [lidless, inside_out, sheet], 110, 28, views={"eye": EYE})
+    seen = [visibility(scene, scene.view("eye"), culling=culling)[0] for culling in ("none", "front")]
+    assert (seen[0] < 0.5).mean() > 0.02
+    np.testing.assert_array_equal(*seen)
+
+
+def test_only_what_is_closed_is_culled(gl, tmp_path):
+    """A closed box beside an open sheet: the sheet's shadow stays."""
+    sheet = trimesh.Trimesh([[6, -8, 3], [10, -8, 3], [10, -4, 3], [6, -4, 3]], [[0, 1, 2], [0, 2, 3]], process=False)
+    both = level_of(tmp_path, [box((4, 4, 4), 0, (-9, 5)), sheet], 110, 28, views={"eye": EYE})
+    seen, buffer = visibility(both, both.view("eye"), culling="front", filter=1, map_size=4096)
+    real = truth_of(buffer, both, casters_of(both, buffer))
+    assert not wrong_inside(seen, real, buffer).any()
+
+
+# -- plans
+
+
+def test_plans_say_what_was_chosen(gl, tmp_path):
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE})
+    view = scene.view("eye")
+    plan = plan_of(scene, view)
+    settings = plan.settings["sun"]["meshes"]
+    assert (settings.bias, settings.culling, settings.filter) == ("receiver_plane", "none", 3)
+    assert {"bias receiver_plane", "culling none"} <= {reason.name for reason in plan.reasons}
+    plan = plan_of(scene, view, bias="polygon_offset", culling="front", filter=2)
+    settings = plan.settings["sun"]["meshes"]
+    assert (settings.bias, settings.culling, settings.filter) == ("polygon_offset", "front", 2)
+    assert not {"bias", "culling"} & {reason.name.split()[0] for reason in plan.reasons}
+
+
+@pytest.mark.parametrize(("key", "value"), [("bias", "slope"), ("culling", "back"), ("filter", "moon")])
+def test_what_is_not_known_is_refused(tmp_path, key, value):
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28)
+    with pytest.raises(InputError, match=f"{key}: '{value}' is not allowed") as raised:
+        plan_of(scene, scene.view(), **{key: value})
+    assert raised.value.name == key

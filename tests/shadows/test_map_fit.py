@@ -1,0 +1,153 @@
+"""Where a sun's map lies: stable windows leave every class as it is while a view moves, tight ones have the finest texels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from selector.compare import measure
+from selector.rules import choose
+from shadows import shadow_map
+from shadows.attached import attached
+from shadows.map_windows import BORDER_TEXELS, DepthMap, sun_maps
+from shadows.metrics import flicker
+from shadows.passes import PassLog
+from shadows.plan import Plan
+from terrain.camera import PerspectiveView, look_at
+from terrain.descriptor import describe
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+
+SHIFTS = [(1, 0), (0, 1), (7, -3), (31, 17)]
+PX = 250
+
+
+@pytest.fixture(scope="module")
+def jacksboro() -> Scene:
+    return build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=8))
+
+
+@pytest.fixture(scope="module")
+def ridge(jacksboro) -> PerspectiveView:
+    """From above a ridge along the mountains."""
+    eye, up = jacksboro.place.above_ground((-84.30, 36.52, 150.0), "eye")
+    target, _ = jacksboro.place.above_ground((-84.22, 36.60, 0.0), "target")
+    return look_at(eye, target, up, 40.0, 150, 200)
+
+
+def plan_for(scene: Scene, view: MapView | PerspectiveView, **asked) -> Plan:
+    chosen = {"algorithm": "shadow_map", "filter": 1, "cascades": 1, **asked}
+    return choose(describe(scene, view), scene.loaded.level, chosen)
+
+
+def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Which pixels of a view, drawn as one block, are in shadow, and where there is ground."""
+    buffer = geometry_of(scene, view)
+    (step,) = plan.steps
+    seen = shadow_map.fill(buffer, scene, step.light, step.kinds, casters_of(scene, buffer), step.settings, PassLog())
+    return (seen < 0.5) | attached(buffer, scene), buffer.there
+
+
+def overlap(one: np.ndarray, other: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same points of a view and of the one shifted by whole pixels."""
+    height, width = one.shape
+    first = one[max(rows, 0) : height + min(rows, 0), max(cols, 0) : width + min(cols, 0)]
+    return first, other[max(-rows, 0) : height + min(-rows, 0), max(-cols, 0) : width + min(-cols, 0)]
+
+
+def flickers(scene: Scene, view: MapView | PerspectiveView, **asked) -> list[float]:
+    """FK of whole-pixel shifts of a view. Truth cannot change: the points are the same ones.
+
+    A map's shifts are drawn by plans of their own, a perspective view's by one, whose texels change in steps as it moves.
+    """
+    plan = plan_for(scene, view, **asked)
+    before, there = dark_in(scene, view, plan)
+    shares = []
+    for rows, cols in SHIFTS:
+        moved = view.shifted(rows, cols)
+        its_plan = plan_for(scene, moved, **asked) if isinstance(moved, MapView) else plan
+        after, there_too = dark_in(scene, moved, its_plan)
+        dark, next_dark = overlap(before, after, rows, cols)
+        comparable = np.logical_and(*overlap(there, there_too, rows, cols))
+        assert comparable.mean() > 0.3 and 0.05 < dark[comparable].mean() < 0.95
+        nowhere = np.zeros_like(dark)
+        shares.append(flicker(dark, next_dark, nowhere, nowhere, comparable))
+    return shares
+
+
+def ground_round_the_middle(scene: Scene) -> MapView:
+    """6 x 6 km whose pixels lie beside the grid's nodes, so that blocks are counted from the view's corner."""
+    x, y = scene.view(size=(8, 8)).centre
+    return scene.view(bounds=(x - 3000, y - 3000, x + 3000, y + 3000), size=(PX, PX))
+
+
+@pytest.mark.parametrize("map_size", [96, 160])
+def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro, map_size):
+    """Texels of 10 to 20 by 2 to 3 pixels, so that a lattice that moved would show."""
+    view = ground_round_the_middle(jacksboro)
+    texel_m = plan_for(jacksboro, view, map_size=map_size).settings["sun"]["relief"].cascades[0].texel_m
+    assert max(texel_m) > 4.0 * describe(jacksboro, view).pixel_m
+    assert flickers(jacksboro, view, map_size=map_size) == [0.0] * len(SHIFTS)
+    assert max(flickers(jacksboro, view, map_size=map_size, fit="tight")) > 0.005
+
+
+def test_shifts_of_a_perspective_view_flip_nothing_where_the_fit_is_stable(gl, jacksboro, ridge):
+    assert flickers(jacksboro, ridge, map_size=256) == [0.0] * len(SHIFTS)
+    assert max(flickers(jacksboro, ridge, map_size=256, fit="tight")) > 0.002
+
+
+def test_auto_is_stable_and_says_why(jacksboro, ridge):
+    for view in (ground_round_the_middle(jacksboro), ridge):
+        plan = plan_for(jacksboro, view)
+        assert plan.settings["sun"]["relief"].fit == "stable"
+        assert any(reason.name == "fit stable" for reason in plan.reasons)
+        explicit = plan_for(jacksboro, view, fit="tight")
+        assert explicit.settings["sun"]["relief"].fit == "tight"
+        assert not any(reason.name.startswith("fit") for reason in explicit.reasons)
+
+
+def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:
+    return sun_maps(buffer, scene, plan.settings["sun"]["relief"], None)
+
+
+@settings(max_examples=12)
+@given(
+    azimuth=st.floats(0, 360), altitude=st.floats(2, 89), heading=st.sampled_from([(0.05, 0.05), (-0.04, 0.02), (0.01, -0.04)]),
+    cascades=st.integers(1, 4), map_size=st.sampled_from([64, 200, 512]), bits=st.sampled_from([16, 24]),
+)  # fmt: skip
+def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azimuth, altitude, heading, cascades, map_size, bits):
+    scene = jacksboro.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+    eye, up = scene.place.above_ground((-84.25, 36.58, 120.0), "eye")
+    target, _ = scene.place.above_ground((-84.25 + heading[0], 36.58 + heading[1], 0.0), "target")
+    view = look_at(eye, target, up, 40.0, 60, 80)
+    buffer = geometry_of(scene, view)
+    asked = {"map_size": map_size, "cascades": cascades, "depth_bits": bits}
+    stable, tight = (maps_of(scene, buffer, plan_for(scene, view, fit=fit, **asked)) for fit in ("stable", "tight"))
+    assert len(stable) == len(tight) > 0
+    for loose, close in zip(stable, tight, strict=True):
+        assert (np.array(close.uniforms["texel_m"]) <= loose.uniforms["texel_m"]).all()
+        assert close.uniforms["window_m"][2] <= loose.uniforms["window_m"][2] * (1.0 + 1e-5)
+        np.testing.assert_array_equal(close.pixels, loose.pixels)
+        for each in (loose, close):
+            rotation = np.array(each.uniforms["light_from_frame"]).reshape(3, 3).T
+            points = buffer.position_frame_m.reshape(-1, 3)[each.pixels] @ rotation.T + each.uniforms["light_offset_m"]
+            texels = points[:, :2] / each.uniforms["texel_m"]
+            assert (texels >= BORDER_TEXELS - 1e-6).all() and (texels <= np.array(each.size) - BORDER_TEXELS + 1e-6).all()
+            assert (points[:, 2] > 0.0).all() and (points[:, 2] <= each.uniforms["window_m"][2]).all()
+
+
+def test_tight_fit_gains_accuracy(gl, jacksboro):
+    """A map smaller than a block: all texels are for what is seen of it."""
+    view = ground_round_the_middle(jacksboro)
+    found = {}
+    for fit in ("stable", "tight"):
+        found[fit] = measure(jacksboro, view, plan_for(jacksboro, view, map_size=512, fit=fit)).figures
+    assert found["tight"]["wrong_cast"] < 0.7 * found["stable"]["wrong_cast"]
+    assert found["tight"]["edge_mean"] < found["stable"]["edge_mean"]

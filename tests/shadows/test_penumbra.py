@@ -1,0 +1,206 @@
+"""The penumbra of the sun's disc: near rays, as wide as theory says, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation, minimum_filter
+
+from shadows.attached import attached
+from shadows.sun_disc import DISC_TANGENT, EDGES, SAMPLES, WIDEST_TEXELS, samples_before_edges
+from shadows.truth import soft_truth, sun_disc
+from terrain.errors import UnsupportedError
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.resolve import MESHES
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import block_at, plan_of, render
+from tests.shadows.boxes import View, box, level_of, visibility
+from tests.shadows.test_map_bias import EYE, plane, shaded
+
+ALTITUDE = 50.0
+
+
+def soft(scene: Scene, view: View) -> np.ndarray:
+    """Visibility of the sun's disc by rays, attached shadow included."""
+    buffer = geometry_of(scene, view)
+    real = soft_truth(buffer, scene, casters_of(scene, buffer))
+    return np.where(attached(buffer, scene) & buffer.there, 0.0, real)
+
+
+def difference(seen: np.ndarray, real: np.ndarray) -> float:
+    return float(np.nanmean(np.abs(seen - real)))
+
+
+# -- theory
+
+
+def profile(folder, height_m: float, width_m: float, **overrides) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility of ground along a line of ``width_m`` across the straight edge of a high plate's shadow, found and in theory.
+
+    The sun stands in the south, the edge runs north. Of a disc of radius 1 the part beyond a chord at u is
+    (acos u - u sqrt(1 - u^2)) / pi.
+    """
+    scene = level_of(folder, [box((30, 10, 0.05), height_m, (-15, -40))], 180, ALTITUDE)
+    north = -40 + height_m / np.tan(np.radians(ALTITUDE))
+    half = width_m / 2
+    view = scene.view(bounds=(-half, north - half / 16, half, north + half / 16), size=(320, 20))
+    seen, buffer = visibility(scene, view, filter="sun", **overrides)
+    away_m = height_m / np.sin(np.radians(ALTITUDE))
+    u = np.clip(-buffer.position_frame_m[10, :, 0] / (away_m * DISC_TANGENT), -1.0, 1.0)
+    return seen, (np.arccos(u) - u * np.sqrt(1.0 - u**2)) / np.pi
+
+
+@pytest.mark.parametrize("height_m", [8.0, 30.0, 70.0])
+@pytest.mark.parametrize("radii_texels", [2.5, 20.0, 50.0])
+def test_a_straight_edge_is_as_soft_as_the_disc(gl, tmp_path, height_m, radii_texels):
+    """Whatever its distance and the map's texels; the caster lies outside of what is seen, far before it."""
+    width_m = 4.0 * height_m / np.sin(np.radians(ALTITUDE)) * DISC_TANGENT
+    seen, theory = profile(tmp_path, height_m, width_m, map_size=int(4 * radii_texels + 64))
+    assert theory[0] == 0.0 and theory[-1] == 1.0
+    assert np.abs(seen - theory).max() < 0.02 + 0.3 / radii_texels
+    assert difference(seen, theory) < 0.005 + 0.03 / radii_texels
+    steps = np.diff(seen, axis=1)
+    assert steps.min() > -0.02 and steps.max() < 0.05  # neither bands nor noise
+    assert np.ptp(seen, axis=0).max() < 0.01 + 0.2 / radii_texels
+
+
+def test_the_penumbra_widens_with_the_distance(gl, tmp_path):
+    widths = []
+    for height_m in (10.0, 20.0, 40.0):
+        seen, _ = profile(tmp_path, height_m, 1.0, map_size=256)
+        widths.append(((seen[10] > 0.1) & (seen[10] < 0.9)).sum())
+    np.testing.assert_allclose(np.array(widths) / widths[0], [1.0, 2.0, 4.0], rtol=0.15)
+
+
+def test_a_penumbra_too_wide_for_the_map_is_narrower(gl, tmp_path):
+    """Beyond ``WIDEST_TEXELS`` the edge stays where it is, and what is wholly lit or dark stays so."""
+    seen, theory = profile(tmp_path, 70.0, 2.0, map_size=2048)
+    assert np.abs(seen - theory)[:, (theory == 0.0) | (theory == 1.0)].max() == 0.0
+    half = seen[10, theory.size // 2 - 2 : theory.size // 2 + 2]
+    assert 2.0 / 2048 * WIDEST_TEXELS < 0.4 and abs(half.mean() - 0.5) < 0.1
+
+
+def test_a_penumbra_narrower_than_texels_is_as_wide_as_three_taps(gl, tmp_path):
+    scene = level_of(tmp_path, [box((30, 10, 0.05), 3.0, (-15, -40))], 180, ALTITUDE)
+    view = scene.view(bounds=(-4, -34, 4, -33.5), size=(320, 20))
+    widths = []
+    for filter in (3, "sun"):
+        seen, _ = visibility(scene, view, filter=filter, map_size=80)
+        widths.append(((seen > 0.02) & (seen < 0.98)).sum(axis=1).mean())
+    assert widths[0] > 10 and abs(widths[1] - widths[0]) <= 0.15 * widths[0]
+
+
+@pytest.mark.parametrize("bias", ["receiver_plane", "normal_offset"])
+@pytest.mark.parametrize(("slope", "towards"), [(0, 0), (45, 203), (75, 290)])
+def test_planes_do_not_shade_themselves(gl, write_raster, make_scene, slope, towards, bias):
+    raster = plane(write_raster, slope, towards)
+    for altitude, aside in ((60.0, 20.0), (25.0, -60.0), (3.0, 80.0)):
+        assert shaded(make_scene, raster, towards + aside, altitude, filter="sun", bias=bias) == 0.0, (altitude, aside)
+
+
+def test_a_plane_under_half_the_sun_is_half_lit(gl, write_raster, make_scene):
+    """The sun's middle is 0.06 degrees above the plane: the chord at 0.2 of the radius leaves 0.62 of it."""
+    scene = make_scene(plane(write_raster, 30.0, 180.0), 0.0, 30.0 + 0.053)
+    view = scene.view(bounds=(-300, -300, 300, 300), size=(64, 64))
+    seen, _ = visibility(scene, view, filter="sun", map_size=256)
+    np.testing.assert_allclose(seen, soft(scene, view), atol=0.03)
+    assert abs(np.mean(seen) - 0.626) < 0.03
+
+
+def test_the_samples_are_the_rays_of_truth():
+    """The same spiral, and bits before an edge are those whose place is."""
+    rays = sun_disc(np.array([0.0, -1.0, 0.0]), SAMPLES)
+    away = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
+    angle = np.arange(SAMPLES) * np.pi * (3.0 - 5.0**0.5)
+    for bits, place in zip(samples_before_edges(), (away * np.cos(angle), away * np.sin(angle)), strict=True):
+        assert bits.shape == (EDGES + 1, 4) and bits.dtype == np.uint32
+        for number in (0, 13, 64, 100, EDGES):
+            set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(SAMPLES)]
+            np.testing.assert_array_equal(set_bits, place < 2.0 * number / EDGES - 1.0)
+
+
+# -- scenes
+
+
+@pytest.mark.parametrize(
+    ("level", "view"),
+    [("thesis_street_sun", "main"), ("thesis_water_tower_sun", "close"), ("thesis_boxgrid_sun", "close")],
+)
+def test_made_scenes_are_near_rays(gl, level, view):
+    """Within 0.02 on average, and nearer than nine taps, which know no distance."""
+    scene = build_scene(load_level(f"configs/{level}.yaml"))
+    seen_from = scene.view(view, size=(192, 154))
+    real = soft(scene, seen_from)
+    found = {filter: difference(visibility(scene, seen_from, filter=filter, map_size=2048)[0], real) for filter in (3, "sun")}
+    assert found["sun"] < 0.015 and found["sun"] < 0.9 * found[3]
+
+
+@pytest.mark.parametrize("altitude", [30.0, 10.0])
+def test_terrain_is_near_rays(gl, altitude):
+    scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=altitude))
+    view = block_at(-84.25, 36.58, 13).part(0, 0, 192, 192)
+    real = soft(scene, view)
+    seen, _ = visibility(scene, view, filter="sun", map_size=2048)
+    assert difference(seen, real) < 0.01
+    inside = minimum_filter(np.nan_to_num(1.0 - real), 7) == 1.0  # the umbra, away from its edge
+    assert inside.any() == (altitude == 10.0) and (not inside.any() or (seen[inside] > 0.05).mean() < 5e-3)
+
+
+def test_rolling_ground_is_near_rays(gl, write_raster, make_scene):
+    y, x = np.mgrid[0:121, 0:121] * 5.0
+    heights = 30 * np.sin(x / 60) + 25 * np.cos(y / 45 + 1) + 10 * np.sin((x + y) / 20)
+    scene = make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0, 605, 5.0), 140.0, 14.0)
+    view = scene.view(bounds=(150, 150, 450, 450), size=(240, 240))
+    real = soft(scene, view)
+    assert 0.1 < np.mean(real < 0.5) < 0.9 and np.mean((real > 0.02) & (real < 0.98)) > 0.005
+    found = {filter: difference(visibility(scene, view, filter=filter, map_size=2048)[0], real) for filter in (3, "sun")}
+    assert found["sun"] < 0.01 and found["sun"] <= found[3]
+
+
+def test_no_light_where_a_body_touches_the_ground(gl, tmp_path):
+    """Umbra up to the walls; outside of the penumbra no shadow."""
+    scene = level_of(tmp_path, [box((9, 6, 5)), box((3, 3, 3), 0, (-6, -5))], 110, 28, views={"eye": EYE})
+    view = scene.view("eye")
+    real = soft(scene, view)
+    seen, buffer = visibility(scene, view, filter="sun", map_size=2048)
+    touching = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
+    umbra, lit = (buffer.there & ~binary_dilation((real != value) | touching, iterations=2) for value in (0.0, 1.0))
+    assert umbra.mean() > 0.03 and lit.mean() > 0.3
+    assert seen[umbra].max() < 0.1 and (seen[umbra] > 0.01).mean() < 1e-3
+    assert seen[lit].min() > 0.9
+
+
+def test_a_strip_is_the_same_from_both_neighbours(gl):
+    """Two blocks whose maps start elsewhere: the cells that texels are taken together in are the same."""
+    scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=10))
+    block = block_at(-84.25, 36.58, 13)
+    strip = 64
+    here = visibility(scene, block.part(0, 0, 256, 256), filter="sun", map_size=8192)[0][:, -strip:]
+    there = visibility(scene, block.part(0, 256 - strip, 256, 256), filter="sun", map_size=8192)[0][:, :strip]
+    assert ((here > 0.05) & (here < 0.95)).mean() > 1e-3
+    assert ((here < 0.5) != (there < 0.5)).mean() <= 1e-4 and np.nanmean(np.abs(here - there)) < 1e-4
+
+
+# -- plans
+
+
+def test_the_disc_takes_deep_maps_and_changes_pictures(gl, tmp_path):
+    scene = level_of(tmp_path, [box((9, 6, 5), 12)], 110, 28, views={"eye": EYE})
+    view = scene.view("eye")
+    plan = plan_of(scene, view, filter="sun")
+    assert {settings.filter for settings in plan.settings["sun"].values()} == {"sun"}
+    assert {settings.depth_bits for settings in plan.settings["sun"].values()} == {24}
+    pictures = [render(scene, view, filter=filter, map_size=2048).color for filter in (3, "sun", "sun")]
+    assert (pictures[0] != pictures[1]).any(axis=-1).mean() > 1e-3
+    np.testing.assert_array_equal(pictures[1], pictures[2])
+
+
+def test_lamps_have_no_disc(tmp_path):
+    lamp = {"kind": "omni", "position": [0, -8, 12]}
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": lamp})
+    with pytest.raises(UnsupportedError, match="sun.* cannot be served.*lamp"):
+        plan_of(scene, scene.view("eye"), filter="sun")

@@ -1,0 +1,217 @@
+"""The line sweep over plain arrays: known geometry, every azimuth alike, windows without seams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shadows import sweep_grid
+from shadows.sweep_grid import LOWEST, NO_LEVELS, NO_MASK, Sheet, State, flat_grid, passed, places, sunlit, sweep, turned_levels
+from shadows.sweep_horizon import horizon_deg
+from shadows.sweep_lines import sweep_rows
+from terrain.errors import UnsupportedError
+from terrain.rays import RayScene
+
+OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
+
+
+def mountains(side: int, seed: int = 1, roughness: float = 2.0) -> np.ndarray:
+    """Fractal heights (side, side), 0 to 40 cells of 10 m."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
+    frequency[0, 0] = 1.0
+    spectrum = rng.standard_normal((side, side // 2 + 1, 2)) @ [1.0, 1.0j] * frequency**-roughness
+    spectrum[0, 0] = 0.0
+    heights = np.fft.irfft2(spectrum, s=(side, side))
+    return (400.0 * (heights - heights.min()) / np.ptp(heights)).astype(np.float32)
+
+
+def to_sun(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+    return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+
+
+def by_rays(height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes see the sun, and where that does not hang on the rays' offset."""
+    rows, cols = height_m.shape
+    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
+    sheet = np.stack([col * cell_m, -row * cell_m, height_m.astype(float)], axis=-1)
+    rays, nodes = RayScene([sheet]), sheet.reshape(-1, 3)
+    answers = []
+    for offsets in (0.25, 1.0, 4.0):
+        start = nodes + [0.0, 0.0, offsets * rays.offset_m]
+        answers.append(~rays.blocked(start, to_sun(azimuth_deg, altitude_deg)).reshape(rows, cols))
+    return answers[0], (answers[0] == answers[1]) & (answers[0] == answers[2])
+
+
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0])
+def test_mountains_at_every_azimuth_are_as_rays_see_them(azimuth):
+    heights = mountains(200)
+    for altitude in (4.0, 15.0):
+        lit, sure = by_rays(heights, 10.0, azimuth, altitude)
+        wrong = (sunlit(heights, 10.0, azimuth, altitude) != lit) & sure
+        assert sure.mean() > 0.98 and (~lit).mean() > 0.2
+        assert wrong[1:-1, 1:-1].mean() < 5e-4, f"{wrong.mean():.2%} at {azimuth}"
+
+
+def test_more_lines_leave_fewer_errors():
+    """The error is that of interpolation between the lines: it falls as they come nearer."""
+    heights = mountains(256, seed=4, roughness=1.8)
+    wrong = {1: 0, 4: 0}
+    for azimuth in OFF_AXIS[:4]:
+        lit, sure = by_rays(heights, 10.0, azimuth, 10.0)
+        for lines in wrong:
+            wrong[lines] += int(((sunlit(heights, 10.0, azimuth, 10.0, lines=lines) != lit) & sure).sum())
+    assert wrong[1] > 40
+    assert wrong[4] < wrong[1] / 3
+
+
+@given(azimuth=st.floats(0, 360), altitude=st.floats(5, 60), facing=st.floats(0, 360))
+def test_a_ridge_throws_its_shadow_to_where_it_must(azimuth, altitude, facing):
+    """A straight ridge of height H in any direction: behind it the shadow's edge lies H / tan(altitude) away along the sun."""
+    cell, height = 10.0, 150.0
+    side = 161
+    east, north = np.meshgrid((np.arange(side) - 80) * cell, (80 - np.arange(side)) * cell)
+    normal = np.array([np.sin(np.radians(facing)), np.cos(np.radians(facing))])
+    away = east * normal[0] + north * normal[1]  # from the crest, across it
+    slope = 2.0  # steeper than the rays, so that the edge of the shadow is the crest's
+    heights = np.maximum(0.0, height - slope * np.abs(away)).astype(np.float32)
+    sun = to_sun(azimuth, altitude)
+    across = float(sun[:2] @ normal)
+    lit = sunlit(heights, cell, azimuth, altitude)
+    floor = heights == 0.0
+    reach = height * abs(across) / np.tan(np.radians(altitude)) / np.cos(np.radians(altitude)) if across else 0.0
+    behind = -away * np.sign(across)
+    expected = (behind > 0.0) & (behind < reach)
+    sampled = cell * (1.0 + abs(across) / np.sin(np.radians(altitude)) * slope)  # the crest lies between nodes
+    clear = floor & (np.abs(behind - reach) > sampled) & (np.hypot(east, north) < 60 * cell)
+    long_way = np.abs(across) * 80 * cell < reach  # a ridge that ends at the border ends there in truth, too
+    if not long_way and reach > height / slope + cell:
+        assert ((~lit == expected) | ~clear).all()
+
+
+@pytest.mark.parametrize("azimuth", [202.0, 113.0])
+def test_turning_ground_and_sun_by_half_a_circle_turns_the_shadows(azimuth):
+    heights = mountains(150, seed=7)
+    turned = sunlit(np.ascontiguousarray(heights[::-1, ::-1]), 10.0, azimuth + 180.0, 12.0)
+    assert (turned[::-1, ::-1] != sunlit(heights, 10.0, azimuth, 12.0)).mean() < 1e-3
+
+
+def test_cells_that_are_no_squares():
+    heights = mountains(160, seed=2)
+    rows, cols = np.mgrid[:160, :160]
+    sheet = np.stack([cols * 7.0, -rows * 13.0, heights.astype(float)], axis=-1)
+    rays = RayScene([sheet])
+    lit = ~rays.blocked(sheet.reshape(-1, 3) + [0, 0, rays.offset_m], to_sun(157.0, 11.0)).reshape(160, 160)
+    assert (sunlit(heights, (13.0, 7.0), 157.0, 11.0) != lit)[1:-1, 1:-1].mean() < 1e-3
+
+
+@pytest.mark.parametrize("azimuth", [202.0, 113.0, 45.0, 90.0])
+def test_strips_and_cores_leave_no_seam(azimuth, monkeypatch):
+    heights = mountains(300, seed=3)
+    whole = sunlit(heights, 10.0, azimuth, 6.0)
+    for cells, cores in ((64, 1), (37, 2), (1, 2)):
+        monkeypatch.setattr(sweep_grid, "STRIP_CELLS", cells)
+        assert (sunlit(heights, 10.0, azimuth, 6.0, cores=cores) == whole).all()
+
+
+def sheet_of(heights: np.ndarray, azimuth: float, altitude: float) -> Sheet:
+    turn, row_m, col_m, place, at = flat_grid(heights.shape, 10.0, azimuth)
+    sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
+    level = turned_levels(heights, turn, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
+    return Sheet(level, place, at, turn.mirrored)
+
+
+def test_windows_of_rows_hand_their_state_over():
+    """Bits and all: the lines of one window go on where those of the window before it stopped."""
+    sheet = sheet_of(mountains(200, seed=5), 190.0, 5.0)
+    n, m = sheet.level.shape
+    none = np.zeros(0)
+    nothing = np.zeros(n + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
+    found = []
+    for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
+        held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, m), np.bool_)
+        for first, last in zip(borders, borders[1:], strict=False):
+            about = sheet.level, sheet.place, sheet.at, 4, sheet.mirrored, -60, held
+            sweep_rows(*about, first, last, NO_LEVELS, lit, nothing)
+        found.append((held, lit))
+    assert (found[0][0] == found[1][0]).all() and (found[0][1] == found[1][1]).all()
+    assert not found[0][1].all()
+
+
+def test_ground_before_a_window_shades_it_through_the_state_alone():
+    heights = np.zeros((220, 90), np.float32)
+    heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow falls beyond row 60
+    lit, _, _ = sweep(sheet_of(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
+    assert (~lit[60:90]).any()
+    before, behind = sheet_of(heights[:61], 3.0, 20.0), sheet_of(heights[60:], 3.0, 20.0)
+    shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
+    state = passed(before, 4, (-30.0, 120.0))
+    held = np.where(state.held > LOWEST / 2, state.held - np.float32(shift), LOWEST)
+    moved = State(state.first_cell, held.astype(np.float32))
+    t0 = 60 * np.tan(np.radians(3.0))
+    later = Sheet(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.mirrored)
+    handed, _, _ = sweep(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
+    assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
+
+
+def test_holes_cast_nothing():
+    heights = np.zeros((120, 120), np.float32)
+    heights[20:40, 50:70] = 500.0
+    with_wall = sunlit(heights, 10.0, 10.0, 30.0)
+    heights[20:40, 50:70] = np.nan
+    assert (~with_wall).sum() > 400
+    assert sunlit(heights, 10.0, 10.0, 30.0).all()
+
+
+def test_a_floor_is_lit_whatever_the_sun():
+    floor = np.zeros((70, 90), np.float32)
+    for azimuth in range(0, 360, 7):
+        assert sunlit(floor, 10.0, float(azimuth), 0.5).all()
+
+
+@pytest.mark.parametrize("azimuth", [202.0, 67.0, 90.0])
+def test_one_horizon_answers_all_altitudes(azimuth):
+    heights = mountains(160, seed=6)
+    horizon = horizon_deg(heights, 10.0, azimuth)
+    for altitude in (2.0, 8.0, 25.0, 50.0):
+        lit, sure = by_rays(heights, 10.0, azimuth, altitude)
+        wrong = ((horizon <= altitude) != lit) & sure
+        assert wrong[2:-2, 2:-2].mean() < 2e-3
+    for strip in (1, 2):
+        assert np.allclose(horizon_deg(heights, 10.0, azimuth, cores=strip), horizon)
+
+
+def test_the_horizon_of_a_wall_is_its_angle():
+    heights = np.zeros((90, 40), np.float32)
+    heights[10] = 200.0
+    horizon = horizon_deg(heights, 10.0, 0.0)
+    distance = 10.0 * np.arange(1, 80)
+    assert np.allclose(horizon[11:, 20], np.degrees(np.arctan(200.0 / distance)), atol=1e-3)
+    assert (horizon[0] == -90.0).all()
+
+
+def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
+    from shadows import sweep_horizon
+
+    heights = mountains(120, seed=8)
+    whole = horizon_deg(heights, 10.0, 112.0)
+    monkeypatch.setattr(sweep_horizon, "STRIP_NODES", 2000)
+    assert np.allclose(horizon_deg(heights, 10.0, 112.0), whole)
+
+
+def test_rays_too_bent_for_the_lines_are_refused():
+    place, at = places(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300)
+    assert np.allclose(place[100, 0] + place[100, 1] * (at[100, 0] + 50 * at[100, 1]), 50.0, atol=1e-3)
+    with pytest.raises(UnsupportedError, match="shadow_map"):
+        places(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300)
+    with pytest.raises(UnsupportedError, match="CRS"):
+        places(lambda i, j: np.where(j > 100, np.nan, j), 200, 300)
+
+
+def test_the_mask_is_written_nowhere_else():
+    """Without rows no mask is made at all."""
+    lit, points_lit, above = sweep(sheet_of(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
+    assert lit.shape == NO_MASK.shape and len(points_lit) == len(above) == 0
