@@ -3,9 +3,10 @@
     python benchmarks/sweep_speed.py [--side 4096] [--truth-side 2048] [--lines 4] [--repeats 5] [--markdown FILE]
 
 The other one is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
-its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own:
-figures are medians of one run, memory is what a process's peak grows by while it works. Wrong cells are held against rays on
-a smaller terrain of the same make, since the rays' triangles take 0.5 GB per million cells.
+its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
+Figures are medians of one run; those per core and second hold on a busy machine too. Memory is what a process's peak grows by
+while it works. Wrong cells are held against rays on a smaller terrain of the same make, since the rays' triangles take 0.5 GB
+per million cells.
 """
 
 from __future__ import annotations
@@ -97,8 +98,8 @@ class Worker:
         """Take a terrain (rows, cols) from a file."""
         self._pool.submit(_load, path).result()
 
-    def seconds(self, tool: Tool, sun: tuple[float, float]) -> float:
-        """Wall time of one answer."""
+    def seconds(self, tool: Tool, sun: tuple[float, float]) -> tuple[float, float]:
+        """Wall time of one answer, and the time of all cores together."""
         return self._pool.submit(_seconds, tool, sun).result()
 
     def peak_bytes(self) -> int:
@@ -118,10 +119,10 @@ def _load(path: Path) -> None:
     _terrain_m = np.load(path)
 
 
-def _seconds(tool: Tool, sun: tuple[float, float]) -> float:
-    start = time.perf_counter()
+def _seconds(tool: Tool, sun: tuple[float, float]) -> tuple[float, float]:
+    start, cpu_start = time.perf_counter(), time.process_time()
     tool.lit(_terrain_m, *sun)
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - cpu_start
 
 
 def _peak_bytes() -> int:
@@ -129,7 +130,7 @@ def _peak_bytes() -> int:
 
 
 def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.ndarray], dict[Tool, int]]:
-    """Seconds (repeats, suns) of each tool, all in turns, and what its process's peak grew by, bytes."""
+    """Wall and core seconds (repeats, suns, 2) of each tool, all in turns, and what its process's peak grew by, bytes."""
     workers = {tool: Worker() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.npy"
@@ -139,7 +140,7 @@ def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.nda
     before = {tool: worker.peak_bytes() for tool, worker in workers.items()}
     for tool, worker in workers.items():  # loops are compiled and threads started before anything counts
         worker.seconds(tool, SUNS[0])
-    seconds = {tool: np.empty((repeats, len(SUNS))) for tool in tools}
+    seconds = {tool: np.empty((repeats, len(SUNS), 2)) for tool in tools}
     for repeat in range(repeats):
         for k, sun in enumerate(SUNS):
             for tool, worker in workers.items():
@@ -152,7 +153,7 @@ def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.nda
 
 
 def _speed(tool: Tool, seconds: np.ndarray, side: int) -> str:
-    return f"{tool.name} {tool.threads}: {side**2 / np.median(seconds) / 1e6:.0f} Mcells/s"
+    return f"{tool.name} {tool.threads}: {side**2 / np.median(seconds[:, 0]) / 1e6:.0f} Mcells/s"
 
 
 def wrong_cells(tools: list[Tool], side: int) -> dict[Tool, np.ndarray]:
@@ -177,14 +178,14 @@ def report(
         "",
         f"Made by `benchmarks/sweep_speed.py` on {_processor()}, {os.cpu_count()} cores. Medians; memory beside the terrain.",
         "",
-        "| what | threads | ms | million cells/s: median | slowest sun | memory MB |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| what | threads | ms | million cells/s: median | slowest sun | per core and s | memory MB |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for tool, taken in seconds.items():
-        per_sun = np.median(taken, axis=0)
+        per_sun, core_s = np.median(taken, axis=0).T
         rows.append(
             f"| {tool.name} | {tool.threads} | {1000 * np.median(per_sun):.0f} | {side**2 / np.median(per_sun) / 1e6:.0f} | "
-            f"{side**2 / per_sun.max() / 1e6:.0f} | {memory[tool] / 1e6:.0f} |"
+            f"{side**2 / per_sun.max() / 1e6:.0f} | {side**2 / np.median(core_s) / 1e6:.0f} | {memory[tool] / 1e6:.0f} |"
         )
     rows += [
         "",
@@ -201,7 +202,7 @@ def report(
 
 def _targets(seconds: dict[Tool, np.ndarray], wrong: dict[Tool, np.ndarray], side: int) -> list[str]:
     """What was aimed at, and what came out; ratios are medians over the pairs of one run."""
-    by_threads = {(bool(tool.lines), tool.threads): taken for tool, taken in seconds.items()}
+    by_threads = {(bool(tool.lines), tool.threads): taken[..., 0] for tool, taken in seconds.items()}
     own = by_threads[True, 1]
     found = [("million cells/s on one core", side**2 / np.median(own) / 1e6, CELLS_PER_S / 1e6)]
     if (True, 2) in by_threads:

@@ -93,8 +93,10 @@ def _look_up_program(
         program[name].write(bits.tobytes())
     least = _least_depths(gl, drawn, target)
     least.use(LEAST_UNIT)
-    yield program
-    least.release()
+    try:
+        yield program
+    finally:
+        least.release()
 
 
 def _set_taps(program: Program, settings: ShadowMapSettings | LampMapSettings, filter: int | str) -> None:

@@ -74,7 +74,7 @@ class LampMapSettings(_Value):
 class SweepSettings(_Value):
     """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
 
-    lines: int = Field(default=4, ge=1, le=16)
+    lines: int = Field(default=8, ge=1, le=16)
     filter: Literal[1, "sun"] = 1
 
 

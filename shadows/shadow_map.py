@@ -15,7 +15,8 @@ nearest and the farthest receiver; what is nearer casts as well, clamped to dept
 
 **Comparison.** The map holds depths at texel centres, so a receiver is held against a surface point beside it: half a texel
 away along each axis, (n/2) t with n taps a side (t: the texel's side; 1/128 more for the rasteriser's grid of 1/256). Two
-ways keep a surface from shading itself:
+ways keep a surface from shading itself (bias ``receiver_plane``; with ``normal_offset`` the second is the only one, and takes all
+n taps):
 
 1. *On a triangle that is known.* If the texel's centre falls, as the light sees it, into one of the six triangles round the
    receiver's nearest node that face the sun (a map's ground) or into the receiver's own triangle (everything else), the depth
@@ -34,6 +35,10 @@ ways keep a surface from shading itself:
    the divisor held above 1/4, so that b stays below 8 texels even on a knife edge. For a lamp dx and dy are the texel's
    sides at the receiver's distance: a step (dx, dy, 0) aside leaves a plane by at most the same sum.
 
+A third way, ``polygon_offset``, is there to show what it costs: depths are drawn glPolygonOffset(1.1, 4) farther and points
+looked up as they are. A slope's texel centres lie up to (n/2) t (|dz/dx| + |dz/dy|), at most n times t max(|dz/dx|, |dz/dy|),
+nearer than the point: the factor has to be n, and 1.1 is enough for one tap alone. ``bias_scale`` multiplies whichever it is.
+
 Constants remain: e for float32 positions (8 units in the last place of the coordinates' extent), half a depth step and e for
 the map's rounding, and on a known triangle the slope times (t/128 + e) for the rasteriser's grid.
 
@@ -41,6 +46,25 @@ the map's rounding, and on a known triangle the slope times (t/128 + e) for the 
 so that visibility is the lit share of that square, centred on the point. One tap is the texel that holds it.
 Beside the known triangles two taps a side are taken at most: a point moved clear of all that more taps would see is moved
 past what touches its surface.
+
+**The sun's disc** (filter ``sun``). Each texel that holds something before the receiver is seen from there as a rectangle, at the
+distance that it holds (Guennebaud, Barthe and Paulin 2006, "Real-time soft shadow mapping by backprojection"), and covers those of
+128 samples of the disc that lie in it, which a bit each remembers, so that nothing is counted twice (Schwarz and Stamminger 2007,
+"Bitmask soft shadows"). With r the disc's radius, something s metres before the receiver matters up to s tan r beside it in the
+map. That bounds the search; blocks of texels whose least depth is known bound it more tightly. Cells of several texels are
+taken where the disc would be wider than 16 of them, and it is never taken for wider than 128 texels. A texel reaches to its
+neighbours, where those cover something too, so that no light falls between the depths of one surface.
+
+    A surface does not shade itself: a plane with slope m in depth has s = m d at d beside the receiver and covers a part of the
+    disc if m tan r > 1 alone, where it really does hide that part; those samples are found by the normal instead. But a
+    texel is half a texel wide to either side, hence this holds from s tan r = t/2 on. Nearer things, across which the disc is
+    narrower than a texel, are compared as above with three taps, the samples spread over a texel's radius, so that edges have no
+    stairs. Between t/2 and t both are done.
+
+The map knows the nearest caster alone: what lies behind it and would show beside it is not seen.
+
+**Culling.** With ``front`` the faces towards the light of bodies that are closed, facing outwards, are not drawn: their back faces
+throw the same shadow, and lie a whole body behind the lit ones. Everything else is drawn as it is.
 
 **Foliage** is alpha-tested with the mipmap of its footprint in the map, which keeps its coverage.
 """

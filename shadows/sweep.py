@@ -179,6 +179,6 @@ def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: in
     _, _, others_above_m = _swept(grounds, asked, lines, 0.0, shade)
     above_m = np.zeros(asked.nodes.shape, np.float32)
     if asked.nodes.any():
-        above_m[:] = rays.turn.back(shade - level)[asked.window]
+        above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[asked.window]
     above_m[asked.others] = others_above_m
     return buffer.height_m + np.maximum(above_m, 0.0) / np.float32(rays.rise)

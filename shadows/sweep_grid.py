@@ -76,7 +76,7 @@ def turn_towards(rows: float, cols: float) -> Turn:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A turned grid (n, m) with its lines' places: what ``sweep_rows`` takes."""
+    """A turned grid (n, m) between two columns of border (``bordered``), with its lines' places: what ``sweep_rows`` takes."""
 
     level: np.ndarray
     place: np.ndarray
@@ -103,20 +103,23 @@ class State:
 
     def on(self, first_cell: int, cells: int, lines: int, factor: float) -> State:
         """The state between these lines for those of a grid whose cells are ``factor`` times as small."""
-        mine = self.first_cell + np.arange(self.held.size) / self.held.shape[0]
-        wanted = (first_cell + np.arange(cells * lines) / lines) / factor
-        met = np.interp(wanted, mine, self.held.T.ravel()).astype(np.float32)
+        mine = self.held.T.ravel()
+        wanted = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.held.shape[0]
+        left = np.clip(np.floor(wanted).astype(np.int64), 0, mine.size - 2)
+        share = np.clip(wanted - left, 0.0, 1.0)
+        met = ((1.0 - share) * mine[left] + share * mine[left + 1]).astype(np.float32)
         return State(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
 
 
 def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cubics ``place`` and ``at`` (rows, 4) of a turned grid for a smooth t of turned rows and columns.
+    """The cubics ``place`` and ``at`` (rows, 4) of a turned grid, with its borders, for a smooth t of turned rows and columns.
 
     Raises ``UnsupportedError`` where cubics cannot follow it.
     """
     i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE)).round())
     j = np.linspace(0, cols - 1, min(cols, LATTICE))
     t = t_of(*np.meshgrid(i, j, indexing="ij"))
+    j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view leaves the area of its CRS: shadow_map serves it")
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
@@ -130,9 +133,25 @@ def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols
     columns = np.linspace(0, cols - 1, 4 * LATTICE)
     exact = t_of(*np.meshgrid(some.astype(float), columns, indexing="ij"))
     found = np.stack([np.polynomial.polynomial.polyval(values, place[n]) for n, values in zip(some, exact, strict=True)])
-    if np.abs(found - columns).max() > BENT_CELLS:
+    if np.abs(found - columns - 1.0).max() > BENT_CELLS:
         raise UnsupportedError("algorithm", "sweep", "the sun's rays bend too much across a view this wide: shadow_map serves it")
     return place, at
+
+
+def bordered(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """A new grid (n, m + 2) float32 of NaN, and the view of it between its borders that is to be filled in.
+
+    A line that comes in over the left border meets what lies at its end; the right one, over which lines only leave, repeats
+    the last column (``close_border``), so that the last nodes have a line on either side.
+    """
+    whole = np.full((n, m + 2), np.nan, np.float32)
+    return whole, whole[:, 1:-1]
+
+
+def close_border(whole: np.ndarray) -> np.ndarray:
+    """The grid with its right border filled in."""
+    whole[:, -1] = whole[:, -2]
+    return whole
 
 
 def sweep(
@@ -150,11 +169,11 @@ def sweep(
 
     ``entry`` is what the lines of a coarser grid bring along, whose cells are ``factor`` times as large. Returns which nodes see
     the sun (n, m) (empty without rows), and of the points whether they do and by how many metres the highest level on their way
-    exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes.
+    exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes; it has borders, too.
     """
-    n, m = sheet.level.shape
+    n, columns = sheet.level.shape
     first, last = rows
-    lit = np.ones((n, m) if last > first else (0, 0), np.bool_)
+    lit = np.ones((n, columns) if last > first else (0, 0), np.bool_)
     points = points or Points(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
@@ -178,7 +197,7 @@ def sweep(
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(strip, range(low, high, STRIP_CELLS)))
-    return lit, points_lit, points_above_m
+    return lit[:, 1:-1], points_lit, points_above_m
 
 
 def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State | None = None, factor: float = 2.0) -> State:
@@ -195,7 +214,7 @@ def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State 
 
 
 def sunlit(
-    height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, altitude_deg: float, lines: int = 4, cores: int = 1
+    height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
 ) -> np.ndarray:
     """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
 
@@ -206,7 +225,7 @@ def sunlit(
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m)
     n, m = level.shape
-    lit, _, _ = sweep(Sheet(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m - 1), rows=(0, n), cores=cores)
+    lit, _, _ = sweep(Sheet(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m), rows=(0, n), cores=cores)
     return turn.back(lit)
 
 
@@ -217,16 +236,16 @@ def flat_grid(shape: tuple[int, int], cell_m: Cell, azimuth_deg: float) -> tuple
     turn = turn_towards(*towards)
     along, across = towards[::-1] if turn.swapped else towards
     n = shape[1] if turn.swapped else shape[0]
-    shift, one, zero = np.arange(n) * abs(across / along), np.ones(n), np.zeros(n)
+    shift, one, zero = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
     place, at = (np.stack([shift * sign, one, zero, zero], axis=1) for sign in (1.0, -1.0))
     return turn, row_m, col_m, place, at
 
 
 def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: float, per_col: float) -> np.ndarray:
-    """Values float32 (turned) that are linear in the heights, rows and columns of a grid (rows, cols)."""
-    out = np.empty(height.shape[::-1] if turn.swapped else height.shape, np.float32)
-    _turn_levels(height, turn.swapped, turn.rows_reversed, turn.cols_reversed, per_height, per_row, per_col, out)
-    return out
+    """Values float32 (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
+    whole, inside = bordered(*(height.shape[::-1] if turn.swapped else height.shape))
+    _turn_levels(height, turn.swapped, turn.rows_reversed, turn.cols_reversed, per_height, per_row, per_col, inside)
+    return close_border(whole)
 
 
 @compiled

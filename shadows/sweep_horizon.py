@@ -40,13 +40,13 @@ def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: i
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m)
     n, m = level.shape
     out = np.full((n, m), LOWEST)
-    low, high = float(at[:, 0].min()), float((at[:, 0] + at[:, 1] * (m - 1)).max())
+    low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
         nothing = np.full(len(i), np.nan)
         out[i, j] = slopes(level, towards, place, turn.mirrored, lines, i.astype(float), t, nothing, nothing, cores)
     out[~np.isfinite(level)] = np.nan
-    return turn.back(np.degrees(np.arctan(out)))
+    return turn.back(np.degrees(np.arctan(out[:, 1:-1])))
 
 
 def slopes(
@@ -63,8 +63,9 @@ def slopes(
 ) -> np.ndarray:
     """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``LOWEST`` without any ground.
 
-    ``level`` and ``towards`` (n, m) float32, metres, are a turned grid's, ``place`` and ``mirrored`` as for ``sweep_rows``.
-    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; for a NaN level both are the ground's there.
+    ``level`` and ``towards`` (n, m) float32, metres, are a turned grid's (``bordered``), ``place`` and ``mirrored`` as for
+    ``sweep_rows``. ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are
+    the ground's there.
     """
     if not len(row):
         return np.zeros(0)
@@ -84,7 +85,8 @@ def slopes(
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(strip, range(0, count, STRIP_LINES)))
-    return np.maximum(near, beside[:, 0] + (t * lines - line) * (beside[:, 1] - beside[:, 0]))
+    w = t * lines - line
+    return np.maximum(near, (1.0 - w) * beside[:, 0] + w * beside[:, 1])
 
 
 @compiled
@@ -111,10 +113,10 @@ def _nodes_between(place, at, low, high, cols):  # type: ignore[no-untyped-def]
     for i in range(rows):
         for side in range(2):
             t = high if side else low
-            column = min(max(int(np.ceil(cubic(place[i], t))), 0), cols)
-            while column > 0 and cubic(at[i], column - 1) >= t:
+            column = min(max(int(np.ceil(cubic(place[i], t))), 1), cols - 1)
+            while column > 1 and cubic(at[i], column - 1) >= t:
                 column -= 1
-            while column < cols and cubic(at[i], column) < t:
+            while column < cols - 1 and cubic(at[i], column) < t:
                 column += 1
             ends[i, side] = column
         total += ends[i, 1] - ends[i, 0]

@@ -37,7 +37,8 @@ RUN = 512
 def sweep_rows(level, place, at, lines, mirrored, first_cell, held, first, last, shade, lit, points):  # type: ignore[no-untyped-def]
     """Take a strip of lines from before row ``first`` of a grid to before row ``last``, and see to what lies on the way.
 
-    ``level`` (n, m) float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take
+    ``level`` (n, m) float32 are the nodes' levels between two columns of border (``sweep_grid.bordered``), NaN where there is no
+    ground. ``place`` (n, 4) float64 are the cubics that take
     t to a row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1),
     else from (i, j + 1) to (i + 1, j). ``held`` (lines, cells) float32 is the strip's state, of the cells from ``first_cell`` on:
     what the lines have met before row ``first``, and in the end, before row ``last``. The strip owns what stands from the start of
@@ -107,57 +108,35 @@ def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):  # type: ignor
     Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
     """
     count = held.size
-    per = 1.0 / max(count - 1, 1)
-    f, df = np.float32(f0), np.float32((f1 - f0) * per)
-    if mirrored:
+    nw, ne, sw, se = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1]
+    if mirrored and not crosses:
+        v0, v1 = f0 / max(1.0 - s0, 1e-9), f1 / max(1.0 - s1, 1e-9)
+        _two(nw, ne, nw, se, held, f0, f1, min(v0, 1.0), min(v1, 1.0))
+    elif mirrored:
+        _two(nw, ne, ne, se, held, f0, f1, (1.0 - f0) / s0, (1.0 - f1) / s1)
+    else:
+        _two(nw, ne, ne, sw, held, f0, f1, (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1))
         if crosses:
-            v0, v1 = (1.0 - f0) / s0, (1.0 - f1) / s1
-            v, dv = np.float32(v0), np.float32((v1 - v0) * per)
-            for n in range(count):
-                g, w = f + df * np.float32(n), v + dv * np.float32(n)
-                a = above[n] + g * (above[n + 1] - above[n])
-                b = above[n + 1] + w * (below[n + 1] - above[n + 1])
-                h = held[n]
-                h = a if a > h else h
-                held[n] = b if b > h else h
-        else:
-            v0, v1 = f0 / max(1.0 - s0, 1e-9), f1 / max(1.0 - s1, 1e-9)
-            v, dv = np.float32(min(v0, 1.0)), np.float32((min(v1, 1.0) - min(v0, 1.0)) * per)
-            for n in range(count):
-                g, w = f + df * np.float32(n), v + dv * np.float32(n)
-                a = above[n] + g * (above[n + 1] - above[n])
-                b = above[n] + w * (below[n + 1] - above[n])
-                h = held[n]
-                h = a if a > h else h
-                held[n] = b if b > h else h
-        return
-    v0, v1 = (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1)
-    v, dv = np.float32(v0), np.float32((v1 - v0) * per)
-    if not crosses:
-        for n in range(count):
-            g, w = f + df * np.float32(n), v + dv * np.float32(n)
-            a = above[n] + g * (above[n + 1] - above[n])
-            b = above[n + 1] + w * (below[n] - above[n + 1])
-            h = held[n]
-            h = a if a > h else h
-            held[n] = b if b > h else h
-        return
-    u0, u1 = (1.0 - f0) / s0, (1.0 - f1) / s1
-    u, du = np.float32(u0), np.float32((u1 - u0) * per)
-    z0, z1 = (2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1)
-    z, dz = np.float32(z0), np.float32((z1 - z0) * per)
+            far0, far1 = (2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1)
+            _two(se, ne, se, above[2 : count + 2], held, 1.0 - (1.0 - f0) / s0, 1.0 - (1.0 - f1) / s1, 1.0 - far0, 1.0 - far1)
+
+
+@compiled
+def _two(a, b, c, d, held, p0, p1, q0, q1):  # type: ignore[no-untyped-def]
+    """Raise a run of lines to what lies between two pairs of nodes: at shares from ``p0`` to ``p1`` of the way from a to b, and
+    from ``q0`` to ``q1`` from c to d. Written so that it compiles to vector instructions (32-bit counts convert to float32).
+    """
+    count = held.size
+    per = 1.0 / max(count - 1, 1)
+    p, dp = np.float32(p0), np.float32((p1 - p0) * per)
+    q, dq = np.float32(q0), np.float32((q1 - q0) * per)
     for n in range(count):
-        x = np.float32(n)
-        g, w, q, p = f + df * x, v + dv * x, u + du * x, z + dz * x
-        a = above[n] + g * (above[n + 1] - above[n])
-        b = above[n + 1] + w * (below[n] - above[n + 1])
-        c = above[n + 1] + q * (below[n + 1] - above[n + 1])
-        d = above[n + 2] + p * (below[n + 1] - above[n + 2])
-        h = held[n]
-        h = a if a > h else h
-        h = b if b > h else h
-        h = c if c > h else h
-        held[n] = d if d > h else h
+        x = np.float32(np.int32(n))
+        one = a[n] + (p + dp * x) * (b[n] - a[n])
+        other = c[n] + (q + dq * x) * (d[n] - c[n])
+        highest = held[n]
+        highest = one if one > highest else highest
+        held[n] = other if other > highest else highest
 
 
 @compiled
@@ -196,11 +175,11 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i): 
 
 @compiled
 def _first_from(place, at, t, cols):  # type: ignore[no-untyped-def]
-    """The first column of a row whose t is no less than one: by ``at`` alone, so that strips share out all nodes."""
-    column = min(max(int(np.ceil(cubic(place, t))), 0), cols)
-    while column > 0 and cubic(at, column - 1) >= t:
+    """The first column of a row, borders apart, whose t is no less than one: by ``at`` alone, so that strips share all nodes."""
+    column = min(max(int(np.ceil(cubic(place, t))), 1), cols - 1)
+    while column > 1 and cubic(at, column - 1) >= t:
         column -= 1
-    while column < cols and cubic(at, column) < t:
+    while column < cols - 1 and cubic(at, column) < t:
         column += 1
     return column
 
@@ -215,23 +194,15 @@ def _see(above, here, first, left, right, between, aside, mirrored):  # type: ig
     out = np.empty(count, np.float32)
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
-    s, ds = np.float32(aside[0]), np.float32((aside[1] - aside[0]) * per)
     for n in range(count):
-        out[n] = left[n] + (e + de * np.float32(n)) * (right[n] - left[n])
-    skip = 0
-    if first == 0:  # no ground to the left: only a ray straight along the border comes over some
-        out[0] = max(out[0], above[0]) if aside[0] < 1e-6 else out[0]
-        skip = 1
-    above, here = above[first + skip - 1 :], here[first + skip - 1 :]
-    for n in range(count - skip):
-        a = above[n + 1] + (s + ds * np.float32(n)) * (above[n] - above[n + 1])
-        h = out[n + skip]
-        out[n + skip] = a if a > h else h
-    if not mirrored:  # the diagonal of the quad to the left
-        d0, d1 = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
-        d, dd = np.float32(d0), np.float32((d1 - d0) * per)
-        for n in range(count - skip):
-            b = above[n + 1] + (d + dd * np.float32(n)) * (here[n] - above[n + 1])
-            h = out[n + skip]
-            out[n + skip] = b if b > h else h
+        w = e + de * np.float32(np.int32(n))
+        out[n] = (np.float32(1.0) - w) * left[n] + w * right[n]  # exact at w = 1 even where one has met nothing
+    behind, beside = above[first : first + count], above[first - 1 : first - 1 + count]
+    if max(aside[0], aside[1]) < 1e-9:  # straight down: what may be missing to the left plays no part
+        _two(behind, behind, behind, behind, out, 0.0, 0.0, 0.0, 0.0)
+    elif mirrored:
+        _two(behind, beside, behind, behind, out, aside[0], aside[1], 0.0, 0.0)
+    else:  # and the diagonal of the quad to the left
+        left_of = here[first - 1 : first - 1 + count]
+        _two(behind, beside, behind, left_of, out, *aside, aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1]))
     return out

@@ -26,7 +26,8 @@ def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, 
         cell, k = number // lines - first_cell, number % lines
         left = held[k, cell]
         right = held[k + 1, cell] if k + 1 < lines else held[0, cell + 1]
-        highest = np.float64(left) + (t[n] * lines - number) * (np.float64(right) - np.float64(left))
+        w = t[n] * lines - number
+        highest = (1.0 - w) * left + w * right
         itself = own[n]
         if np.isnan(itself):
             itself = ground_at(above, below, c, f + s * end, end, mirrored, cols)

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from shadows.sweep_grid import NO_LEVELS, Sheet, Turn, places, turn_towards
+from shadows.sweep_grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.grid import Grid
@@ -94,7 +94,7 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
 @dataclass(frozen=True, eq=False)
 class Ground:
     """A window (rows, cols) of the grid of every 2**detail-th node, from ``row0`` and ``col0`` on: its turned sheet, and how far
-    its nodes lie towards the sun, float32, turned likewise (empty where nobody asked).
+    its nodes lie towards the sun, float32, turned and bordered likewise (empty where nobody asked).
     """
 
     detail: int
@@ -150,7 +150,9 @@ def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Groun
         for row, col, height_m in windows:
             here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
             values[here] = values_of(detail, row, col, height_m)
-        return np.ascontiguousarray(rays.turn.turned(values))
+        whole, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
+        inside[:] = rays.turn.turned(values)
+        return close_border(whole)
 
     its = Sheet(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
     return Ground(detail, row0, col0, (rows, cols), its, sheet(rays.towards) if soft else NO_LEVELS)

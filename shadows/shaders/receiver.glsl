@@ -141,14 +141,17 @@ bool receive(ivec2 pixel) {
     return true;
 }
 
-// Whether a texel's centre falls into a known triangle, and the depth there that the map holds unless something is nearer.
-bool is_known(vec2 at, out float z) {
-    if (own && !lamp) {
-        vec2 aside = (at + 0.5) * texel_m - middle.xy;
-        float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
-        z = mix(point.z, middle.z + dot(slope, aside), bias_scale) - slack_m;
-        return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
-    }
+// Whether a texel's centre falls into a known triangle, and the depth there that the map holds unless something is nearer: for
+// the sun the point's own, ...
+bool is_on_own(vec2 at, out float z) {
+    vec2 aside = (at + 0.5) * texel_m - middle.xy;
+    float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
+    z = mix(point.z, middle.z + dot(slope, aside), bias_scale) - slack_m;
+    return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
+}
+
+// ... in general any of them. Apart, since a test in each tap's loop would cost more than the taps.
+bool is_on_any(vec2 at, out float z) {
     for (int k = 0; k < triangles; k++) {
         float slack;
         if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {

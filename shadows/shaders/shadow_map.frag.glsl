@@ -14,15 +14,25 @@ float weight_of(int count, int col, int row, vec2 beyond) {
 void main() {
     if (!receive(ivec2(gl_FragCoord.xy))) { visibility = 1.0; return; }
     if (lamp && point.z <= 0.0) { visibility = 0.0; return; }
-    float lit = 0.0, counted = 0.0;
-    if (triangles > 0) {
-        vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
-        vec2 first_tap = floor(corner), beyond = fract(corner);
+    float lit = 0.0, counted = 0.0, z;
+    vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
+    vec2 first_tap = floor(corner), beyond = fract(corner);
+    if (own && !lamp) {
         for (int row = 0; row < taps; row++) {
             for (int col = 0; col < taps; col++) {
                 vec2 at = first_tap + vec2(col, row);
-                float z;
-                if (is_known(at, z)) {
+                if (is_on_own(at, z)) {
+                    float weight = weight_of(taps, col, row, beyond);
+                    if (is_lit(at, z)) lit += weight;
+                    counted += weight;
+                }
+            }
+        }
+    } else if (triangles > 0) {
+        for (int row = 0; row < taps; row++) {
+            for (int col = 0; col < taps; col++) {
+                vec2 at = first_tap + vec2(col, row);
+                if (is_on_any(at, z)) {
                     float weight = weight_of(taps, col, row, beyond);
                     if (is_lit(at, z)) lit += weight;
                     counted += weight;
@@ -32,8 +42,9 @@ void main() {
     }
     if (counted == 0.0) {
         vec3 clear = clear_of(taps_beside);
-        vec2 corner = texel_of(clear) - 0.5 * float(taps_beside - 1);
-        vec2 first_tap = floor(corner), beyond = fract(corner);
+        corner = texel_of(clear) - 0.5 * float(taps_beside - 1);
+        first_tap = floor(corner);
+        beyond = fract(corner);
         for (int row = 0; row < taps_beside; row++) {
             for (int col = 0; col < taps_beside; col++) {
                 float weight = weight_of(taps_beside, col, row, beyond);

@@ -11,7 +11,7 @@ uniform uvec4 below[129];            // ... and up
 out float visibility;
 
 const uvec4 NONE = uvec4(0u), ALL = uvec4(0xffffffffu);
-const int ACROSS = 24;               // cells that are looked at along the disc's diameter; more texels are taken together
+const int ACROSS = 16;               // cells that are looked at along the disc's diameter; more texels are taken together
 
 int count(uvec4 samples) {
     ivec4 bits = bitCount(samples);
@@ -121,7 +121,7 @@ void main() {
         for (int col = 0; col < 3; col++) {
             vec2 at = first + vec2(col, row);
             float z;
-            bool known = is_known(at, z);
+            bool known = own ? is_on_own(at, z) : is_on_any(at, z);
             if (!known) unknown |= samples_in(at - from, at - from + 1.0);
             else if (blocks(at, z, far_m)) blocked |= samples_in(at - from, at - from + 1.0);
         }

@@ -88,10 +88,9 @@ def ground_round_the_middle(scene: Scene) -> MapView:
     return scene.view(bounds=(x - 3000, y - 3000, x + 3000, y + 3000), size=(PX, PX))
 
 
-@pytest.mark.parametrize("map_size", [96, 160])
-def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro, map_size):
-    """Texels of 10 to 20 by 2 to 3 pixels, so that a lattice that moved would show."""
-    view = ground_round_the_middle(jacksboro)
+def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro):
+    """Texels of 20 by 3 pixels, so that a lattice that moved would show."""
+    view, map_size = ground_round_the_middle(jacksboro), 96
     texel_m = plan_for(jacksboro, view, map_size=map_size).settings["sun"]["relief"].cascades[0].texel_m
     assert max(texel_m) > 4.0 * describe(jacksboro, view).pixel_m
     assert flickers(jacksboro, view, map_size=map_size) == [0.0] * len(SHIFTS)

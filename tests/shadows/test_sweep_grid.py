@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from shadows import sweep_grid
 from shadows.sweep_grid import LOWEST, NO_LEVELS, NO_MASK, Sheet, State, flat_grid, passed, places, sunlit, sweep, turned_levels
@@ -68,28 +69,20 @@ def test_more_lines_leave_fewer_errors():
     assert wrong[4] < wrong[1] / 3
 
 
-@given(azimuth=st.floats(0, 360), altitude=st.floats(5, 60), facing=st.floats(0, 360))
-def test_a_ridge_throws_its_shadow_to_where_it_must(azimuth, altitude, facing):
-    """A straight ridge of height H in any direction: behind it the shadow's edge lies H / tan(altitude) away along the sun."""
-    cell, height = 10.0, 150.0
-    side = 161
-    east, north = np.meshgrid((np.arange(side) - 80) * cell, (80 - np.arange(side)) * cell)
-    normal = np.array([np.sin(np.radians(facing)), np.cos(np.radians(facing))])
-    away = east * normal[0] + north * normal[1]  # from the crest, across it
-    slope = 2.0  # steeper than the rays, so that the edge of the shadow is the crest's
-    heights = np.maximum(0.0, height - slope * np.abs(away)).astype(np.float32)
-    sun = to_sun(azimuth, altitude)
-    across = float(sun[:2] @ normal)
-    lit = sunlit(heights, cell, azimuth, altitude)
-    floor = heights == 0.0
-    reach = height * abs(across) / np.tan(np.radians(altitude)) / np.cos(np.radians(altitude)) if across else 0.0
-    behind = -away * np.sign(across)
-    expected = (behind > 0.0) & (behind < reach)
-    sampled = cell * (1.0 + abs(across) / np.sin(np.radians(altitude)) * slope)  # the crest lies between nodes
-    clear = floor & (np.abs(behind - reach) > sampled) & (np.hypot(east, north) < 60 * cell)
-    long_way = np.abs(across) * 80 * cell < reach  # a ridge that ends at the border ends there in truth, too
-    if not long_way and reach > height / slope + cell:
-        assert ((~lit == expected) | ~clear).all()
+@given(azimuth=st.floats(0, 360), altitude=st.floats(10, 60), height=st.floats(100, 200))
+def test_a_cone_throws_the_shadow_that_it_must(azimuth, altitude, height):
+    """On a floor: the convex hull of its foot and of its tip's shadow, height / tan(altitude) away from the sun."""
+    cell, radius = 10.0, 60.0
+    east, north = np.meshgrid((np.arange(221) - 110) * cell, (110 - np.arange(221)) * cell)
+    heights = height * np.maximum(0.0, 1.0 - np.hypot(east, north) / radius).astype(np.float32)
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    tip = -to_sun(azimuth, altitude)[:2] * height / np.sin(np.radians(altitude))
+    outline = ConvexHull(np.concatenate([radius * np.stack([np.sin(angle), np.cos(angle)], axis=1), [tip]]))
+    outside = np.max(np.stack([east, north], axis=-1) @ outline.equations[:, :2].T + outline.equations[:, 2], axis=-1)
+    dark = ~sunlit(heights, cell, azimuth, altitude)
+    floor = np.hypot(east, north) > radius + cell
+    assert dark[floor & (outside < -cell)].all()
+    assert not dark[outside > cell].any()
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
@@ -127,12 +120,12 @@ def sheet_of(heights: np.ndarray, azimuth: float, altitude: float) -> Sheet:
 def test_windows_of_rows_hand_their_state_over():
     """Bits and all: the lines of one window go on where those of the window before it stopped."""
     sheet = sheet_of(mountains(200, seed=5), 190.0, 5.0)
-    n, m = sheet.level.shape
+    n, columns = sheet.level.shape
     none = np.zeros(0)
     nothing = np.zeros(n + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
-        held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, m), np.bool_)
+        held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, columns), np.bool_)
         for first, last in zip(borders, borders[1:], strict=False):
             about = sheet.level, sheet.place, sheet.at, 4, sheet.mirrored, -60, held
             sweep_rows(*about, first, last, NO_LEVELS, lit, nothing)
@@ -168,8 +161,8 @@ def test_holes_cast_nothing():
 
 def test_a_floor_is_lit_whatever_the_sun():
     floor = np.zeros((70, 90), np.float32)
-    for azimuth in range(0, 360, 7):
-        assert sunlit(floor, 10.0, float(azimuth), 0.5).all()
+    for azimuth in (*range(0, 360, 7), 90, 180, 270, 45, 135, 225, 315):
+        assert sunlit(floor, 10.0, float(azimuth), 0.5).all(), azimuth
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 67.0, 90.0])

@@ -1,0 +1,60 @@
+"""What may be asked of shadow maps, on the command line and over HTTP: it reaches the plan, or is refused by name."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from api import cli
+from api.jobs import Overrides
+from api.parameters import wishes
+
+SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
+
+
+@pytest.fixture
+def settings_of(monkeypatch, capsys, tmp_path: Path):
+    """``settings_of("--bias", "...")`` gives exit status, standard error and the settings of the map that was drawn."""
+
+    def call(*arguments: str) -> tuple[int, str, dict]:
+        stats = tmp_path / "stats.json"
+        picture = str(tmp_path / "picture.png")
+        monkeypatch.setattr(
+            sys, "argv", ["skugga", "render", "jacksboro", *SMALL, "-o", picture, "--stats", str(stats), *arguments]
+        )
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        plan = json.loads(stats.read_text(encoding="utf-8"))["plan"] if ended.value.code == 0 else {}
+        return ended.value.code, capsys.readouterr().err, plan.get("settings", {}).get("sun", {}).get("relief", {})
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "drawn"),
+    [("filter", "sun", "sun"), ("filter", "2", 2), ("bias", "normal_offset", "normal_offset"),
+     ("bias", "polygon_offset", "polygon_offset"), ("culling", "front", "front")],
+)  # fmt: skip
+def test_options_reach_the_map(gl, settings_of, key: str, value: str, drawn: str | int):
+    status, _, settings = settings_of(f"--{key}", value)
+    assert status == 0 and settings[key] == drawn
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("filter", "4", "'sun'"), ("filter", "moon", "'sun'"), ("bias", "slope", "normal_offset"), ("culling", "back", "'front'")],
+)
+def test_other_values_are_refused_with_those_that_are_right(settings_of, key: str, value: str, words: str):
+    status, said, _ = settings_of(f"--{key}", value)
+    assert status == 2 and said.count("\n") == 1 and key in said and value in said and words in said
+
+
+def test_a_request_s_wishes_hold_them():
+    asked = asyncio.run(wishes(filter="sun", bias="normal_offset", culling="front"))
+    assert asked.overrides == Overrides(filter="sun", bias="normal_offset", culling="front")
+    assert asked.overrides.for_selector()["bias"] == "normal_offset"
+    assert asked.query() == "filter=sun&bias=normal_offset&culling=front"

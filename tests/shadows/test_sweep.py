@@ -1,0 +1,213 @@
+"""The sweep through the whole path: maps and perspective views, on a curved earth, held against truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from selector.rules import choose
+from shadows import sweep, truth
+from shadows.attached import attached
+from shadows.metrics import errors_of, soft_error
+from shadows.passes import PassLog
+from shadows.plan import SweepSettings
+from shadows.render import render_frame
+from shadows.truth import ray_scene, soft_truth, truth_of
+from terrain import reach
+from terrain.descriptor import describe
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.picture import geometry_of
+from terrain.reach import Casters, casters_of
+from terrain.resolve import RELIEF
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import block_at, render, shadow
+
+SUNS = [(22.0, 10.0), (67.0, 3.0), (113.0, 10.0), (158.0, 20.0), (202.0, 15.0), (247.0, 5.0), (293.0, 10.0), (338.0, 8.0)]
+"""One in each octant, so that each way of turning a grid is taken."""
+
+
+@pytest.fixture(scope="module")
+def jacksboro() -> Scene:
+    return build_scene(load_level("configs/jacksboro.yaml"))
+
+
+@pytest.fixture(scope="module")
+def tile() -> MapView:
+    return block_at(-84.25, 36.58, 12).part(260, 300, 256, 256)
+
+
+def under(scene: Scene, azimuth: float, altitude: float) -> Scene:
+    return scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+
+
+def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, np.ndarray]:
+    """A view's buffer, its casters, and the sweep's visibility with what is turned away dark."""
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    seen = sweep.fill(buffer, scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
+    seen[attached(buffer, scene)] = 0.0
+    return buffer, casters, seen
+
+
+@pytest.mark.parametrize("sun", SUNS)
+def test_a_tile_of_a_curved_earth_is_as_rays_see_it(jacksboro, tile, sun):
+    """Casters beyond the block, meridians that converge, holes: wrong are at most 0.03 % of what is decidable."""
+    scene = under(jacksboro, *sun)
+    buffer, casters, seen = looked_at(scene, tile)
+    found = errors_of(seen, truth_of(buffer, scene, casters), 30.0)
+    assert found.wrong <= 3e-4 and found.interior <= 1e-4
+    assert (seen < 0.5).mean() > 0.02
+
+
+@pytest.mark.parametrize("sun", SUNS[1::3])
+def test_pixels_that_are_no_nodes(jacksboro, sun):
+    scene = under(jacksboro, *sun)
+    view = scene.view(size=(301, 257))
+    assert not view.on_nodes
+    buffer, casters, seen = looked_at(scene, view)
+    found = errors_of(seen, truth_of(buffer, scene, casters), 100.0)
+    assert found.wrong <= 3e-4 and found.interior <= 1e-4
+
+
+def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene, monkeypatch):
+    """What the lines have met in a coarse window is handed over to the finer one before it."""
+    monkeypatch.setattr(reach, "FULL_DETAIL_NODES", 600)
+    row, col = np.mgrid[:1500, :500]
+    heights = np.maximum(2000.0 - 8.0 * np.hypot((row - 150) * 4, col - 250), 30.0 * np.sin(row / 20.0) * np.sin(col / 23.0))
+    scene = make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0.0, 30_000.0, 20.0), azimuth=3.0, altitude=5.0)
+    view = scene.view(bounds=(2600.0, 5000.0, 6600.0, 9000.0), size=(200, 200))
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    assert {patch.level for patch in casters.patches} >= {0, 1}
+    real = truth_of(buffer, scene, casters)
+    seen = sweep.fill(buffer, scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
+    near = Casters(tuple(patch for patch in casters.patches if patch.level == 0), casters.reach)
+    without = sweep.fill(buffer, scene, "sun", ("relief",), near, SweepSettings(), PassLog())
+    assert (without - seen).mean() > 0.05  # the far ground is what shades
+    seen[attached(buffer, scene)] = 0.0
+    assert errors_of(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
+
+
+def test_blocks_join_without_a_seam(jacksboro):
+    """The same nodes, asked for as part of one window and of another: the classes are the same."""
+    scene = under(jacksboro, 247.0, 6.0)
+    block = block_at(-84.25, 36.58, 12)
+    views = block.part(300, 200, 160, 160), block.part(300, 280, 160, 160)
+    one, other = (looked_at(scene, view)[2] for view in views)
+    assert (one[:, 80:] != other[:, :80]).mean() <= 1e-4
+    assert 0.02 < one.mean() < 0.98
+
+
+@pytest.mark.parametrize("size, decimated", [(3000, False), (14000, True)])
+def test_perspective_views_over_drawn_ground(tmp_path, size, decimated):
+    """Whole, and decimated: what is drawn is what casts."""
+    path = tmp_path / "ridges.yaml"
+    path.write_text(f"""
+version: 1
+terrain: {{generate: {{kind: ridges, size: [{size}, {size}], cell: 20, relief: 700, seed: 3}}}}
+sun: {{azimuth: 113, altitude: 9}}
+views:
+  main: {{kind: perspective, eye: [-1200, -1300, 250], target: [0, 0, 100], fov: 60, size: [320, 256]}}
+""")
+    scene = build_scene(load_level(path))
+    buffer, casters, seen = looked_at(scene, scene.view("main"))
+    assert buffer.ground is not None and (buffer.ground.tolerance_px > 0.0) == decimated
+    found = errors_of(seen, truth_of(buffer, scene, casters), 5.0)
+    assert (seen[buffer.there] < 0.5).mean() > 0.02
+    assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= 1e-3
+
+
+def test_trees_and_houses_stand_in_the_hills_shadow():
+    """Ground alone casts; what stands on it is shaded to the height that it is shaded to."""
+    scene = build_scene(load_level("configs/jacksboro_wooded.yaml"))
+    scene = under(scene, 120.0, 6.0)
+    view = scene.view("valley", size=(320, 256))
+    buffer, casters, seen = looked_at(scene, view)
+    standing = buffer.there & (buffer.kind != RELIEF)
+    real = truth_of(buffer, scene, casters, kinds=("relief",))
+    decided = standing & real.decidable & ~real.attached
+    assert decided.sum() > 1000 and (~real.lit & decided).sum() > 50
+    assert (((seen < 0.5) == real.lit) & decided).sum() <= 2e-3 * decided.sum()
+
+
+def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
+    for sun in ((113.0, 10.0), (202.0, 25.0)):
+        scene = under(jacksboro, *sun)
+        buffer, casters, seen = looked_at(scene, tile, filter="sun")
+        real = soft_truth(buffer, scene, casters, 64)
+        turned = attached(buffer, scene)
+        real[turned], seen[turned] = 0.0, 0.0
+        soft = buffer.there & (real > 0.05) & (real < 0.95)
+        assert soft.sum() > 200
+        assert soft_error(seen, real) < 0.002
+        assert np.abs(seen - real)[soft].mean() < 0.1
+
+
+def test_the_strips_of_the_sun_are_equal_shares_of_its_disc():
+    angles = sweep.strips_of_sun(16)
+    assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(truth.SUN_RADIUS_DEG)
+    rng = np.random.default_rng(0)
+    disc = rng.uniform(-1.0, 1.0, (200_000, 2))
+    height = np.radians(truth.SUN_RADIUS_DEG) * disc[np.hypot(*disc.T) < 1.0, 1]
+    below = [(height < angle).mean() for angle in angles]
+    assert np.allclose(below, (np.arange(16) + 0.5) / 16, atol=0.005)
+
+
+def test_above_the_shadows_height_the_sun_is_seen_and_below_it_is_not(jacksboro, tile):
+    scene = under(jacksboro, 113.0, 8.0)
+    plan = choose(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
+    frame = render_frame(scene, tile, plan, layers=frozenset({"shadow-height"}))
+    height_m = frame.layers["shadow-height"]["sun"]
+    buffer = geometry_of(scene, tile)
+    casters = casters_of(scene, buffer)
+    deep = height_m - buffer.height_m > 5.0
+    assert deep.mean() > 0.1
+    assert np.allclose(height_m[frame.visibility == 1.0], buffer.height_m[frame.visibility == 1.0])
+    rays = ray_scene(buffer, scene, casters, ("relief",))
+    up = buffer.frame.frame_from_earth @ scene.world.earth_from_anchor[:, 2]
+    to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+    for metres, sees in ((1.0, True), (-1.0, False)):
+        at = buffer.position_frame_m[deep] + (height_m - buffer.height_m + metres)[deep][:, None] * up
+        assert (~rays.blocked(at, to_sun) == sees).mean() > 0.98
+
+
+def test_more_cores_change_nothing(jacksboro, tile, monkeypatch):
+    scene = under(jacksboro, 67.0, 5.0)
+    monkeypatch.setattr(sweep, "CORES", 1)
+    one = looked_at(scene, tile)[2]
+    monkeypatch.setattr(sweep, "CORES", 3)
+    assert (looked_at(scene, tile)[2] == one).all()
+
+
+def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
+    from terrain import gl
+
+    def never() -> None:
+        raise AssertionError("OpenGL was called")
+
+    monkeypatch.setattr(gl, "device", never)
+    scene = under(jacksboro, 237.0, 12.0)
+    frame = render(scene, scene.view(size=(200, 160)), algorithm="sweep")
+    assert 0.02 < shadow(frame).mean() < 0.98
+    assert [record.name for record in frame.passes] == frame.plan.passes
+    assert frame.plan.passes[2:-1] == ["sun/relief: sweep"]
+
+
+def test_the_sky_above_a_perspective_view_is_no_receiver(tmp_path):
+    path = tmp_path / "floor.yaml"
+    path.write_text("""
+version: 1
+terrain: {flat: {size: [200, 200], cells: [20, 20]}}
+sun: {azimuth: 200, altitude: 20}
+views:
+  up: {kind: perspective, eye: [0, 0, 5], target: [0, 30, 60], fov: 30, size: [64, 48]}
+  down: {kind: perspective, eye: [0, 0, 50], target: [0, 20, 0], fov: 50, size: [64, 48]}
+""")
+    scene = build_scene(load_level(path))
+    for name in ("up", "down"):
+        _, _, seen = looked_at(scene, scene.view(name))
+        assert (seen[geometry_of(scene, scene.view(name)).there] == 1.0).all()
