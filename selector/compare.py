@@ -18,15 +18,15 @@ from shadows.metrics import block_shares, coverage_error, errors_of
 from shadows.passes import PassLog
 from shadows.plan import LampMapSettings, Plan, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
-from shadows.render import FILLS, bands_of
+from shadows.render import FILLS, bands_of, forget_kept
 from shadows.truth import Truth
 from shadows.truth_cache import cached_truth
 from terrain.camera import PerspectiveView
-from terrain.descriptor import describe
+from terrain.descriptor import Descriptor, describe
 from terrain.errors import InputError, UnsupportedError
 from terrain.geometry import GeometryBuffer
 from terrain.grid import MapView, blocks_of
-from terrain.level import SUN
+from terrain.level import SUN, AlgorithmName, Level
 from terrain.picture import geometry_of
 from terrain.reach import Casters, casters_of
 from terrain.scene import Scene
@@ -86,10 +86,7 @@ def candidates(scene: Scene, view: View, name: str = "map") -> Iterator[Plan]:
         if algorithm.name == "truth":
             continue
         if algorithm.name != "shadow_map":
-            with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-                plan = choose(descriptor, level, {"algorithm": algorithm.name})
-                if plan.headline == algorithm.name:
-                    yield plan
+            yield from _alone_or_for_relief(descriptor, level, algorithm.name)
             continue
         for size in MAP_SIZES:
             for taps in FILTERS:
@@ -98,6 +95,16 @@ def candidates(scene: Scene, view: View, name: str = "map") -> Iterator[Plan]:
                     plan = choose(descriptor, level, asked)
                     if plan.headline == algorithm.name:
                         yield plan
+
+
+def _alone_or_for_relief(descriptor: Descriptor, level: Level, name: AlgorithmName) -> Iterator[Plan]:
+    """The plan of an algorithm for everything; where it cannot serve that, for the sun's relief beside shadow maps."""
+    for asked in (name, {"relief": name}):
+        with suppress(UnsupportedError):  # to whoever asks for it by name it says why
+            plan = choose(descriptor, level, {"algorithm": asked})
+            if name in (used for per_kind in plan.algorithm.values() for used in per_kind.values()):
+                yield plan
+                return
 
 
 def compare(
@@ -209,6 +216,7 @@ def _measure(
     times_ms, parts = [], []
     log = PassLog()
     for _ in range(repeats if real.there.any() else 1):
+        forget_kept()  # every cost that a moving sun has is to be paid
         log, start = PassLog(), time.perf_counter()
         parts = [_visibility(scene, ground, steps, log) for ground in grounds]
         times_ms.append((time.perf_counter() - start) * 1000.0)
@@ -219,7 +227,8 @@ def _measure(
     for ground, part in zip(grounds, parts, strict=True):
         part[attached(ground.buffer, scene, ground.light)] = 0.0
         part[~ground.buffer.there] = np.nan
-        footprints.append(texel_footprint_px(scene, steps[0] if steps else None, ground.buffer, pixel_m))
+        texels = [texel_footprint_px(scene, step, ground.buffer, pixel_m) for step in steps or [None]]
+        footprints.append(np.max(texels, axis=0))
     visibility = _paste(view, grounds, parts, np.nan)
     found = errors_of(visibility, real, pixel_m, _paste(view, grounds, footprints, 0.0))
     shares = [coverage_error(block_shares(1.0 - part), ground.true_shares) for ground, part in zip(grounds, parts, strict=True)]

@@ -100,9 +100,12 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
         why = "a perspective map's steps grow with the square of the distance: even ones need float"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
     taps = 3 if asked.filter == "auto" else asked.filter
-    if taps == "sun":
+    if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the penumbra of the sun's disc is the sun's alone; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
+    if taps == "sun":
+        taps = 3
+        reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="the penumbra that is asked for is that of the sun's disc"))
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(asked)), reasons
 
 

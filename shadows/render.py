@@ -13,9 +13,11 @@ from shadows.kept_layers import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
+from shadows.sweep_rays import ground_of_level
 from terrain.antialias import Sampled, sampled
 from terrain.camera import PerspectiveView
 from terrain.errors import InputError, RenderError, UnsupportedError
+from terrain.gl import device, is_open
 from terrain.grid import MapView, blocks_of
 from terrain.picture import geometry_of
 from terrain.reach import Reach, casters_of
@@ -134,6 +136,13 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
     for layer in sorted(layers - has):
         able = ", ".join(name for name, each in ALGORITHMS.items() if layer in each.layers) or "nothing"
         raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {able}")
+
+
+def forget_kept() -> None:
+    """Drop what algorithms keep from frame to frame while nothing changes: the next one pays all its costs."""
+    ground_of_level.cache_clear()
+    if is_open():
+        device().depth_targets.forget()
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

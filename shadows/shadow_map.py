@@ -7,6 +7,12 @@ and depth step are the plan's, one for all blocks of a level, zoom and sun; only
 Depth spans the receivers. Casters before it are clamped to depth 0: they are before every receiver. Casters beyond the
 last receiver cannot shade anything.
 
+That is the fit ``stable``: whole-pixel shifts of a view change no texel. With ``tight`` the window and the depths are the bounds
+of this block's receivers, as finely as the map's size allows (never more coarsely than the stable ones), and move with the view.
+
+**Kept maps.** A perspective view's map that was drawn from the very same geometry, light, window and settings is looked up again
+(``terrain.depth_targets`` says how many are held). Map views' are not: their blocks' pictures are kept instead.
+
 **Cascades.** In perspective there may be several maps, each for the receivers at some distances from the eye, with texels of
 its own. A point belongs to one of them alone.
 

@@ -201,8 +201,9 @@ def _see(above, here, first, left, right, between, aside, mirrored):  # type: ig
     if max(aside[0], aside[1]) < 1e-9:  # straight down: what may be missing to the left plays no part
         _two(behind, behind, behind, behind, out, 0.0, 0.0, 0.0, 0.0)
     elif mirrored:
-        _two(behind, beside, behind, behind, out, aside[0], aside[1], 0.0, 0.0)
+        _two(behind, beside, behind, beside, out, aside[0], aside[1], aside[0], aside[1])
     else:  # and the diagonal of the quad to the left
         left_of = here[first - 1 : first - 1 + count]
-        _two(behind, beside, behind, left_of, out, *aside, aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1]))
+        d0, d1 = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
+        _two(behind, beside, behind, left_of, out, aside[0], aside[1], d0, d1)
     return out

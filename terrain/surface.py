@@ -93,9 +93,7 @@ class Surface:
         exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
         return _scattered(exact, exact_rows, exact_cols, self._stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
-    def along(
-        self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray
-    ) -> np.ndarray:
+    def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
         """Coordinates (rows, cols) float32, metres, of a window's nodes with their heights, along an earth-fixed unit axis."""
         rows, cols = height_m.shape
         first_row, first_col, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)

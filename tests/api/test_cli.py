@@ -204,7 +204,7 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path):
     status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")
     rows = json.loads(rows_file.read_text())
-    assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {"shadow_map", "none"}
+    assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {"shadow_map", "sweep", "none"}
     assert sum(row["pareto"] for row in rows) >= 1
     for row in rows:
         assert 0 <= row["wrong"] <= 1 and row["ms_p95"] >= row["ms_median"] >= 0 and row["bytes"] >= 0

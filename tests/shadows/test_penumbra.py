@@ -202,5 +202,8 @@ def test_the_disc_takes_deep_maps_and_changes_pictures(gl, tmp_path):
 def test_lamps_have_no_disc(tmp_path):
     lamp = {"kind": "omni", "position": [0, -8, 12]}
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": lamp})
+    settings = plan_of(scene, scene.view("eye"), filter="sun").settings
+    assert (settings["sun"]["meshes"].filter, settings["lamp"]["meshes"].filter) == ("sun", 3)
+    scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": lamp}, sun="none")
     with pytest.raises(UnsupportedError, match="sun.* cannot be served.*lamp"):
         plan_of(scene, scene.view("eye"), filter="sun")

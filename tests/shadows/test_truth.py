@@ -200,7 +200,8 @@ def test_compare_lists_candidates_and_marks_the_front(gl, comparison):
     front = [row.figures for row in comparison.rows if row.figures["pareto"]]
     best = min(row.figures["wrong_cast"] for row in comparison.rows)
     assert any(figures["wrong_cast"] == best for figures in front)
-    sizes = {row.figures["settings"]["sun"]["relief"]["map_size"]: row for row in comparison.rows if row.figures["settings"]}
+    maps = [row for row in comparison.rows if row.figures["algorithm"]["sun"]["relief"] == "shadow_map"]
+    sizes = {row.figures["settings"]["sun"]["relief"]["map_size"]: row for row in maps}
     assert sizes[512].figures["wrong"] > sizes[4096].figures["wrong"]
     assert sizes[512].figures["counters"]["map_texels"] < sizes[4096].figures["counters"]["map_texels"]
     picture = false_colours(np.zeros((250, 250)), sizes[512])

@@ -95,7 +95,7 @@ def test_overrides_are_spelt_out():
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
     with pytest.raises(PydanticCustomError, match="relief"):
         algorithm_choice(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
-    with pytest.raises(InputError, match="shadow_map, truth, none, auto"):
+    with pytest.raises(InputError, match="shadow_map, planar, sweep, truth, none, auto"):
         parse_algorithm("sweeep")
 
 
