@@ -162,6 +162,8 @@ class ServedLevels:
                 f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
                 f"in a level that is served: {', '.join(['auto', *SERVED_ALGORITHMS])}",
             )  # fmt: skip
+        if loaded.level.shadows.fit == "tight":
+            raise LevelError(f"{path}: shadows.fit", "tight", "in a level that is served: auto or stable; tight tiles do not join")
         # Without its sun: a time needs the sun's library, which the service may never need.
         scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
         try:

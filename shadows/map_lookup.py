@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from moderngl import Framebuffer, Program, Texture
+from moderngl import Framebuffer, Program
 
 from shadows.map_windows import DepthMap
 from shadows.passes import PassRecord
 from shadows.plan import LampMapSettings, ShadowMapSettings
 from shadows.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
+from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device
 from terrain.grid import MapView
@@ -37,83 +38,86 @@ def look_up(
     record: PassRecord,
 ) -> None:
     """Fill in the visibility (rows, cols) of the points that are a map's."""
-    arrays = [buffer.position_frame_m, np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)]
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
-    with _look_up_program(gl, drawn, target, settings) as program:
+    with _least_depths(gl, drawn, target, settings):
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.there.shape
-            first = (view.col0 - window.col0, view.row0 - window.row0)
-            nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step), "on_nodes": True}
-            set_uniforms(program, nodes)
-            arrays.append(window.position_frame_m)
+            facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
+            arrays = [buffer.position_frame_m, facing, window.position_frame_m]
             if corners is not None:
                 arrays.append(corners.reshape(rows, cols * 3, 3))
-            set_uniforms(program, {"has_corners": corners is not None, "corner_frame_m": len(arrays) - 1})
-            _set_taps(program, settings, settings.filter)
+            program = _program(gl, drawn, settings, settings.filter, {"on_nodes": True, "has_corners": corners is not None})
+            first = (view.col0 - window.col0, view.row0 - window.row0)
+            nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
+            set_uniforms(program, {**nodes, "corner_frame_m": len(arrays) - 1})
             visibility[:] = _drawn_pixels(gl, program, arrays, target, drawn, record)
             return
         assert corners is not None and drawn.pixels is not None
-        set_uniforms(program, {"on_nodes": False, "has_corners": True, "corner_frame_m": 2})
-        flat = [array.reshape(visibility.size, -1) for array in (*arrays, corners)]
+        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, buffer.normal_frame, buffer.crease, corners)]
         own = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
         split = int(np.searchsorted(drawn.pixels, own))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged as it is
         for part, filter in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)):
-            _set_taps(program, settings, filter)
             for start in range(0, len(part), LOOK_COLS * LOOK_ROWS):
                 chosen = part[start : start + LOOK_COLS * LOOK_ROWS]
+                program = _program(gl, drawn, settings, filter, {"on_nodes": False, "has_corners": True})
+                set_uniforms(program, {"corner_frame_m": 2})
                 rows = -(-len(chosen) // LOOK_COLS)
-                some = [_rows_of(values, chosen, rows) for values in flat]
-                some[-1] = some[-1].reshape(rows, LOOK_COLS * 3, 3)
+                some = [np.zeros((rows * LOOK_COLS, width), np.float32) for width in (3, 4, 9)]
+                _gather(chosen, *flat, *some)
+                some = [array.reshape(rows, -1, width) for array, width in zip(some, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _drawn_pixels(gl, program, some, target, drawn, record).ravel()[: len(chosen)]
 
 
-@contextmanager
-def _look_up_program(
-    gl: Device, drawn: DepthMap, target: Framebuffer, settings: ShadowMapSettings | LampMapSettings
-) -> Iterator[Program]:
-    """The program that looks a map up, all set but for the points and the taps."""
-    name = "sun_disc" if settings.filter == "sun" else "shadow_map"
-    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/receiver", f"shadows/{name}.frag"))
+def _program(
+    gl: Device, drawn: DepthMap, settings: ShadowMapSettings | LampMapSettings, filter: int | str, known: dict[str, bool]
+) -> Program:
+    """The program that looks a map up, all set but for the points; ``known`` says which triangles are."""
+    disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
+    constants = known | {
+        "lamp": drawn.uniforms["lamp"], "faces": len(drawn.faces), "by_triangles": settings.bias == "receiver_plane",
+        "by_offset": settings.bias != "polygon_offset", "taps": taps,
+        # Beside known triangles there are fewer: a point moved far clear of its own misses what touches it.
+        "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps,
+    }  # fmt: skip
+    fragment = shader("shadows/receiver", "shadows/sun_disc.frag" if disc else "shadows/shadow_map.frag")
+    program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
-        **drawn.uniforms, "map_size": drawn.size, "faces": len(drawn.faces), "bias_scale": settings.bias_scale,
-        "by_triangles": settings.bias == "receiver_plane", "by_offset": settings.bias != "polygon_offset",
+        **drawn.uniforms, "map_size": drawn.size, "bias_scale": settings.bias_scale,
         "position_frame_m": 0, "normal_frame": 1, "depth_map": MAP_UNIT,
     })  # fmt: skip
     if "face_from_lamp" in program:
-        turns = [*drawn.faces, *([np.eye(3)] * (6 - len(drawn.faces)))]
-        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in turns]
+        program["face_from_lamp"] = [tuple(face.T.ravel()) for face in drawn.faces]
+    if disc:
+        widest_m = tuple(WIDEST_TEXELS * side for side in drawn.uniforms["texel_m"])
+        set_uniforms(program, {
+            "least_depth": LEAST_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
+        })  # fmt: skip
+        for name, bits in zip(("left_of", "below"), samples_before_edges(), strict=True):
+            program[name].write(bits.tobytes())
+    return program
+
+
+@contextmanager
+def _least_depths(
+    gl: Device, drawn: DepthMap, target: Framebuffer, settings: ShadowMapSettings | LampMapSettings
+) -> Iterator[None]:
+    """The least depth of each block of a map's texels, in its texture unit, where the sun's disc needs it."""
     if settings.filter != "sun":
-        yield program
+        yield
         return
-    widest_m = tuple(WIDEST_TEXELS * side for side in drawn.uniforms["texel_m"])
-    disc = {"least_depth": LEAST_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m}
-    set_uniforms(program, disc)
-    for name, bits in zip(("left_of", "below"), samples_before_edges(), strict=True):
-        program[name].write(bits.tobytes())
-    least = _least_depths(gl, drawn, target)
-    least.use(LEAST_UNIT)
-    try:
-        yield program
-    finally:
-        least.release()
-
-
-def _set_taps(program: Program, settings: ShadowMapSettings | LampMapSettings, filter: int | str) -> None:
-    """Taps a side. Beside known triangles there are fewer: a point moved far clear of its own misses what touches it."""
-    taps = DISC_TAPS if filter == "sun" else int(filter)
-    set_uniforms(program, {"taps": taps, "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps})
-
-
-def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> Texture:
-    """The least depth of each block of a map's texels; to be released."""
     program = gl.program(shader("shadows/pixels.vert"), shader("shadows/least_depth.frag"))
     set_uniforms(program, {"depth_map": MAP_UNIT, "block_texels": BLOCK_TEXELS})
     target.depth_attachment.use(MAP_UNIT)
     width, height = drawn.size
     blocks = gl.float_target(width // BLOCK_TEXELS, height // BLOCK_TEXELS)
     gl.draw_pixels(program, blocks)
-    return gl.texture(gl.read(blocks))
+    least = gl.texture(gl.read(blocks))
+    least.use(LEAST_UNIT)
+    try:
+        yield
+    finally:
+        least.release()
 
 
 def _drawn_pixels(
@@ -136,8 +140,14 @@ def _drawn_pixels(
     return found
 
 
-def _rows_of(values: np.ndarray, chosen: np.ndarray, rows: int) -> np.ndarray:
-    """Some of values (n, k) as float32 (rows, LOOK_COLS, k), filled up with zeros."""
-    out = np.zeros((rows * LOOK_COLS, values.shape[1]), np.float32)
-    out[: len(chosen)] = values[chosen]
-    return out.reshape(rows, LOOK_COLS, -1)
+@compiled
+def _gather(chosen, position, normal, crease, corners, points, facings, triangles):  # type: ignore[no-untyped-def]
+    """Some of a buffer's points (n, k), one after another, as float32: points, normals with creases, triangles."""
+    for n in range(len(chosen)):
+        i = chosen[n]
+        for k in range(3):
+            points[n, k] = position[i, k]
+            facings[n, k] = normal[i, k]
+        facings[n, 3] = crease[i, 0]
+        for k in range(9):
+            triangles[n, k] = corners[i, k]

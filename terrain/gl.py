@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -51,7 +52,7 @@ class Device:
         info = self.ctx.info
         self.vendor, self.renderer, self.version = info["GL_VENDOR"], info["GL_RENDERER"], info["GL_VERSION"]
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
-        self._programs: dict[tuple[str, str], moderngl.Program] = {}
+        self._programs: dict[tuple[str, str, tuple[tuple[str, bool | int], ...]], moderngl.Program] = {}
         self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
         self.depth_targets = DepthTargets(
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
@@ -74,11 +75,18 @@ class Device:
         if error != "GL_NO_ERROR":
             raise GraphicsError(f"OpenGL error {error} in {where}")
 
-    def program(self, vertex: str, fragment: str) -> moderngl.Program:
-        """A program of two shader texts, compiled once."""
+    def program(self, vertex: str, fragment: str, constants: dict[str, bool | int] | None = None) -> moderngl.Program:
+        """A program of two shader texts, compiled once.
+
+        ``constants`` are uniforms of the fragment shader whose values are compiled in: a software rasteriser goes through every
+        branch and loop that a uniform leaves open.
+        """
         self.require_current()
-        key = (vertex, fragment)
+        key = (vertex, fragment, tuple((constants or {}).items()))
         if key not in self._programs:
+            for name, value in (constants or {}).items():
+                constant = rf"const \1 {name} = {str(value).lower()};"
+                fragment = re.sub(rf"^uniform (\w+) {name};", constant, fragment, flags=re.MULTILINE)
             try:
                 self._programs[key] = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
             except moderngl.Error as error:

@@ -7,6 +7,7 @@ a tree. Alpha-tested texels are looked up with coverage-preserving mipmaps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 
 import moderngl
@@ -39,6 +40,7 @@ class Seen:
     depth: np.ndarray
 
 
+@cache
 def shader(*parts: str) -> str:
     """The text of shader parts, one after another: ``terrain/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
     texts = []

@@ -14,7 +14,8 @@ float weight_of(int count, int col, int row, vec2 beyond) {
 void main() {
     if (!receive(ivec2(gl_FragCoord.xy))) { visibility = 1.0; return; }
     if (lamp && point.z <= 0.0) { visibility = 0.0; return; }
-    float lit = 0.0, counted = 0.0, z;
+    precise float lit = 0.0, counted = 0.0;  // summed alike, so that what is all lit is exactly 1
+    float z;
     vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
     vec2 first_tap = floor(corner), beyond = fract(corner);
     if (own && !lamp) {
@@ -28,7 +29,7 @@ void main() {
                 }
             }
         }
-    } else if (triangles > 0) {
+    } else if ((lamp || on_nodes) && triangles > 0) {  // left out where it is known not to be
         for (int row = 0; row < taps; row++) {
             for (int col = 0; col < taps; col++) {
                 vec2 at = first_tap + vec2(col, row);

@@ -91,6 +91,10 @@ def never_served(folder: Path) -> Path:
     return write_level(folder, "wrong", shadows={"algorithm": {"relief": "truth"}})
 
 
+def tight(folder: Path) -> Path:
+    return write_level(folder, "wrong", shadows={"fit": "tight"})
+
+
 @pytest.mark.parametrize(
     ("make", "error", "said"),
     [
@@ -98,6 +102,7 @@ def never_served(folder: Path) -> Path:
         (no_raster, SourceError, "wrong.tif"),
         (remote, LevelError, "SKUGGA_REMOTE_SOURCES"),
         (never_served, LevelError, "shadow_map"),
+        (tight, LevelError, "stable"),
     ],
 )
 def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Path, make, error, said: str):
