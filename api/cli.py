@@ -75,7 +75,7 @@ def render(
     filter: Annotated[str | None, typer.Option(help="Taps a side: 1, 2, 3 or 5; or sun: the penumbra of its disc.")] = None,
     bias: Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")] = None,
     culling: Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")] = None,
-    fit: Annotated[str | None, typer.Option(help="The sun's shadow maps on a fixed lattice: stable; or close round: tight.")] = None,
+    fit: Annotated[str | None, typer.Option(help="Where shadow maps lie: stable (a fixed lattice) or tight.")] = None,
     light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
     seconds: Annotated[float | None, typer.Option(help="The clock of moving casters.")] = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
