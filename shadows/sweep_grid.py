@@ -16,6 +16,9 @@ from terrain.errors import UnsupportedError
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""
 
+BAND_ROWS = 64
+"""Rows of a grid that a thread turns at a time."""
+
 LATTICE = 17
 """Rows and columns on which the lines' places are computed exactly, at most."""
 
@@ -223,7 +226,7 @@ def sunlit(
     """
     turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
-    level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m)
+    level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
     lit, _, _ = sweep(Sheet(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m), rows=(0, n), cores=cores)
     return turn.back(lit)
@@ -241,23 +244,26 @@ def flat_grid(shape: tuple[int, int], cell_m: Cell, azimuth_deg: float) -> tuple
     return turn, row_m, col_m, place, at
 
 
-def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: float, per_col: float) -> np.ndarray:
+def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: float, per_col: float, cores: int = 1) -> np.ndarray:
     """Values float32 (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
-    whole, inside = bordered(*(height.shape[::-1] if turn.swapped else height.shape))
-    _turn_levels(height, turn.swapped, turn.rows_reversed, turn.cols_reversed, per_height, per_row, per_col, inside)
+    rows, cols = height.shape
+    whole, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
+    target = turn.back(inside)  # the same numbers, in the grid's own order
+
+    def band(first: int) -> None:
+        some = slice(first, first + BAND_ROWS)
+        _levels(height[some], per_height, first * per_row, per_row, per_col, target[some])
+
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(band, range(0, rows, BAND_ROWS)))
     return close_border(whole)
 
 
 @compiled
-def _turn_levels(height, swapped, rows_reversed, cols_reversed, per_height, per_row, per_col, out):  # type: ignore[no-untyped-def]
+def _levels(height, per_height, start, per_row, per_col, out):  # type: ignore[no-untyped-def]
     rows, cols = height.shape
-    n, m = out.shape
-    for r0 in range(0, rows, 32):  # in blocks, for the cache
-        for c0 in range(0, cols, 32):
-            for r in range(r0, min(r0 + 32, rows)):
-                row = r * per_row
-                for c in range(c0, min(c0 + 32, cols)):
-                    i, j = (c, r) if swapped else (r, c)
-                    i = n - 1 - i if rows_reversed else i
-                    j = m - 1 - j if cols_reversed else j
-                    out[i, j] = height[r, c] * per_height + (row + c * per_col)
+    for c0 in range(0, cols, 64):  # in blocks, for the cache: ``out`` may run down where this runs right
+        for r in range(rows):
+            at = start + r * per_row
+            for c in range(c0, min(c0 + 64, cols)):
+                out[r, c] = height[r, c] * per_height + (at + np.int32(c) * per_col)

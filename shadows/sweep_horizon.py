@@ -36,8 +36,8 @@ def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: i
     """
     turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
-    level = turned_levels(height_m, turn, 1.0, 0.0, 0.0)
-    towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m)
+    level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
+    towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
     n, m = level.shape
     out = np.full((n, m), LOWEST)
     low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m

@@ -168,9 +168,14 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i): 
         if shade.size:
             shade[i + 1, first:end] = seen
         if lit.size:
-            for n in range(count):
-                lit[i + 1, first + n] = not seen[n] > level[i + 1, first + n]
+            _sees(seen, level[i + 1, first:end], lit[i + 1, first:end])
         first = end
+
+
+@compiled
+def _sees(seen, level, lit):  # type: ignore[no-untyped-def]
+    for n in range(lit.size):
+        lit[n] = not seen[n] > level[n]
 
 
 @compiled
