@@ -137,9 +137,7 @@ def _asked(rays: Rays, ground: Ground, buffer: GeometryBuffer) -> _Asked:
         at = np.nonzero(others)
         row, col = view.row0 + at[0] * view.row_step, view.col0 + at[1] * view.col_step
     else:
-        earth = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
-        x, y, _ = rays.scene.world.map_position(rays.grid.crs, earth)
-        row, col = (rays.grid.y0 - y) / rays.grid.step, (x - rays.grid.x0) / rays.grid.step
+        row, col = rays.rows_and_columns(seen, buffer.frame)
     turned_row, _ = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
     level_m[buffer.kind[others] == RELIEF] = np.nan
     return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, t, level_m, towards_m)

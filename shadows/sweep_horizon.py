@@ -67,8 +67,8 @@ def slopes(
     ``sweep_rows``. ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are
     the ground's there.
     """
-    if not len(row):
-        return np.zeros(0)
+    if not len(row) or len(level) < 2:
+        return np.full(len(row), LOWEST)  # a single row has nothing before it
     base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
