@@ -10,6 +10,8 @@ step that it never takes twice, so that nothing that depends on a sun is at hand
 
 `cascades` holds four cascades of 1024 against one map of 2048 texels a side (the same memory) against ray-traced truth, seen
 from a summit over houses and 20 km of mountains: shadow edges near and far.
+
+The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
 
 from __future__ import annotations
@@ -141,7 +143,6 @@ def cascades() -> list[Row]:
 MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "frames": lambda given: frames(given.repeats, given.map_size),
     "cascades": lambda given: cascades(),
-    # Further algorithms' measurements: a name here, a function that gives rows in a module beside this one.
 }
 
 

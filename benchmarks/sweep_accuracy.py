@@ -1,6 +1,6 @@
 """Accuracy of the line sweep on real rasters against rays, at azimuths off the 45-degree axes.
 
-    python benchmarks/sweep_accuracy.py FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 4] [--crop 1024]
+    python benchmarks/sweep_accuracy.py FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 8] [--crop 1024]
                                         [--processes 2] [--markdown FILE]
     python benchmarks/sweep_accuracy.py FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
@@ -246,7 +246,7 @@ def main() -> None:
     parser.add_argument("--azimuths", type=int, default=24, help="evenly spread, from half a step on")
     parser.add_argument("--altitudes", type=float, nargs="+")
     parser.add_argument("--all-azimuths", metavar="NAME", help="all whole degrees, on the raster with this in its name")
-    parser.add_argument("--lines", type=int, default=4)
+    parser.add_argument("--lines", type=int, default=8)
     parser.add_argument("--crop", type=int)
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--markdown", type=Path)

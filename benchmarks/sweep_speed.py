@@ -1,6 +1,6 @@
 """Speed and wrong cells of the line sweep on fractal mountains, beside the fastest sweep that others offer.
 
-    python benchmarks/sweep_speed.py [--side 4096] [--truth-side 2048] [--lines 4] [--repeats 5] [--markdown FILE]
+    python benchmarks/sweep_speed.py [--side 4096] [--truth-side 2048] [--lines 8] [--repeats 5] [--markdown FILE]
 
 The other one is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
 its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
@@ -226,7 +226,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--side", type=int, default=4096)
     parser.add_argument("--truth-side", type=int, default=2048)
-    parser.add_argument("--lines", type=int, default=4)
+    parser.add_argument("--lines", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()

@@ -1,9 +1,11 @@
-"""Accuracy of `shadow_map` on real rasters: error against truth, per raster and sun, at azimuths off the 45-degree axes.
+"""Accuracy of map views on real rasters: error against truth, per raster and sun, at azimuths off the 45-degree axes.
 
-    python benchmarks/shadow_map_accuracy.py FOLDER [--map-size 4096] [--filter 1] [--pixels 400] [--markdown FILE]
+    python benchmarks/map_accuracy.py FOLDER [--algorithm shadow_map] [--map-size 4096] [--filter 1] [--pixels 400]
+                                      [--markdown FILE]
 
 Every raster below FOLDER that is a terrain or a surface is drawn at its own resolution (at most ``--pixels`` a side, from its
-middle), steepest first by the 95th percentile of slope.
+middle), steepest first by the 95th percentile of slope. For the sweep, what hangs on the diagonal that quads are cut along is
+boundary, too.
 """
 
 from __future__ import annotations
@@ -18,16 +20,16 @@ import numpy as np
 
 from selector.compare import texel_footprint_px
 from selector.rules import choose
-from shadows import shadow_map
 from shadows.attached import attached
 from shadows.metrics import errors_of
 from shadows.passes import PassLog
+from shadows.render import FILLS
 from shadows.truth import truth_of
 from terrain.descriptor import describe
 from terrain.errors import SkuggaError
 from terrain.geometry import map_geometry
 from terrain.gl import device
-from terrain.level import load_level
+from terrain.level import AlgorithmName, load_level
 from terrain.level_parts import SunSpec
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
@@ -41,7 +43,7 @@ def scene_of(raster: Path, folder: Path) -> Scene:
     return build_scene(load_level(path))
 
 
-def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
+def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, taps: int) -> list[dict]:
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
     side = min(pixels, max(scene.elevation.shape))
@@ -55,13 +57,13 @@ def measure(scene: Scene, pixels: int, map_size: int, taps: int) -> list[dict]:
         frame = lit.world.frame_near(view.grid.crs, *view.centre)
         buffer = map_geometry(lit.surface(view.grid), view, frame)
         casters = casters_of(lit, buffer)
-        truth = truth_of(buffer, lit, casters)
+        truth = truth_of(buffer, lit, casters, either_diagonal=algorithm == "sweep")
         descriptor = describe(lit, view)
-        plan = choose(descriptor, lit.loaded.level, {"algorithm": "shadow_map", "map_size": map_size, "filter": taps})
-        step = next((step for step in plan.steps if step.algorithm == "shadow_map"), None)
+        plan = choose(descriptor, lit.loaded.level, {"algorithm": algorithm, "map_size": map_size, "filter": taps})
+        step = next((step for step in plan.steps if step.algorithm == algorithm), None)
         if step is None:
             continue
-        visibility = shadow_map.fill(buffer, lit, step.light, step.kinds, casters, step.settings, PassLog())
+        visibility = FILLS[algorithm](buffer, lit, step.light, step.kinds, casters, step.settings, PassLog())
         visibility[attached(buffer, lit)] = 0.0
         found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))
@@ -80,6 +82,7 @@ def slope_p95_deg(scene: Scene) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--algorithm", choices=("shadow_map", "sweep"), default="shadow_map")
     parser.add_argument("--map-size", type=int, default=4096)
     parser.add_argument("--filter", type=int, default=1)
     parser.add_argument("--pixels", type=int, default=400)
@@ -95,22 +98,23 @@ def main() -> None:
                 continue
             scenes.append((slope_p95_deg(scene), raster, scene))
         scenes.sort(key=lambda item: -item[0])
+        maps = f", map {given.map_size}, {given.filter} tap(s) a side" if given.algorithm == "shadow_map" else ""
         lines = [
-            f"# `shadow_map` against truth: map {given.map_size}, {given.filter} tap(s) a side, {given.pixels} pixels",
+            f"# `{given.algorithm}` against truth, {given.pixels} pixels{maps}",
             "",
-            f"Made by `benchmarks/shadow_map_accuracy.py` on {device().renderer}. Shares in per cent, edges in pixels.",
+            f"Made by `benchmarks/map_accuracy.py` on {device().renderer}. Shares in per cent, edges in pixels.",
             "",
-            "| raster | slope p95 | azimuth / altitude | shadow | `wrong_cast` | false | missed | `edge_p95` | "
+            "| raster | slope p95 | azimuth / altitude | shadow | `wrong` | `wrong_cast` | false | missed | `edge_p95` | "
             "`interior` | boundary |",
-            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         ]
         print(lines[-2])
         for slope, raster, scene in scenes:
-            for row in measure(scene, given.pixels, given.map_size, given.filter):
-                shares = (100 * row[key] for key in ("shadow", "wrong_cast", "false_shadow", "missed_shadow"))
+            for row in measure(scene, given.pixels, given.algorithm, given.map_size, given.filter):
+                shares = (100 * row[key] for key in ("shadow", "wrong", "wrong_cast", "false_shadow", "missed_shadow"))
                 lines.append(
                     f"| {raster.parent.name}/{raster.stem} | {slope:.0f}° | {row['azimuth']:.0f} / {row['altitude']:.0f} | "
-                    + " | ".join(f"{share:.2f}" for share in shares)
+                    + " | ".join(f"{share:.3f}" for share in shares)
                     + f" | {row['edge_p95']:.2f} | {100 * row['interior']:.4f} | {100 * row['boundary']:.1f} |"
                 )
                 print(lines[-1], flush=True)
