@@ -30,9 +30,10 @@ setup: $(INSTALLED) $(SYSTEM)
 run: setup viewer-if-possible
 	$(VENV)/bin/skugga serve $(ARGS)
 
+# Two processes (OpenGL has one thread in each), whole files to each: fixtures of a file are made once.
 # On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
 test: setup $(if $(CI),viewer,viewer-if-possible)
-	$(PYTEST) -m "not long" $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile -m "not long" $(ARGS)
 
 # Collecting first keeps pytest's "no tests" status from being a failure while no long test exists.
 test-long: setup

@@ -179,4 +179,4 @@ def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: in
     if asked.nodes.any():
         above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[asked.window]
     above_m[asked.others] = others_above_m
-    return buffer.height_m + np.maximum(above_m, 0.0) / np.float32(rays.rise)
+    return buffer.height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN

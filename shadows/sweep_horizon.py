@@ -43,8 +43,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: i
     low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
-        nothing = np.full(len(i), np.nan)
-        out[i, j] = slopes(level, towards, place, turn.mirrored, lines, i.astype(float), t, nothing, nothing, cores)
+        out[i, j] = slopes(level, towards, place, turn.mirrored, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
     out[~np.isfinite(level)] = np.nan
     return turn.back(np.degrees(np.arctan(out[:, 1:-1])))
 

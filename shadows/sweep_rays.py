@@ -30,12 +30,13 @@ Window = tuple[int, int, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Rays over a grid. A place's t is its light-space coordinate to the right, less ``right_m``, in cells of ``cell_m`` (negative
+    """Rays over a grid. A place's t is its coordinate to the right in ``light``, less ``right_m``, in cells of ``cell_m`` (negative
     where columns of the turned grid run to the left); its level is the one up, less ``level_m``; ``rise`` is what a metre of height
     adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed.
     """
 
     scene: Scene
+    light: LightSpace
     grid: Grid
     turn: Turn
     height_m: float
@@ -43,12 +44,6 @@ class Rays:
     cell_m: float
     level_m: float
     rise: float
-
-    @property
-    def light(self) -> LightSpace:
-        """The sun's light space."""
-        assert self.scene.light is not None
-        return self.scene.light
 
     def t_level_towards(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """t, levels, and metres towards the sun (n,) of points (n, 3) of a frame."""
@@ -83,7 +78,8 @@ class Rays:
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
             row, col = self.turn.origin(i, j, rows, cols)
-            return (_right_m(self.scene, grid, row + row0, col + col0, self.height_m) - self.right_m) / (self.cell_m * 2**detail)
+            point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
+            return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
         return places(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
 
@@ -102,10 +98,10 @@ class Rays:
 def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
     """The rays over a grid round one of its places."""
     height_m = float(np.mean(scene.height_range_m))
-    light = scene.light
-    assert light is not None
     at = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
     point, up = scene.world.ground(grid.crs, grid.x(at[:, 1]), grid.y(at[:, 0]))
+    assert scene.light is not None
+    light = upright(scene.light, up[0])
     space = light.from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # along it, nothing moves to the right
@@ -113,9 +109,21 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
     turn = turn_towards(*towards)
     across = (per_row if turn.swapped else per_col)[0]
     return Rays(
-        scene, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across), float(space[0, 1]),
-        float(light.light_from_earth[1] @ up[0]),
+        scene, light, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across),
+        float(space[0, 1]), float(light.light_from_earth[1] @ up[0]),
     )  # fmt: skip
+
+
+def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
+    """The light space turned about the sun's direction until right is horizontal, and up not downwards, where ``up`` (3,) is up.
+
+    The level's own is so at its anchor. Elsewhere ground that is higher would stand aside of the rays that pass over its foot.
+    """
+    right, forward, away = light.light_from_earth
+    aside, rise = right @ up, forward @ up
+    cosine, sine = (rise, -aside) / np.hypot(aside, rise) if aside or rise else (1.0, 0.0)
+    axes = np.array([cosine * right + sine * forward, cosine * forward - sine * right, away])
+    return LightSpace(axes, light.origin_earth_m, float(np.degrees(np.arcsin(np.clip(-away @ up, -1.0, 1.0)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,9 +243,3 @@ def _moved(points, rotation, translation):  # type: ignore[no-untyped-def]
         for k in range(3):
             out[k, n] = rotation[k, 0] * p[0] + rotation[k, 1] * p[1] + rotation[k, 2] * p[2] + translation[k]
     return out[0], out[1], out[2]
-
-
-def _right_m(scene: Scene, grid: Grid, row: np.ndarray, col: np.ndarray, height_m: float) -> np.ndarray:
-    assert scene.light is not None
-    point, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
-    return scene.light.from_earth(point + height_m * up)[..., 0]
