@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from configs import LEVELS_FOLDER
-from terrain.errors import InputError
+from selector.rules import choose
+from terrain.descriptor import describe
+from terrain.errors import InputError, UnsupportedError
 from terrain.level import load_level
 from terrain.picture import imagery_of
 from terrain.scene import build_scene
@@ -42,7 +44,8 @@ def summary(path: Path) -> dict[str, Any]:
 
 
 def remarks(path: Path) -> list[str]:
-    """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed.
+    """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
+    and the algorithms that it asks for can serve it.
 
     Raises ``SkuggaError``.
     """
@@ -51,6 +54,10 @@ def remarks(path: Path) -> list[str]:
     for name in scene.loaded.level.views:
         scene.view(name)
     imagery_of(scene)
+    try:
+        choose(describe(scene, scene.view()), scene.loaded.level)
+    except UnsupportedError as error:
+        raise UnsupportedError(f"{path}: {error.name}", error.value, error.allowed) from None
     elevation, notes = scene.elevation, []
     low, high = scene.height_range_m
     notes.append(

@@ -170,10 +170,11 @@ def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:
     where = {}
     if isinstance(view, MapView):
         where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
-    with warnings.catch_warnings(), rasterio.open(
-        path, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
-        **where, compress="deflate",
-        nodata=np.nan if bands.dtype.kind == "f" else (MASK_NO_SURFACE if len(bands) == 1 else None),
-    ) as dataset:  # fmt: skip
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        dataset.write(bands)
+    nodata = np.nan if bands.dtype.kind == "f" else (MASK_NO_SURFACE if len(bands) == 1 else None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
+        with rasterio.open(
+            path, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
+            **where, compress="deflate", nodata=nodata,
+        ) as dataset:  # fmt: skip
+            dataset.write(bands)

@@ -15,7 +15,7 @@ from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override
+from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override, spelt
 
 
 def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | None = None) -> Plan:
@@ -36,7 +36,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     try:
         choice = algorithm_choice(asked.algorithm, level.light_names)
     except PydanticCustomError as error:
-        raise InputError("algorithm", overrides.get("algorithm"), error.message()) from None
+        raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
     who = "the level" if overrides.get("algorithm") is None else "the request"
     algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
     settings: dict[str, dict[CasterKind, Settings]] = {}
@@ -115,12 +115,18 @@ def _rejected(
 
 def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows) -> tuple[Settings | None, list[Reasoned]]:
     """The settings of an algorithm, if it has any, and the reasons for them."""
-    if name in ("none", "planar"):
+    ignored = []
+    if asked.filter not in ("auto", 1, *(("sun",) if name == "sweep" else ())):
+        why = f"left out: the edges of {name} are sharp as they are"
+        ignored.append(Reasoned(name=f"filter {asked.filter}", reason=why))
+    if name == "none":
         return None, []
+    if name == "planar":
+        return None, ignored
     if name == "truth":
-        return TruthSettings(), []
+        return TruthSettings(), ignored
     if name == "sweep":
-        return SweepSettings(filter="sun" if asked.filter == "sun" else 1), []
+        return SweepSettings(filter="sun" if asked.filter == "sun" else 1), ignored
     if light == SUN:
         return sun_map_settings(descriptor, asked)
     return lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)

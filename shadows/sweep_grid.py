@@ -25,6 +25,8 @@ LATTICE = 17
 BENT_CELLS = 0.1
 """How far, in cells, the lines may leave the cubics that stand for them."""
 
+BENT = "the sun's rays bend too much across a view this wide: shadow_map serves it"
+
 Cell = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
 
@@ -125,6 +127,8 @@ def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols
     j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view leaves the area of its CRS: shadow_map serves it")
+    if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
+        raise UnsupportedError("algorithm", "sweep", BENT)
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2, len(i), 4))
     for n, values in enumerate(t):
@@ -137,7 +141,7 @@ def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols
     exact = t_of(*np.meshgrid(some.astype(float), columns, indexing="ij"))
     found = np.stack([np.polynomial.polynomial.polyval(values, place[n]) for n, values in zip(some, exact, strict=True)])
     if np.abs(found - columns - 1.0).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", "the sun's rays bend too much across a view this wide: shadow_map serves it")
+        raise UnsupportedError("algorithm", "sweep", BENT)
     return place, at
 
 

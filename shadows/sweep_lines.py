@@ -30,7 +30,10 @@ LOWEST = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
 
 RUN = 512
-"""Lines of a run: over so few of them their places in their cells change linearly."""
+"""Lines of a run, at most."""
+
+STRAIGHT = 0.01
+"""How far places in a run may be from changing linearly: run by run, they are interpolated between its ends."""
 
 
 @compiled
@@ -63,6 +66,13 @@ def sweep_rows(level, place, at, lines, mirrored, first_cell, held, first, last,
 
 
 @compiled
+def _run_along(p, low, high, times):  # type: ignore[no-untyped-def]
+    """How many places from ``low`` to ``high`` a run may have, so that ``times`` their cubic is straight over it."""
+    bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
+    return RUN if bend * RUN * RUN <= 8.0 * STRAIGHT else max(int(np.sqrt(8.0 * STRAIGHT / bend)), 2)
+
+
+@compiled
 def _class_of(place, i, t, j):  # type: ignore[no-untyped-def]
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
     x = cubic(place[i], t)
@@ -75,9 +85,10 @@ def _advance(level, place, lines, mirrored, first_cell, held, k, i):  # type: ig
     """Take the lines of number ``k`` from before row ``i`` to before row ``i + 1``."""
     cells, cols = held.size, level.shape[1]
     share = k / lines
+    run = _run_along(place[i], first_cell, first_cell + cells, 1)
     start = 0
     while start < cells:
-        end = min(start + RUN, cells)
+        end = min(start + run, cells)
         kind = _class_of(place, i, first_cell + start + share, first_cell + start)
         if _class_of(place, i, first_cell + end - 1 + share, first_cell + end - 1) != kind:
             low, high = start, end - 1  # kind holds at low, not at high
@@ -115,7 +126,8 @@ def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):  # type: ignor
     elif mirrored:
         _two(nw, ne, ne, se, held, f0, f1, (1.0 - f0) / s0, (1.0 - f1) / s1)
     else:
-        _two(nw, ne, ne, sw, held, f0, f1, (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1))
+        d0, d1 = (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1)
+        _two(nw, ne, ne, sw, held, f0, f1, min(d0, 1.0), min(d1, 1.0))
         if crosses:
             far0, far1 = (2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1)
             _two(se, ne, se, above[2 : count + 2], held, 1.0 - (1.0 - f0) / s0, 1.0 - (1.0 - f1) / s1, 1.0 - far0, 1.0 - far1)
@@ -146,8 +158,9 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i): 
     here = at[i + 1]
     first = _first_from(place[i + 1], here, first_cell + 1, cols)
     last = _first_from(place[i + 1], here, first_cell + cells - 2, cols)
+    run = _run_along(here, first, last, lines)
     while first < last:
-        end = min(first + RUN, last)
+        end = min(first + run, last)
         number = int(np.floor(cubic(here, first) * lines))
         if int(np.floor(cubic(here, end - 1) * lines)) - lines * (end - 1 - first) != number:
             low, high = first, end - 1

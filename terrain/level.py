@@ -190,6 +190,16 @@ def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, 
     return value
 
 
+def spelt(algorithm: str | dict[str, Any]) -> str:
+    """An override as ``parse_algorithm`` reads it."""
+    if isinstance(algorithm, str):
+        return algorithm
+    flat = {}
+    for key, value in algorithm.items():
+        flat |= value if isinstance(value, dict) else {key: value}
+    return ",".join(f"{key}={value}" for key, value in flat.items())
+
+
 def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
     """What is asked of the shadows with a request's changes (``None`` changes nothing). Raises ``InputError``."""
     changes = {key: value for key, value in changes.items() if value is not None}
@@ -266,6 +276,8 @@ def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError
             context = error["ctx"]
             where = ".".join([*_keys(data, error["loc"]), context["key"]])
             return LevelError(f"{path}: {where}", "unknown key", context["known"])
+    if [(error["type"], error["loc"]) for error in errors] == [("algorithm", ())]:  # only the whole level knows its lights
+        errors = [{**errors[0], "loc": ("shadows", "algorithm"), "input": data["shadows"]["algorithm"]}]
     paths = [_keys(data, error["loc"]) for error in errors]
     deepest = max(paths, key=len)
     here = [error for error, keys in zip(errors, paths, strict=True) if keys == deepest]

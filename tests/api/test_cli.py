@@ -183,6 +183,14 @@ def test_levels_and_validate(run):
     assert status == 0 and "jacksboro" in out
 
 
+def test_validate_refuses_what_cannot_be_drawn(run, tmp_path):
+    level = tmp_path / "hills.yaml"
+    level.write_text("version: 1\nterrain: {source: jacksboro}\nshadows: {algorithm: planar}\n", encoding="utf-8")
+    status, _, err = run("validate", str(level))
+    assert status == 2 and err.count("\n") == 1
+    assert f"{level}: shadows.algorithm" in err and "not flat" in err
+
+
 def test_doctor_finds_this_machine_able_to_draw(gl, run):
     status, out, _ = run("doctor", "--json")
     findings = {finding["subject"]: finding for finding in json.loads(out)}

@@ -159,6 +159,17 @@ def test_a_comparison_leaves_out_what_cannot_be(scene_on):
         assert ("planar" in names) is there and {"shadow_map", "none"} <= names
 
 
+def test_a_filter_that_plays_no_part_is_named(scene_on):
+    scene = scene_on("level")
+    view = scene.view("map")
+    for filter, named in (("sun", True), (3, True), (1, False)):
+        plan = plan_of(scene, view, algorithm="planar", filter=filter)
+        assert any("sharp" in reason.reason for reason in plan.reasons) is named
+    sweep = plan_of(scene_on("uneven"), view, algorithm={"relief": "sweep"}, filter="sun")
+    assert sweep.settings["sun"]["relief"].filter == "sun"
+    assert not any("sharp" in reason.reason for reason in sweep.reasons)
+
+
 # -- what users see
 
 

@@ -92,6 +92,31 @@ def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene,
     assert errors_of(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
 
 
+def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, make_scene):
+    """Ten degrees of longitude from the level's middle the anchor's light space leans, and would carry summits aside."""
+    rng = np.random.default_rng(3)
+    heights = np.kron(rng.uniform(0.0, 8000.0, (6, 60)), np.ones((4, 4))).astype(np.float32)
+    heights = np.minimum(heights, np.roll(heights, 2, axis=1))
+    scene = make_scene(write_raster(heights, "EPSG:4326", 70.0, 29.0, 20.0 / 240), azimuth=190.0, altitude=7.0)
+    view = scene.view(bounds=(9.75e6, 3.19e6, 9.95e6, 3.31e6), size=(300, 180), crs="EPSG:3857")
+    buffer, casters, seen = looked_at(scene, view)
+    found = errors_of(seen, truth_of(buffer, scene, casters), 700.0)
+    assert 0.02 < seen[buffer.there].mean() < 0.98
+    assert found.wrong <= 2e-3
+
+
+@pytest.mark.parametrize("azimuth", [225.0, 270.0])
+def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene, azimuth):
+    """Twenty degrees of longitude in the Arctic: the rays' way over the map turns by as much from side to side."""
+    row, col = np.mgrid[:300, :512]
+    heights = (600.0 + 500.0 * np.sin(row / 9.0) * np.sin(col / 7.0)).astype(np.float32)
+    scene = make_scene(write_raster(heights, "EPSG:4326", 20.0, 80.5, (20.0 / 512, 2.0 / 300)), azimuth=azimuth, altitude=4.0)
+    view = scene.view(bounds=(2.3e6, 1.49e7, 4.4e6, 1.55e7), size=(700, 200), crs="EPSG:3857")
+    buffer, casters, seen = looked_at(scene, view)
+    real = truth_of(buffer, scene, casters)
+    assert errors_of(seen, real, 3000.0).wrong <= 2e-3
+
+
 def test_blocks_join_without_a_seam(jacksboro):
     """The same nodes, asked for as part of one window and of another: the classes are the same."""
     scene = under(jacksboro, 247.0, 6.0)

@@ -187,6 +187,35 @@ def test_the_horizon_of_a_wall_is_its_angle():
     assert (horizon[0] == -90.0).all()
 
 
+def test_horizons_and_light_of_the_smallest_grids():
+    """A single row or column of nodes has nothing before it; of two, one shades the other."""
+    for shape in ((1, 1), (1, 9), (9, 1)):
+        heights = np.arange(9.0, dtype=np.float32)[: np.prod(shape)].reshape(shape)
+        for azimuth in (0.0, 45.0, 90.0, 200.0):
+            assert horizon_deg(heights, 10.0, azimuth).shape == sunlit(heights, 10.0, azimuth, 1.0).shape == shape
+    assert (horizon_deg(np.zeros((1, 9), np.float32), 10.0, 0.0) == -90.0).all()
+    step = np.array([[10.0, 10.0], [0.0, 0.0]], np.float32)
+    assert np.allclose(horizon_deg(step, 10.0, 0.0), [[-90.0, -90.0], [45.0, 45.0]])
+    assert sunlit(step, 10.0, 0.0, 46.0).all() and not sunlit(step, 10.0, 0.0, 44.0)[1].any()
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 67.0, 90.0, 180.0, 251.0, 270.0])
+def test_all_ground_has_a_horizon_beside_holes_too(azimuth):
+    heights = mountains(80, seed=9)
+    heights[np.random.default_rng(0).random(heights.shape) < 0.01] = np.nan
+    assert (np.isnan(horizon_deg(heights, 10.0, azimuth)) == np.isnan(heights)).all()
+
+
+def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
+    """A plane is lit. Columns a cell's width wide in the middle alone: runs of lines are not straight there."""
+    rows, cols = 60, 1200
+    place, at = places(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols)
+    row, col = np.mgrid[:rows, : cols + 2].astype(float)
+    level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
+    lit, _, _ = sweep(Sheet(level, place, at, False), 8, (-500.0, 600.0), rows=(0, rows))
+    assert lit[1:, 100:-100].mean() > 0.99
+
+
 def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
     from shadows import sweep_horizon
 
@@ -203,6 +232,8 @@ def test_rays_too_bent_for_the_lines_are_refused():
         places(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300)
     with pytest.raises(UnsupportedError, match="CRS"):
         places(lambda i, j: np.where(j > 100, np.nan, j), 200, 300)
+    with pytest.raises(UnsupportedError, match="shadow_map"):
+        places(lambda i, j: np.abs(j - 150.0), 200, 300)
 
 
 def test_the_mask_is_written_nowhere_else():

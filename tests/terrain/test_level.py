@@ -12,7 +12,7 @@ from api.catalogue import bundled_levels
 from shadows.registry import ALGORITHMS
 from terrain.effects import EFFECTS
 from terrain.errors import InputError, LevelError
-from terrain.level import AlgorithmName, EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun
+from terrain.level import AlgorithmName, EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun, spelt
 
 GOOD = "version: 1\nterrain: {source: jacksboro}\n"
 
@@ -57,7 +57,7 @@ def test_bundled_levels_load():
         (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "apart from the eye"),
         (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "names other than sun"),
         (GOOD + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
-        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "my.yaml", "lamp", "a light (sun) or a caster kind"),
+        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "a light (sun) or a caster kind"),
         (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
         ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
@@ -93,6 +93,8 @@ def test_overrides_are_spelt_out():
     assert algorithm_choice({"relief": "none"}) == {"sun": {"relief": "none"}}
     assert algorithm_choice({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
+    for text in ("sweep", "relief=sweep,forest=shadow_map,lamp=none"):
+        assert spelt(parse_algorithm(text)) == text
     with pytest.raises(PydanticCustomError, match="relief"):
         algorithm_choice(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
     with pytest.raises(InputError, match="shadow_map, planar, sweep, truth, none, auto"):
