@@ -19,7 +19,7 @@ from morecantile import tms as matrix_sets
 from pyproj import CRS
 
 from terrain.errors import InputError
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
 
 BLOCK_PX = 1024
 """Side of a map block in pixels: the unit of work and of caching."""
@@ -114,7 +114,7 @@ class MapView:
 
 def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     """The grid of a map view other than a tile: the power-of-two resolution at or below ``resolution`` (CRS units)."""
-    name = None if world.flat else TILE_LADDERS.get(crs.to_epsg() or 0)
+    name = None if world.flat else TILE_LADDERS.get(epsg_of(crs) or 0)
     if name is not None:
         tms = matrix_sets.get(name)
         base = tms.matrix(0).cellSize

@@ -19,7 +19,7 @@ from terrain.grid import Grid, MapView
 from terrain.light_space import LightSpace, light_bounds
 from terrain.scene import Scene
 from terrain.sun import position_at
-from terrain.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, transformer
+from terrain.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, epsg_of, transformer
 
 PATCH_QUADS = 256
 """Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""
@@ -181,7 +181,7 @@ def _columns_round_the_earth(grid: Grid) -> float | None:
     """Columns of a grid after which it meets itself; ``None`` where it does not."""
     if grid.crs.is_geographic:
         return 360.0 / grid.step
-    return 2.0 * np.pi * WGS84.a / grid.step if grid.crs.to_epsg() == 3857 else None
+    return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
 
 
 def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tuple[Patch, ...], float]:

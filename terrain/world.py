@@ -34,6 +34,12 @@ def transformer(source: CRS, target: CRS) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
+@lru_cache(maxsize=64)
+def epsg_of(crs: CRS) -> int | None:
+    """A CRS's EPSG code, if it has one: kept, since looking for one in vain takes PROJ 0.2 s."""
+    return crs.to_epsg()
+
+
 @dataclass(frozen=True, eq=False)
 class LocalFrame:
     """A local metric east-north-up frame: ``point_frame = frame_from_earth @ (point_earth - origin_earth_m)``."""
@@ -76,7 +82,7 @@ class World:
 
     def lon_lat(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Longitude and latitude in degrees; NaN where the CRS has none. A geographic CRS passes through unwrapped."""
-        if crs == LONGITUDE_LATITUDE or crs.to_epsg() == 4326:
+        if crs == LONGITUDE_LATITUDE or epsg_of(crs) == 4326:
             return np.asarray(x, np.float64), np.asarray(y, np.float64)
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
         bad = ~(np.isfinite(lon) & np.isfinite(lat))
@@ -152,7 +158,7 @@ class World:
                 point_earth_m[..., 2],
             )
         lon, lat, height = geodetic(point_earth_m)
-        if crs != LONGITUDE_LATITUDE and crs.to_epsg() != 4326:
+        if crs != LONGITUDE_LATITUDE and epsg_of(crs) != 4326:
             lon, lat = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
         return np.asarray(lon), np.asarray(lat), height
 
