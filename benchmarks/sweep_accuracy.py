@@ -35,6 +35,9 @@ NO_HEIGHTS = ("landcover", "rgb")
 LIFT = 1.0 / 8.0
 """What a node is lifted by, in offsets of ``terrain.rays``: it is a vertex, rounded to float32 just as the triangles are."""
 
+TIE_DEG = 0.01
+"""What hangs on so much of the sun's altitude, a fiftieth of its disc, is not counted."""
+
 BATCH_RAYS = 1 << 20
 
 
@@ -100,18 +103,19 @@ class GridRays:
 
         A node is on the surface whichever way quads are cut. It is lifted upwards, by e, 2e and 4e. What is clear from e is so
         from anything higher, as this is a heightfield, and what is dark from 4e from anything lower: these two are all that
-        need be asked. What only stands less than e in a ray's way is missed; hence the small e.
+        need be asked. What only stands less than e in a ray's way is missed; hence the small e. And where the sun stands
+        ``TIE_DEG`` lower or higher: whole metres and equal cells make ties at some azimuths, which rounding decides.
         """
-        azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
-        to_sun = np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+        lower, to_sun, higher = (_direction(azimuth_deg, altitude_deg + step) for step in (-TIE_DEG, 0.0, TIE_DEG))
         there = np.flatnonzero(self._there)
         lit = self._sees(self._drawn, there, to_sun, 1.0)
-        dark = ~lit
-        dark[dark] = ~self._sees(self._drawn, there[dark], to_sun, 4.0)
-        sure = [lit.copy(), dark.copy()]
-        for known, offsets in zip(sure, (1.0, 4.0), strict=True):
-            known[known] = self._sees(self._other, there[known], to_sun, offsets) == (offsets == 1.0)
-        truth = GridTruth(*(self._grid(there, values) for values in (lit, lit | dark, sure[0] | sure[1])))
+        light, dark = lit.copy(), ~lit
+        light[light] = self._sees(self._drawn, there[light], lower, 1.0)
+        dark[dark] = ~self._sees(self._drawn, there[dark], higher, 4.0)
+        drawn = light | dark
+        light[light] = self._sees(self._other, there[light], lower, 1.0)
+        dark[dark] = ~self._sees(self._other, there[dark], higher, 4.0)
+        truth = GridTruth(*(self._grid(there, values) for values in (lit, drawn, light | dark)))
         if azimuth_deg % 90.0 == 0.0:  # rays along the sheet's rim may pass beside it
             truth.decidable[[0, -1]] = truth.decidable[:, [0, -1]] = False
         return truth
@@ -128,6 +132,11 @@ class GridRays:
         out = np.zeros(self._there.shape, bool)
         out.flat[nodes] = values
         return out
+
+
+def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+    return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
 def figures_of(raster: Raster, lit: np.ndarray, truth: GridTruth, azimuth_deg: float, altitude_deg: float) -> Figures:
