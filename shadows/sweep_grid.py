@@ -196,7 +196,7 @@ def sweep(
         begins = np.searchsorted(base[mine], np.arange(n + 1))
         seen = np.ones(len(mine), np.bool_), np.empty(len(mine), np.float32)
         bundle = (begins, points.row[mine], points.t[mine], points.own[mine], points.rounding, *seen)
-        about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, start - 1, held
+        about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, start - 1, held, no_peaks(lines, cells)
         before = min(max(first - 1, 0), end)
         sweep_rows(*about, 0, before, NO_LEVELS, NO_MASK, bundle)
         sweep_rows(*about, before, end, shade, lit, bundle)
@@ -207,6 +207,13 @@ def sweep(
     return lit[:, 1:-1], points_lit, points_above_m
 
 
+def no_peaks(lines: int, cells: int) -> np.ndarray:
+    """Peaks (2, lines, cells) of lines that have met no node."""
+    peaks = np.zeros((2, lines, cells), np.float32)
+    peaks[0] = LOWEST
+    return peaks
+
+
 def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State | None = None, factor: float = 2.0) -> State:
     """What lines in a range of t have met in the end, all rows of a sheet passed."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
@@ -215,7 +222,7 @@ def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State 
         begin = entry.on(low, high - low, lines, factor)
     none = np.zeros(0)
     nothing = np.zeros(len(sheet.level) + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
-    about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, low, begin.held
+    about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, low, begin.held, no_peaks(lines, high - low)
     sweep_rows(*about, 0, len(sheet.level) - 1, NO_LEVELS, NO_MASK, nothing)
     return begin
 

@@ -12,8 +12,10 @@ surface's level along the line has its kinks, and between them it is linear, so 
 that are drawn is exact.
 
 **Nodes.** A node lies between two lines. What shades it from beyond the row before it is interpolated between their maxima: the
-maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. What
-shades it from the row before it, where errors would count most, is exact on its own line.
+maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. But for
+its tips, which are nodes: the highest one between two lines is remembered and interpolated to and from, or else the nodes in its
+wake would lose it at azimuths that nearly go from node to node. What shades a node from the row before it, where errors would count
+most, is exact on its own line.
 
 All lines of one number k cross a row at nearly the same place of their cells, so whole runs of them are worked on at once with
 the machine's vector instructions; nothing is gathered, nothing branches.
@@ -37,14 +39,15 @@ STRAIGHT = 0.01
 
 
 @compiled
-def sweep_rows(level, place, at, lines, mirrored, first_cell, held, first, last, shade, lit, points):  # type: ignore[no-untyped-def]
+def sweep_rows(level, place, at, lines, mirrored, first_cell, held, peaks, first, last, shade, lit, points):  # type: ignore[no-untyped-def]
     """Take a strip of lines from before row ``first`` of a grid to before row ``last``, and see to what lies on the way.
 
     ``level`` (n, m) float32 are the nodes' levels between two columns of border (``sweep_grid.bordered``), NaN where there is no
     ground. ``place`` (n, 4) float64 are the cubics that take
     t to a row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1),
     else from (i, j + 1) to (i + 1, j). ``held`` (lines, cells) float32 is the strip's state, of the cells from ``first_cell`` on:
-    what the lines have met before row ``first``, and in the end, before row ``last``. The strip owns what stands from the start of
+    what the lines have met before row ``first``, and in the end, before row ``last``; ``peaks`` (2, lines, cells) are the highest
+    nodes met between each line and the next, and where there. The strip owns what stands from the start of
     its second cell to the end of its last but two.
 
     Of the nodes of rows (first, last] are written, where these are not empty, ``shade`` (n, m) float32, the level that a node must
@@ -55,7 +58,8 @@ def sweep_rows(level, place, at, lines, mirrored, first_cell, held, first, last,
     nodes = shade.size > 0 or lit.size > 0
     for i in range(first, last):
         if nodes:
-            _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i)
+            _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i)
+            _remember(level, place, at, lines, first_cell, peaks, i)
         if begins[i] < begins[i + 1]:
             see_points(
                 level, place, lines, mirrored, first_cell, held, i, begins[i], begins[i + 1], row, t, own, rounding,
@@ -152,7 +156,7 @@ def _two(a, b, c, d, held, p0, p1, q0, q1):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i):  # type: ignore[no-untyped-def]
+def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i):  # type: ignore[no-untyped-def]
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
     here = at[i + 1]
@@ -160,24 +164,15 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i): 
     last = _first_from(place[i + 1], here, first_cell + cells - 2, cols)
     run = _run_along(here, first, last, lines)
     while first < last:
-        end = min(first + run, last)
-        number = int(np.floor(cubic(here, first) * lines))
-        if int(np.floor(cubic(here, end - 1) * lines)) - lines * (end - 1 - first) != number:
-            low, high = first, end - 1
-            while high - low > 1:
-                middle = (low + high) // 2
-                if int(np.floor(cubic(here, middle) * lines)) - lines * (middle - first) == number:
-                    low = middle
-                else:
-                    high = middle
-            end = high
+        end, number = _run_of_nodes(here, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
         left = held[k, cell : cell + count]
         right = held[k + 1, cell : cell + count] if k + 1 < lines else held[0, cell + 1 : cell + 1 + count]
+        peak, peak_at = peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count]
         e0, e1 = cubic(here, first) * lines - number, cubic(here, end - 1) * lines - number - lines * (count - 1)
         s0, s1 = first - cubic(place[i], cubic(here, first)), end - 1 - cubic(place[i], cubic(here, end - 1))
-        seen = _see(level[i], level[i + 1], first, left, right, (e0, e1), (s0, s1), mirrored)
+        seen = _see(level[i], level[i + 1], first, left, right, peak, peak_at, (e0, e1), (s0, s1), mirrored)
         if shade.size:
             shade[i + 1, first:end] = seen
         if lit.size:
@@ -186,9 +181,53 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, shade, lit, i): 
 
 
 @compiled
+def _remember(level, place, at, lines, first_cell, peaks, i):  # type: ignore[no-untyped-def]
+    """Raise the peaks between the lines to the nodes of row ``i``."""
+    cols, cells = level.shape[1], peaks.shape[2]
+    here = at[i]
+    first = _first_from(place[i], here, first_cell + 1, cols)
+    last = _first_from(place[i], here, first_cell + cells - 2, cols)
+    run = _run_along(here, first, last, lines)
+    while first < last:
+        end, number = _run_of_nodes(here, first, min(first + run, last), lines)
+        count = end - first
+        cell, k = number // lines - first_cell, number % lines
+        e0, e1 = cubic(here, first) * lines - number, cubic(here, end - 1) * lines - number - lines * (count - 1)
+        _raise_peaks(level[i, first:end], (e0, e1), peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count])
+        first = end
+
+
+@compiled
+def _raise_peaks(level, between, peak, peak_at):  # type: ignore[no-untyped-def]
+    """Remember nodes that stand higher between their lines than what was remembered there."""
+    per = 1.0 / max(level.size - 1, 1)
+    e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
+    for n in range(level.size):
+        higher = level[n] > peak[n]
+        peak_at[n] = e + de * np.float32(np.int32(n)) if higher else peak_at[n]
+        peak[n] = level[n] if higher else peak[n]
+
+
+@compiled
 def _sees(seen, level, lit):  # type: ignore[no-untyped-def]
     for n in range(lit.size):
         lit[n] = not seen[n] > level[n]
+
+
+@compiled
+def _run_of_nodes(at, first, last, lines):  # type: ignore[no-untyped-def]
+    """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
+    number = int(np.floor(cubic(at, first) * lines))
+    if int(np.floor(cubic(at, last - 1) * lines)) - lines * (last - 1 - first) == number:
+        return last, number
+    low, high = first, last - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if int(np.floor(cubic(at, middle) * lines)) - lines * (middle - first) == number:
+            low = middle
+        else:
+            high = middle
+    return high, number
 
 
 @compiled
@@ -203,7 +242,7 @@ def _first_from(place, at, t, cols):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _see(above, here, first, left, right, between, aside, mirrored):  # type: ignore[no-untyped-def]
+def _see(above, here, first, left, right, peak, peak_at, between, aside, mirrored):  # type: ignore[no-untyped-def]
     """The level of the rays over a run of nodes from column ``first`` on: float32 (count,).
 
     ``between``: how far they stand between their lines, ``aside``: how far their rays come from the left, from first to last.
@@ -215,6 +254,13 @@ def _see(above, here, first, left, right, between, aside, mirrored):  # type: ig
     for n in range(count):
         w = e + de * np.float32(np.int32(n))
         out[n] = (np.float32(1.0) - w) * left[n] + w * right[n]  # exact at w = 1 even where one has met nothing
+        a, top = peak_at[n], peak[n]
+        rising = w < a
+        b = w / max(a, np.float32(1e-6)) if rising else (w - a) / max(np.float32(1.0) - a, np.float32(1e-6))
+        b = min(max(b, np.float32(0.0)), np.float32(1.0))  # places are right to ``STRAIGHT``
+        over = (np.float32(1.0) - b) * (left[n] if rising else top) + b * (top if rising else right[n])
+        peaked = top > (np.float32(1.0) - a) * left[n] + a * right[n]
+        out[n] = over if peaked and over > out[n] else out[n]
     behind, beside = above[first : first + count], above[first - 1 : first - 1 + count]
     if max(aside[0], aside[1]) < 1e-9:  # straight down: what may be missing to the left plays no part
         _two(behind, behind, behind, behind, out, 0.0, 0.0, 0.0, 0.0)

@@ -10,7 +10,20 @@ from scipy.spatial import ConvexHull
 
 from shadows import sweep_grid
 from shadows.metrics import INTERIOR_PX, interior
-from shadows.sweep_grid import LOWEST, NO_LEVELS, NO_MASK, Sheet, State, flat_grid, passed, places, sunlit, sweep, turned_levels
+from shadows.sweep_grid import (
+    LOWEST,
+    NO_LEVELS,
+    NO_MASK,
+    Sheet,
+    State,
+    flat_grid,
+    no_peaks,
+    passed,
+    places,
+    sunlit,
+    sweep,
+    turned_levels,
+)
 from shadows.sweep_horizon import horizon_deg
 from shadows.sweep_lines import sweep_rows
 from terrain.errors import UnsupportedError
@@ -127,8 +140,9 @@ def test_windows_of_rows_hand_their_state_over():
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
         held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, columns), np.bool_)
+        peaks = no_peaks(4, 300)
         for first, last in zip(borders, borders[1:], strict=False):
-            about = sheet.level, sheet.place, sheet.at, 4, sheet.mirrored, -60, held
+            about = sheet.level, sheet.place, sheet.at, 4, sheet.mirrored, -60, held, peaks
             sweep_rows(*about, first, last, NO_LEVELS, lit, nothing)
         found.append((held, lit))
     assert (found[0][0] == found[1][0]).all() and (found[0][1] == found[1][1]).all()
