@@ -7,6 +7,8 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 from selector.map_settings import lamp_map_settings, sun_map_settings
+from selector.perspective_settings import perspective_map_settings
+from selector.volume_settings import hybrid_settings, volume_settings
 from shadows.passes import PassLog
 from shadows.plan import Plan, Reasoned, Settings, SweepSettings, Target, TruthSettings
 from shadows.registry import ALGORITHMS, LightKind, Part, able
@@ -127,6 +129,13 @@ def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Sh
         return TruthSettings(), ignored
     if name == "sweep":
         return SweepSettings(filter="sun" if asked.filter == "sun" else 1), ignored
+    if name == "shadow_volume":
+        return volume_settings(asked), ignored
+    if name == "hybrid":
+        settings, reasons = hybrid_settings(descriptor, light, asked)
+        return settings, [*ignored, *reasons]
+    if name == "perspective_shadow_map":
+        return perspective_map_settings(descriptor, light, asked)
     if light == SUN:
         return sun_map_settings(descriptor, asked)
     return lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)

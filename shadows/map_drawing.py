@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Hashable
 from contextlib import nullcontext
 
@@ -11,17 +10,20 @@ from moderngl import Framebuffer
 
 from shadows.map_windows import DepthMap
 from shadows.passes import PassRecord
-from shadows.plan import Culling, LampMapSettings, ShadowMapSettings
+from shadows.plan import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from terrain.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.foliage import THRESHOLD, foliage
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device
 from terrain.level import CasterKind
 from terrain.reach import Casters
+from terrain.same import Same
 from terrain.scene import Scene
 from terrain.stand import Stand
 from terrain.surface import sheet_triangles
 from terrain.visible import set_uniforms, shader
+
+MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 
 POLYGON_OFFSET = 1.1, 4.0
 """Factor of the slope and units of the smallest step that ``polygon_offset`` moves depths by: those of Cesium and QGIS."""
@@ -34,7 +36,7 @@ def draw_map(
     scene: Scene,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
-    settings: ShadowMapSettings | LampMapSettings,
+    settings: MapSettings,
     record: PassRecord,
 ) -> Framebuffer:
     """Draw a map, unless it is still there as it was drawn before; returns its depth-only framebuffer.
@@ -52,11 +54,11 @@ def draw_map(
     width, height = drawn.size
     across, down = (3, 2) if len(drawn.faces) == 6 else (1, 1)
     target = gl.depth_target(width * across, height * down, drawn.depth_bits)
-    solid = gl.program(shader("shadows/light", "shadows/depth.vert"), shader("shadows/depth.frag"))
+    solid = gl.program(shader(drawn.shaders[0], "shadows/depth.vert"), shader("shadows/depth.frag"))
     set_uniforms(solid, drawn.uniforms)
     trees = _trees_drawn(drawn)
     if trees is not None:
-        vertex = shader("shadows/light", "terrain/tree", "shadows/depth_tree.vert")
+        vertex = shader(drawn.shaders[0], "terrain/tree", "shadows/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/depth_tree.frag"))
         set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
     largest = 0
@@ -107,36 +109,18 @@ def _is_mirrored(drawn: DepthMap) -> bool:
     return bool(np.linalg.det(np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
-class _Same(weakref.ref):
-    """A weak reference that equals those to the same living object: arrays have no equality of that kind."""
-
-    __slots__ = ("number",)
-
-    def __init__(self, of: object) -> None:
-        super().__init__(of)
-        self.number = id(of)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self() is not None and self() is other()
-
-    def __hash__(self) -> int:
-        return self.number
-
-
-def _content(drawn: DepthMap, settings: ShadowMapSettings | LampMapSettings, meshes: list[Mesh]) -> Hashable:
+def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh]) -> Hashable:
     """All that the drawing of a map reads: numbers by value, geometry, which never changes, by being the same arrays."""
     trees = [] if drawn.trees is None else [drawn.trees]
-    geometry = tuple(_Same(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
+    geometry = tuple(Same(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
     return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry
 
 
 def _trees_drawn(drawn: DepthMap) -> Stand | None:
-    """The trees that reach into a sun's window or lie before it; all of them under a lamp."""
-    if drawn.trees is None or drawn.uniforms["lamp"]:
+    """The trees that reach into the bounds of what matters or lie before them, towards the sun."""
+    if drawn.trees is None or drawn.reach is None:
         return drawn.trees
-    rotation = np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3).T
-    offset_m, window_m = (np.array(drawn.uniforms[name]) for name in ("light_offset_m", "window_m"))
-    return trees_in_the_way(drawn.trees, rotation, offset_m, np.zeros(3), window_m)
+    return trees_in_the_way(drawn.trees, *drawn.reach)
 
 
 def _turned(uniforms: dict, face: np.ndarray) -> dict:

@@ -12,18 +12,20 @@ from typing import Literal
 
 import numpy as np
 
-PassLayer = Literal["shadow-map", "stencil", "shadow-height"]
-"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), the height in
-metres above which the sun is seen (float32)."""
+PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
+"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette edges
+(uint8, 255 where one is seen), shadow volumes (uint8, how many of their faces lie before the point), the height in metres above
+which the sun is seen (float32)."""
 
-OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "shadow-height"})
+OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
 """Those that hold a value for each pixel of the picture; the others are of a size of their own."""
 
 
 @dataclass
 class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
-    and buffers it held at a time, and how many maps it found as they were drawn before.
+    and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
+    and tiles that hold one, and what else there is to say of it.
     """
 
     name: str
@@ -33,6 +35,10 @@ class PassRecord:
     map_texels: int = 0
     bytes: int = 0
     kept: int = 0
+    edges: int = 0
+    marked: int = 0
+    tiles: int = 0
+    note: str = ""
 
 
 @dataclass

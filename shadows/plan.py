@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -71,6 +71,39 @@ class LampMapSettings(_Value):
     bias_scale: float = Field(default=1.0, ge=0)
 
 
+class PerspectiveMapSettings(_Value):
+    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side.
+
+    It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.
+    """
+
+    bias: ClassVar[MapBias] = "receiver_plane"
+    culling: ClassVar[Culling] = "none"
+
+    map_size: int = Field(ge=64, le=8192)
+    depth_bits: Literal[16, 24, 32]
+    filter: Literal[1, 2, 3, 5]
+    bias_scale: float = Field(default=1.0, ge=0)
+
+
+class VolumeSettings(_Value):
+    """Settings of shadow volumes: both sides of the volumes in one pass or in one each, and what is counted: ``auto`` takes
+    z-pass for casters whose volume provably misses the near plane and z-fail for the others.
+    """
+
+    stencil: Literal["one_pass", "two_pass"] = "one_pass"
+    counting: Literal["auto", "z_fail"] = "auto"
+
+
+class HybridSettings(VolumeSettings):
+    """Settings of the hybrid: its map, how the pixels are found in which volumes decide (``original``: Chan and Durand's
+    comparison of two by two texels), and those of its volumes.
+    """
+
+    map: ShadowMapSettings | LampMapSettings
+    mask: Literal["conservative", "original"] = "conservative"
+
+
 class SweepSettings(_Value):
     """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
 
@@ -84,7 +117,9 @@ class TruthSettings(_Value):
     sun_samples: int = Field(default=1, ge=1, le=1024)
 
 
-Settings = ShadowMapSettings | LampMapSettings | SweepSettings | TruthSettings
+Settings = (
+    ShadowMapSettings | LampMapSettings | PerspectiveMapSettings | HybridSettings | VolumeSettings | SweepSettings | TruthSettings
+)
 
 
 class Target(_Value):

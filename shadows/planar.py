@@ -30,9 +30,10 @@ from moderngl import Framebuffer
 
 from shadows.attached import lamp_in_frame
 from shadows.passes import PassLog, PassRecord
-from terrain.antialias import SIDE
+from terrain.antialias import finer_view
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_meshes, caster_trees
+from terrain.clip_space import camera_clip, map_clip
 from terrain.foliage import THRESHOLD, foliage
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device, device
@@ -81,10 +82,10 @@ def fill(
     view, ground = buffer.view, buffer.there & (buffer.kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
     stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projected, passes, log)
-    below = np.nonzero(ground[view.rows :])
-    if isinstance(view, PerspectiveView) and len(below[0]):
-        finer = view.finer(SIDE)
-        pixels = _pixels_of(finer, buffer.frame, buffer.position_frame_m[view.rows :][below])
+    if buffer.sample_pixels is not None:
+        finer = finer_view(view)
+        below = ground[view.rows :]
+        pixels = tuple(index[below] for index in buffer.sample_pixels)
         receivers = np.zeros((finer.rows, finer.cols), bool)
         receivers[pixels] = True
         stencil[view.rows :][below] = _stencil(scene.world, buffer.frame, finer, receivers, projected, passes, log)[pixels]
@@ -98,26 +99,10 @@ def onto_plane(light_m: np.ndarray) -> np.ndarray:
 
 
 def clip_from_plane(world: World, frame: LocalFrame, view: MapView | PerspectiveView, origin_frame_m: np.ndarray) -> np.ndarray:
-    """Clip coordinates (4, 4) of homogeneous points of the plane, metres from an origin on it; row 0 of a view is at y = -1.
-
-    A camera's are those of ``terrain/shaders/visible.vert.glsl``. The map of a flat world is affine.
-    """
-    size = np.array([view.cols, view.rows])
-    if isinstance(view, MapView):
-        points = origin_frame_m + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        x, y, _ = world.map_position(view.grid.crs, points @ frame.frame_from_earth + frame.origin_earth_m)
-        col, row = (x - view.grid.x0) / view.grid.step, (view.grid.y0 - y) / view.grid.step
-        pixel = np.array([(col - view.col0) / view.col_step, (row - view.row0) / view.row_step]) + 0.5
-        at = 2.0 * pixel / size[:, None] - 1.0
-        clip = np.zeros((4, 4))
-        clip[:2] = np.column_stack([at[:, 1] - at[:, 0], at[:, 2] - at[:, 0], np.zeros(2), at[:, 0]])
-        clip[3, 3] = 1.0
-        return clip
-    eye, camera_from_frame = view.in_frame(frame)
-    right, down, forward = np.column_stack([camera_from_frame, camera_from_frame @ (origin_frame_m - eye)])
-    scale = 2.0 * view.focal_px / (view.step * size)
-    shift = (1.0 - 2.0 * np.array([view.col0, view.row0]) / view.step) / size - 1.0
-    return np.array([scale[0] * right + shift[0] * forward, scale[1] * down + shift[1] * forward, [0.0, 0.0, 0.0, NEAR_M], forward])
+    """Clip coordinates (4, 4) of homogeneous points, metres from a point of the plane; a flat world's map is affine."""
+    if isinstance(view, PerspectiveView):
+        return camera_clip(view, frame, origin_frame_m, NEAR_M)
+    return map_clip(world, frame, view, origin_frame_m, (origin_frame_m[2] - 1.0, origin_frame_m[2] + 1.0))
 
 
 def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projected:
@@ -138,17 +123,6 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
     return Projected(origin, at, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds))
 
 
-def _pixels_of(view: PerspectiveView, frame: LocalFrame, position_frame_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns (n,) of the pixels of a view in which points (n, 3) are seen."""
-    eye, camera_from_frame = view.in_frame(frame)
-    right, down, forward = camera_from_frame @ (position_frame_m - eye).T
-    row, col = (
-        np.rint((along / forward * view.focal_px - first) / view.step).astype(np.int64)
-        for along, first in ((down, view.row0), (right, view.col0))
-    )
-    return row.clip(0, view.rows - 1), col.clip(0, view.cols - 1)
-
-
 def _stencil(
     world: World,
     frame: LocalFrame,
@@ -160,13 +134,13 @@ def _stencil(
 ) -> np.ndarray:
     """The stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
     gl = device()
-    target = gl.stencil_target(view.cols, view.rows)
+    target = gl.stencil.target(view.cols, view.rows)
     with log.run(passes[0]) as record:
         program = gl.program(shader("shadows/pixels.vert"), shader("shadows/planar_receivers.frag"))
         texture = gl.texture(receivers)
         texture.use(0)
         program["receivers"] = 0
-        with gl.stencil_pass(target, NO_GROUND):
+        with gl.stencil.once_pass(target, NO_GROUND):
             gl.draw_pixels(program, target)
         texture.release()
         record.draws += 1
@@ -175,12 +149,12 @@ def _stencil(
         if projected.light_m[2] > 0.0:  # from below, no light reaches the ground
             clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ onto_plane(projected.light_m)
             _draw_casters(gl, target, clip_from_caster, projected, record)
-        return gl.read_stencil(target)
+        return gl.stencil.read(target)
 
 
 def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projected, record: PassRecord) -> None:
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel())}
-    with gl.stencil_pass(target, LIT, clip_distances=1):
+    with gl.stencil.once_pass(target, LIT, clip_distances=1):
         if projected.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/depth.frag"))
             set_uniforms(program, uniforms)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from shadows import planar, shadow_map, sweep, truth
+from shadows import hybrid, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth
 from shadows.passes import PassLayer
 from terrain.level import AlgorithmName, CasterKind
 
@@ -38,9 +38,27 @@ class Algorithm:
         return next((self.refuses[part] for part in parts if part in self.refuses), None)
 
 
+_NO_VOLUME = "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads"
+
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {
     "shadow_map": Algorithm(
         "shadow_map", shadow_map.PASSES, "depth map from the light, which follows what is looked at", layers=("shadow-map",),
+    ),
+    "perspective_shadow_map": Algorithm(
+        "perspective_shadow_map", perspective_shadow_map.PASSES, "depth map in the camera's post-perspective space: fine near the eye",
+        {
+            "map": "a map has no perspective that it could follow",
+            "omni": "what shines all round has no one map in post-perspective space",
+        },
+        layers=("shadow-map",),
+    ),
+    "shadow_volume": Algorithm(
+        "shadow_volume", shadow_volume.PASSES, "volumes of shadow counted in the stencil: exact to the pixel", {"forest": _NO_VOLUME},
+        layers=("stencil", "silhouettes", "volumes"),
+    ),
+    "hybrid": Algorithm(
+        "hybrid", hybrid.PASSES, "a small map, and shadow volumes only where it cannot decide", {"forest": _NO_VOLUME},
+        layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     ),
     "planar": Algorithm(
         "planar", planar.PASSES, "casters projected onto level ground through the stencil; they throw no shadow on one another",

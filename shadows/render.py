@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shadows import planar, shadow_map, sweep, truth
+from shadows import hybrid, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth
 from shadows.attached import attached
 from shadows.kept_layers import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
@@ -28,7 +28,10 @@ GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "casters"
 SHADING_PASS = "shading"
 
-FILLS = {"shadow_map": shadow_map.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill}
+FILLS = {
+    "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
+    "hybrid": hybrid.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill,
+}  # fmt: skip
 """Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
 
 MAX_PIXELS = 64_000_000

@@ -76,6 +76,11 @@ class Sampled:
         return out
 
 
+def finer_view(view: PerspectiveView) -> PerspectiveView:
+    """The view of the same camera whose pixels the samples of a view are."""
+    return view.finer(SIDE)
+
+
 def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
     """A view's buffer with samples wherever something ends in it."""
     frame = view.frame(scene.world)
@@ -93,7 +98,8 @@ def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
         np.pad((of[:, None] * SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
         for of, inside in ((row, places // SIDE), (col, places % SIDE))
     )
-    below = (view.finer(SIDE), Visible(scene, view.finer(SIDE), frame), (fine_row, fine_col))
+    finer = finer_view(view)
+    below = (finer, Visible(scene, finer, frame), (fine_row, fine_col))
     return Sampled(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
 
 

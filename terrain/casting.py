@@ -36,7 +36,7 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
     if buffer.ground is not None and "relief" in kinds:
         meshes.append((buffer.ground.position_frame_m, buffer.ground.triangles))
     if "meshes" in kinds and scene.population.solids is not None:
-        meshes.append(_solid_casters(scene.population, buffer.frame))
+        meshes.append(caster_solids(scene.population, buffer.frame))
     return meshes
 
 
@@ -63,7 +63,8 @@ def closed_casters(population: Population) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _solid_casters(population: Population, frame: LocalFrame) -> Mesh:
+def caster_solids(population: Population, frame: LocalFrame) -> Mesh:
+    """What stands for the meshes in a frame; the last ones are kept."""
     solids = population.solids
     assert solids is not None
     return (solids.caster_vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T, solids.caster_triangles

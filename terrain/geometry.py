@@ -55,8 +55,9 @@ class GeometryBuffer:
         there is nothing else.
     albedo
         float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
-    samples_from
-        Rows from here on are further samples of pixels (``terrain.antialias``), which are averaged.
+    samples_from, sample_pixels
+        Rows from here on are further samples of pixels (``terrain.antialias``), which are averaged; rows and columns (n, cols) of
+        the pixels that they are in the finer view of the same camera.
     stand, solids_frame_m
         The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
     """
@@ -78,6 +79,7 @@ class GeometryBuffer:
     stand: Stand | None = None
     solids_frame_m: np.ndarray | None = None
     samples_from: int | None = None
+    sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
 
 
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:

@@ -1,9 +1,9 @@
-"""The one module that owns OpenGL: context, state, raw calls and read-back.
+"""The module that owns OpenGL: context, state, raw calls and read-back.
 
 A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
 thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
 returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
-memory. What moderngl has no call for (16-bit and float depth storage, depth clamp, stencil) is here and nowhere else.
+memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``terrain.stencil``.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when i
 
 from terrain.depth_targets import DepthTargets  # noqa: E402
 from terrain.errors import GraphicsError  # noqa: E402
+from terrain.stencil import Stencil  # noqa: E402
 from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
-_CLIP_DISTANCE0 = 0x3000
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
@@ -59,7 +59,7 @@ class Device:
         )
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_target: moderngl.Framebuffer | None = None
-        self._stencil_target: tuple[moderngl.Framebuffer, int] | None = None
+        self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
         self._layers: OrderedDict[int, moderngl.TextureArray] = OrderedDict()
         self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
@@ -198,69 +198,6 @@ class Device:
             self.ctx.depth_func = "<="
             self.ctx.enable_only(moderngl.NOTHING)
 
-    def stencil_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A framebuffer of an eight-bit stencil (beside a depth of 24 bits); the last one is kept. Its content is 0."""
-        from OpenGL import GL
-
-        self.require_current()
-        if self._stencil_target is None or self._stencil_target[0].size != (width, height):
-            if self._stencil_target is not None:
-                old, storage = self._stencil_target
-                self._release_target(old, *old.color_attachments)
-                GL.glDeleteRenderbuffers(1, [storage])
-            target = self.ctx.framebuffer([self.ctx.renderbuffer((width, height), 1)])  # moderngl needs a colour
-            target.color_mask = (False,) * 4
-            storage = int(GL.glGenRenderbuffers(1))
-            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, storage)
-            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH24_STENCIL8, width, height)
-            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, 0)
-            target.use()
-            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, storage)
-            self.check("stencil_target")
-            self._stencil_target = target, storage
-        self._stencil_target[0].use()
-        GL.glStencilMask(0xFF)
-        GL.glClearBufferiv(GL.GL_STENCIL, 0, [0])
-        return self._stencil_target[0]
-
-    @contextmanager
-    def stencil_pass(self, target: moderngl.Framebuffer, held: int, clip_distances: int = 0) -> Iterator[None]:
-        """Draw into a stencil alone: what holds ``held`` holds one more where anything is drawn, however often.
-
-        ``clip_distances`` is the number of distances that the vertex shaders write.
-        """
-        from OpenGL import GL
-
-        self.require_current()
-        target.use()
-        self.ctx.enable_only(moderngl.NOTHING)
-        GL.glEnable(GL.GL_STENCIL_TEST)
-        GL.glStencilFunc(GL.GL_EQUAL, held, 0xFF)
-        GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_INCR)
-        for number in range(clip_distances):
-            self.ctx.enable_direct(_CLIP_DISTANCE0 + number)
-        try:
-            yield
-        finally:
-            for number in range(clip_distances):
-                self.ctx.disable_direct(_CLIP_DISTANCE0 + number)
-            GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_KEEP)
-            GL.glStencilFunc(GL.GL_ALWAYS, 0, 0xFF)
-            GL.glDisable(GL.GL_STENCIL_TEST)
-
-    def read_stencil(self, target: moderngl.Framebuffer) -> np.ndarray:
-        """Read a stencil as uint8 (rows, cols); row 0 is the first. Raises ``GraphicsError`` as ``read``."""
-        from OpenGL import GL
-
-        self.require_current()
-        width, height = target.size
-        out = np.zeros((height, width), np.uint8)
-        target.use()
-        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
-        GL.glReadPixels(0, 0, width, height, GL.GL_STENCIL_INDEX, GL.GL_UNSIGNED_BYTE, out)
-        self.check("read_stencil")
-        return out
-
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
         """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.
 
@@ -299,14 +236,34 @@ class Device:
             return 0
         if "first" in program:
             program["first"] = first
-        count = vertices.shape[1]
-        arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(triangles, np.int32)
-        buffers = [self.ctx.buffer(array) for array in arrays]
-        array = self.ctx.vertex_array(program, [(buffers[0], f"{count}f", "position")], index_buffer=buffers[1])
-        array.render(moderngl.TRIANGLES)
-        for item in (array, *buffers):
-            item.release()
+        with self.uploaded(program, vertices, triangles) as array:
+            array.render(moderngl.TRIANGLES)
         return len(triangles)
+
+    @contextmanager
+    def uploaded(
+        self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray
+    ) -> Iterator[moderngl.VertexArray]:
+        """Vertices (n, k) float32 (attribute ``position``) and their indices on the device, to be drawn as often as one likes."""
+        self.require_current()
+        arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(indices, np.int32)
+        buffers = [self.ctx.buffer(array) for array in arrays]
+        layout = f"{vertices.shape[1]}f"
+        array = self.ctx.vertex_array(program, [(buffers[0], layout, "position")], index_buffer=buffers[1])
+        try:
+            yield array
+        finally:
+            for item in (array, *buffers):
+                item.release()
+
+    def draw_points(self, program: moderngl.Program, points: np.ndarray) -> None:
+        """Draw points (n, k) (attribute ``position``), each a pixel."""
+        self.require_current()
+        buffer = self.ctx.buffer(np.ascontiguousarray(points, np.float32))
+        array = self.ctx.vertex_array(program, [(buffer, f"{points.shape[1]}f", "position")])
+        array.render(moderngl.POINTS)
+        for item in (array, buffer):
+            item.release()
 
     def draw_instances(self, program: moderngl.Program, vertices: int, instances: list[tuple[str, np.ndarray]]) -> int:
         """Draw ``vertices`` vertices (triangles; numbered by ``gl_VertexID``) per instance of attributes (n, k) float32.
@@ -328,7 +285,7 @@ class Device:
         return count * vertices // 3
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray) -> int:
-        """Draw a sheet of nodes (rows, cols, 3), quads cut SW to NE, leaving out triangles with a NaN corner.
+        """Draw a sheet of nodes (rows, cols, k), quads cut SW to NE, leaving out triangles with a corner of NaN height.
 
         Returns the number of triangles.
         """
@@ -344,7 +301,7 @@ class Device:
                 return 0
             indices = self.ctx.buffer(triangles)
         vertices = self.ctx.buffer(np.ascontiguousarray(position, np.float32))
-        array = self.ctx.vertex_array(program, [(vertices, "3f", "position")], index_buffer=indices)
+        array = self.ctx.vertex_array(program, [(vertices, f"{position.shape[2]}f", "position")], index_buffer=indices)
         array.render(moderngl.TRIANGLES)
         count = indices.size // 12
         for item in (array, vertices) if whole else (array, vertices, indices):

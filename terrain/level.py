@@ -19,7 +19,9 @@ from ruamel.yaml.error import YAMLError
 from terrain.errors import InputError, LevelError
 from terrain.level_parts import ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
 
-AlgorithmName = Literal["shadow_map", "planar", "sweep", "truth", "none"]
+AlgorithmName = Literal[
+    "shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"
+]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
 EffectName = Literal["cast_shadows"]
@@ -50,6 +52,9 @@ class Shadows(Model):
     fit: Literal["auto", "stable", "tight"] = "auto"
     bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = "auto"
     culling: Literal["auto", "none", "front"] = "auto"
+    stencil: Literal["auto", "one_pass", "two_pass"] = "auto"
+    counting: Literal["auto", "z_fail"] = "auto"
+    mask: Literal["auto", "conservative", "original"] = "auto"
 
     @field_validator("algorithm")
     @classmethod

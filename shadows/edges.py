@@ -1,0 +1,129 @@
+"""The edges of triangle meshes, and the connected parts that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from terrain.compiled import compiled
+from terrain.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Which edges the sides of triangles lie on, whatever the light.
+
+    Vertices at the very same float32 position count as one. A triangle with two corners in one place is degenerate: its sides
+    lie on no edge.
+
+    Attributes
+    ----------
+    ends
+        int32 (e, 2), vertex numbers, one for each place; the first is the smaller.
+    of_triangle
+        int32 (m, 3), the edge of each side, from a triangle's corners 0 to 1, 1 to 2 and 2 to 0; -1 for a degenerate one's.
+    along
+        int8 (m, 3): +1 where a side goes from the edge's first end to its second, -1 the other way, 0 for a degenerate one's.
+    """
+
+    ends: np.ndarray
+    of_triangle: np.ndarray
+    along: np.ndarray
+
+
+def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
+    """The edges of triangles (m, 3) of vertices (n, 3), of which those in one place as float32 are one.
+
+    Raises ``InputError`` for a triangle of vertices that there are not.
+    """
+    places = _places(np.asarray(vertices, np.float32).reshape(-1, 3))
+    triangles = np.asarray(triangles).reshape(-1, 3)
+    if triangles.size and not (0 <= triangles.min() and triangles.max() < len(places)):
+        worst = triangles.min() if triangles.min() < 0 else triangles.max()
+        raise InputError("triangles", int(worst), f"vertex numbers below {len(places)}")
+    start = places[triangles]
+    end = np.roll(start, -1, axis=1)
+    whole = (start != end).all(axis=1)
+    keys = _pairs(np.minimum(start, end)[whole].ravel(), np.maximum(start, end)[whole].ravel())
+    number, first = _numbered(keys)
+    of_triangle = np.full(triangles.shape, -1, np.int32)
+    of_triangle[whole] = number.reshape(-1, 3)
+    along = np.where(start < end, np.int8(1), np.int8(-1)) * whole[:, None]
+    ends = np.stack([keys[first] >> np.uint64(32), keys[first] & np.uint64(0xFFFFFFFF)], axis=-1)
+    return Edges(ends.astype(np.int32), of_triangle, along)
+
+
+def signed_sums(edges: Edges, turns: np.ndarray) -> np.ndarray:
+    """How often each edge is run along from its first end to its second, int32 (e,), less how often the other way.
+
+    The triangles run round as they are where ``turns`` (m,) is +1, the other way where it is -1, and not at all where it is 0.
+    """
+    weights = (edges.along * np.asarray(turns, np.int8)[:, None]).ravel()
+    # Bin 0 takes the sides of degenerate triangles.
+    sums = np.bincount(edges.of_triangle.ravel() + 1, weights, minlength=len(edges.ends) + 1)
+    return sums[1:].astype(np.int32)
+
+
+def parts_of(edges: Edges) -> np.ndarray:
+    """The number (m,) int32 of each triangle's part: all triangles that are connected through edges."""
+    count = len(edges.along)
+    triangle, side = np.nonzero(edges.along)
+    nodes = count + len(edges.ends)
+    link = coo_array((np.ones(len(triangle), np.int8), (triangle, count + edges.of_triangle[triangle, side])), (nodes, nodes))
+    return connected_components(link, directed=False)[1][:count].astype(np.int32)
+
+
+def closed_parts(edges: Edges) -> np.ndarray:
+    """Which triangles (m,), bool, belong to a part that bounds a body: closed, and all of its triangles oriented alike.
+
+    That is where each edge of the part is run along as often one way as the other, so that the part's signed boundary is zero.
+    """
+    part = parts_of(edges)
+    uneven = signed_sums(edges, np.ones(len(part), np.int8)) != 0
+    triangle, side = np.nonzero(edges.along)
+    open_part = np.zeros(int(part.max(initial=-1)) + 1, bool)
+    open_part[part[triangle[uneven[edges.of_triangle[triangle, side]]]]] = True
+    return ~open_part[part]
+
+
+def _places(vertices: np.ndarray) -> np.ndarray:
+    """One vertex number (n,) int32 for all vertices in one place: that of the first."""
+    bits = (vertices + np.float32(0.0)).view(np.uint32)  # -0 becomes 0
+    column, _ = _numbered(_pairs(bits[:, 0], bits[:, 1]))
+    number, first = _numbered(_pairs(column, bits[:, 2]))
+    return first[number]
+
+
+def _pairs(high: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Pairs of 32 bits as one number (n,) uint64."""
+    return high.astype(np.uint64) << np.uint64(32) | low.astype(np.uint64)
+
+
+@compiled
+def _numbered(keys):  # type: ignore[no-untyped-def]
+    """Numbers (n,) int32 of keys (n,) uint64, counted as they first appear, and where each appears first, int32.
+
+    An open hash table at most half full; the keys' bits are mixed as in SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable
+    pseudorandom number generators", OOPSLA).
+    """
+    size = 16
+    while size < 2 * len(keys):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    number, first = np.empty(len(keys), np.int32), np.empty(len(keys), np.int32)
+    found = 0
+    for n in range(len(keys)):
+        mixed = keys[n]
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        slot = np.int64((mixed ^ (mixed >> np.uint64(31))) & np.uint64(size - 1))
+        while table[slot] >= 0 and keys[first[table[slot]]] != keys[n]:
+            slot = (slot + 1) % size
+        if table[slot] < 0:
+            table[slot], first[found] = found, n
+            found += 1
+        number[n] = table[slot]
+    return number, first[:found].copy()

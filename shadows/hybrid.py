@@ -1,0 +1,101 @@
+"""`hybrid`: a small map decides where it can, and shadow volumes where it cannot (E. Chan and F. Durand, An Efficient Hybrid Shadow
+Rendering Algorithm, Eurographics Symposium on Rendering 2004).
+
+Volumes are drawn in rectangles of tiles that hold marked pixels alone (``shadows.tiles``), which saves their time, and count in marked
+pixels alone, by a bit of the stencil, which makes that exact.
+
+**Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
+thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which
+``shadows.conservative_map`` proves that volumes would say what the map says: no caster is too thin for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.attached import attached
+from shadows.hybrid_maps import MASKED, SHADED, decided, pictures
+from shadows.map_drawing import draw_map
+from shadows.map_lookup import look_up
+from shadows.map_windows import lamp_map, sun_maps
+from shadows.passes import PassLog
+from shadows.plan import HybridSettings, ShadowMapSettings
+from shadows.shadow_map import depths
+from shadows.tiles import marked_tiles
+from shadows.volume_drawing import count, faces_before
+from shadows.volumes import light_in_frame, volumes_of
+from terrain.geometry import GeometryBuffer
+from terrain.gl import device
+from terrain.level import CasterKind
+from terrain.reach import Casters
+from terrain.scene import Scene
+
+PASSES = ("silhouettes", "map", "mask", "stencil")
+
+
+def fill(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: HybridSettings,
+    log: PassLog,
+) -> np.ndarray:
+    """Visibility of a light (rows, cols), float32, 0 or 1, for a buffer's points past some kinds of casters.
+
+    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
+    """
+    passes = log.named(light, kinds, PASSES)
+    at = light_in_frame(buffer, scene, light)
+    with log.run(passes[0]) as record:
+        volumes, kept = volumes_of(buffer, scene, at, kinds, casters)
+        record.kept += kept
+        record.edges += sum(len(each.edges) for each in volumes)
+        record.bytes = max(record.bytes, sum(each.nbytes for each in volumes))
+    wanted = buffer.there & ~attached(buffer, scene, light)
+    if settings.mask == "original":
+        verdict = _compared(buffer, scene, light, kinds, casters, settings, wanted, passes, log)
+    else:
+        verdict = decided(buffer, scene, light, kinds, volumes, settings.map.map_size, wanted, passes, log)
+        log.keep("shadow-map", light, pictures, buffer, scene, light, volumes, settings.map.map_size, wanted)
+    log.keep("volumes", light, faces_before, buffer, scene, volumes)
+    marks = verdict == MASKED
+    log.keep("silhouettes", light, lambda: np.where(marks, np.uint8(255), np.uint8(0)))
+    with log.run(passes[3]) as record:
+        own = np.nonzero(marks[: buffer.view.rows])
+        record.marked += len(own[0])
+        record.tiles += int(marked_tiles(*own, (buffer.view.rows, buffer.view.cols)).sum())
+        counts = count(buffer, scene, at, volumes, settings, marks, True, record)
+    log.keep("stencil", light, counts.copy)
+    return np.where(np.where(marks, counts > 0, verdict == SHADED), np.float32(0.0), np.float32(1.0))
+
+
+def _compared(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: HybridSettings,
+    wanted: np.ndarray,
+    passes: list[str],
+    log: PassLog,
+) -> np.ndarray:
+    """What a map says of points by comparing them with two by two texels; samples of pixels are left to the volumes."""
+    gl, asked = device(), settings.map
+    if isinstance(asked, ShadowMapSettings):
+        maps = sun_maps(buffer, scene, asked, None)
+    else:
+        maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], asked, None)] if drawn is not None]
+    visibility = np.ones(buffer.there.shape, np.float32)
+    with log.run(passes[1]) as record:
+        targets = [draw_map(gl, drawn, buffer, scene, kinds, casters, asked, record) for drawn in maps]
+    with log.run(passes[2]) as record:
+        for drawn, target in zip(maps, targets, strict=True):
+            log.keep("shadow-map", light, depths, gl, drawn, target)
+            look_up(gl, drawn, target, buffer, asked, visibility, record)
+    verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
+    verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
+    verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED
+    return verdict

@@ -1,0 +1,202 @@
+"""The conservative maps of the hybrid, as a light sees the points of a buffer and what casts on them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from shadows.conservative_map import (
+    LIT,
+    MASKED,
+    SHADED,
+    ConservativeMap,
+    clipped_edges,
+    clipped_triangles,
+    conservative_map,
+    decide,
+)
+from shadows.kept_layers import beside_one_another
+from shadows.map_windows import CUBE, POSITION_ERROR
+from shadows.passes import PassLog
+from shadows.volumes import Volumes
+from terrain.geometry import GeometryBuffer
+from terrain.level import SUN, CasterKind
+from terrain.resolve import MESHES
+from terrain.same import Same
+from terrain.scene import Scene
+
+__all__ = ["LIT", "MASKED", "SHADED", "decided", "forget", "pictures"]
+
+BORDER_TEXELS = 1
+"""Texels round the points, so that none lies on the rim."""
+
+NEAR_SHARE = 1e-6
+"""What is nearer to a lamp than this share of the nearest point's distance along the map's axis is taken for casting on nothing."""
+
+FINEST_ERRORS = 256.0
+"""Texels are never less than so many times what float32 makes of a caster's place: their margin is a share of them."""
+
+KEPT = 8
+"""So many maps are kept, the ones used last."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """A face of a light's map: the points that are its (flat indices) with their texel coordinates and depths (n,), how much depth
+    may be off (n,), and what takes frame points to the light's axes and these to texels: ``(at - first) / texel``.
+    """
+
+    pixels: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    depth: np.ndarray
+    slack: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    lamp: bool
+    near_m: float
+    first: np.ndarray
+    texel: np.ndarray
+    size: tuple[int, int]
+
+    @property
+    def key(self) -> Hashable:
+        """All that the map's content goes by, besides what casts."""
+        arrays = (self.rotation, self.translation, self.first, self.texel)
+        return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
+
+
+_kept: OrderedDict[Hashable, ConservativeMap] = OrderedDict()
+
+
+def forget() -> None:
+    """Drop the maps that are kept."""
+    _kept.clear()
+
+
+def decided(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    volumes: list[Volumes],
+    map_size: int,
+    wanted: np.ndarray,
+    passes: list[str],
+    log: PassLog,
+) -> np.ndarray:
+    """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, kinds).ravel()
+    with log.run(passes[1]), log.run(passes[2]):
+        pass
+    for window in _windows(buffer, scene, light, map_size, wanted):
+        with log.run(passes[1]) as record:
+            kept = len(_kept)
+            drawn = _map(window, volumes)
+            record.kept += kept == len(_kept)
+            record.map_texels += drawn.nearest.size
+            record.bytes = max(record.bytes, 3 * drawn.nearest.nbytes)
+        with log.run(passes[2]):
+            verdict.ravel()[window.pixels] = decide(drawn, window.u, window.v, window.depth, window.slack, casting[window.pixels])
+    return verdict
+
+
+def _on_casters(buffer: GeometryBuffer, scene: Scene, kinds: tuple[CasterKind, ...]) -> np.ndarray:
+    """Where a buffer's points lie on triangles that cast if they face the light, bool (rows, cols): on meshes, where nothing else
+    stands in for them. Ground casts by triangles that are turned away.
+    """
+    solids = scene.population.solids
+    if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
+        return np.zeros(buffer.there.shape, bool)
+    return buffer.kind == MESHES
+
+
+def pictures(
+    buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
+) -> np.ndarray:
+    """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), beside one another; the light's up is at the top."""
+    found = []
+    for window in _windows(buffer, scene, light, map_size, wanted):
+        nearest = _map(window, volumes).nearest
+        there = np.isfinite(nearest)
+        low, high = min(nearest[there].min(initial=np.inf), window.depth.min()), window.depth.max()
+        share = np.where(there, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
+        found.append(share if window.lamp else share[::-1])
+    return beside_one_another(found) if found else np.ones((1, 1), np.float32)
+
+
+def _map(window: _Window, volumes: list[Volumes]) -> ConservativeMap:
+    key = (window.key, *(Same(each) for each in volumes))
+    if key not in _kept:
+        corners = [_in_texels(window, each.vertices[each.caps], clipped_triangles) for each in volumes]
+        edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
+        none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
+        _kept[key] = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    _kept.move_to_end(key)
+    return _kept[key]
+
+
+def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Triangles or edges (n, k, 4) of volumes in texels and depth (m, k, 3), a lamp's clipped at its near plane."""
+    at = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
+    if window.lamp:
+        at = _projected(clipped(at, window.near_m))
+    return np.concatenate([(at[..., :2] - window.first) / window.texel, at[..., 2:]], axis=-1)
+
+
+def _projected(at: np.ndarray) -> np.ndarray:
+    """Points (..., 3) before a lamp as tangents and a depth that is linear over them."""
+    return np.concatenate([at[..., :2] / at[..., 2:], -1.0 / at[..., 2:]], axis=-1)
+
+
+def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wanted: np.ndarray) -> Iterator[_Window]:
+    """The faces of a light's map that see any of the points."""
+    pixels = np.flatnonzero(wanted)
+    points = buffer.position_frame_m.reshape(-1, 3)[pixels]
+    error_m = POSITION_ERROR * float(np.abs(points).max(initial=1.0))
+    if light == SUN:
+        assert scene.light is not None
+        rotation, translation = scene.light.from_frame(buffer.frame)
+        faces = [(rotation, translation, np.arange(len(pixels)))]
+    else:
+        lamp = scene.lamps[light]
+        turn = lamp.earth_from_lamp.T @ buffer.frame.frame_from_earth.T
+        place = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+        turns = [turn] if lamp.kind == "spot" else [face @ turn for face in CUBE]
+        ahead = np.stack([(points - place) @ each[2] for each in turns])
+        nearest = ahead.argmax(axis=0)
+        faces = [(each, -each @ place, np.flatnonzero(nearest == number)) for number, each in enumerate(turns)]
+    for rotation, translation, chosen in faces:
+        if not len(chosen):
+            continue
+        at = points[chosen] @ rotation.T + translation
+        near_m, slack, error = 0.0, np.full(len(at), 4.0 * error_m), np.full(2, error_m)
+        if light != SUN:
+            least_m = float(at[:, 2].min())
+            near_m, slack = NEAR_SHARE * least_m, 4.0 * error_m / at[:, 2] ** 2
+            error = error_m / least_m * (1.0 + np.abs(at[:, :2] / at[:, 2:]).max(axis=0))
+            at = _projected(at)
+        low, high = at[:, :2].min(axis=0), at[:, :2].max(axis=0)
+        texel = np.maximum((high - low) / max(map_size - 2 * BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
+        first = low - BORDER_TEXELS * texel
+        size = tuple(int(n) for n in np.ceil((high - first) / texel) + BORDER_TEXELS)
+        u, v = ((at[:, :2] - first) / texel).T
+        yield _Window(
+            pixels[chosen],
+            u,
+            v,
+            at[:, 2],
+            slack,
+            rotation,
+            translation,
+            light != SUN,
+            near_m,
+            first,
+            texel,
+            size,  # type: ignore[arg-type]
+        )

@@ -1,0 +1,107 @@
+// The visible point of a pixel, as a perspective shadow map has it, held against the map. Derived in
+// shadows/perspective_shadow_map.py.
+uniform sampler2D position_frame_m;  // rgb: the visible points
+uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease
+uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle
+uniform sampler2D depth_map;
+uniform mat4 map_rows;               // to columns, rows and depths in [0, 1] of the map, and what they are divided by
+uniform ivec2 map_size;
+uniform float bias_scale;            // 1: as derived
+uniform float error_m;               // of a position in float32
+uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
+
+const bool lamp = false, on_nodes = false, own = true;
+const int triangles = 1;
+const float ROUNDING = 2.4e-7;       // of a division, as a share of the whole depth
+
+vec3 point;                          // in the map: texels and depth
+float w;                             // what it was divided by
+vec3 seen;                           // in the frame, as is its normal, towards the light
+vec3 normal;
+float crease;
+vec3 right, up;                      // a texel in the frame, at the map's same depth
+float depth_error;
+vec3 share, share_right, share_up;   // of the triangle's corners in the point: there, and how they change by texels
+vec2 slope;                          // of the triangle's depth
+float depth_at, slack;               // its depth there, and what is taken off it
+
+float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
+
+vec2 texel_of(vec3 p) { return p.xy; }
+bool is_outside(vec2 at) { return any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size))); }
+float held(vec2 at) { return texelFetch(depth_map, ivec2(at), 0).r; }
+bool is_lit(vec2 at, float z) { return is_outside(at) || min(z - 0.5 * depth_step, 1.0) <= held(at); }
+
+// Read a pixel; false where there is no surface.
+bool receive(ivec2 pixel) {
+    seen = texelFetch(position_frame_m, pixel, 0).xyz;
+    if (seen.x != seen.x) return false;
+    vec4 through = vec4(seen, 1.0) * map_rows;
+    w = through.w;
+    point = through.xyz / w;
+    vec4 facing = texelFetch(normal_frame, pixel, 0);
+    normal = facing.xyz;
+    crease = facing.w;
+
+    // What a step in the frame does in the map, and the inverse of that.
+    vec3 along_x = (map_rows[0].xyz - point.x * map_rows[3].xyz) / w;
+    vec3 along_y = (map_rows[1].xyz - point.y * map_rows[3].xyz) / w;
+    vec3 along_z = (map_rows[2].xyz - point.z * map_rows[3].xyz) / w;
+    vec3 ray = cross(along_x, along_y);
+    float volume = dot(ray, along_z);
+    right = cross(along_y, along_z) / volume;
+    up = cross(along_z, along_x) / volume;
+    if (dot(normal, ray) * volume > 0.0) normal = -normal;  // foliage is lit from either side
+    depth_error = error_m * length(along_z) + ROUNDING;
+
+    ivec2 first = ivec2(pixel.x * 3, pixel.y);
+    vec2 flat_[3];
+    vec3 deep, ahead;
+    for (int k = 0; k < 3; k++) {
+        vec3 aside = texelFetch(corner_frame_m, first + ivec2(k, 0), 0).xyz - seen;
+        vec4 corner = vec4(aside, 0.0) * map_rows;
+        corner.xyz -= point * corner.w;
+        flat_[k] = corner.xy;
+        deep[k] = corner.z;
+        ahead[k] = w + corner.w;
+    }
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        share[k] = cross2(flat_[i], flat_[j]);
+        share_right[k] = ahead[j] * flat_[i].y - ahead[i] * flat_[j].y;
+        share_up[k] = ahead[i] * flat_[j].x - ahead[j] * flat_[i].x;
+    }
+    float area = dot(share, ahead);
+    share /= area;
+    share_right /= area;
+    share_up /= area;
+    slope = vec2(dot(deep, share_right), dot(deep, share_up));
+    depth_at = mix(point.z, point.z + dot(deep, share), bias_scale);
+    slope *= bias_scale;
+    float around = 1e30;
+    if (all(greaterThan(ahead, vec3(0.0)))) {
+        vec3 apart = abs(deep) / ahead;
+        around = max(apart.x, max(apart.y, apart.z));
+    }
+    vec2 grid = 1.0 / 128.0 + error_m * vec2(length(along_x), length(along_y));
+    slack = min(dot(abs(slope), grid), around) + depth_error;
+    return true;
+}
+
+// Whether a texel's centre falls into the point's own triangle, and the depth there that the map holds unless something is nearer.
+bool is_on_own(vec2 at, out float z) {
+    vec2 aside = at + 0.5 - point.xy;
+    z = depth_at + dot(slope, aside) - slack;
+    return all(greaterThanEqual(share + share_right * aside.x + share_up * aside.y, vec3(0.0)));
+}
+bool is_on_any(vec2 at, out float z) { return is_on_own(at, z); }
+
+// The point moved clear, for ``taps`` taps a side, of every surface that passes through it.
+vec3 clear_of(int taps) {
+    float reach = 0.5 * float(taps) + 1.0 / 128.0;
+    float widest = max(length(right + up), length(right - up));
+    float offset_m = reach * (abs(dot(normal, right)) + abs(dot(normal, up)) + crease * widest) / max(1.0 - 0.5 * crease * crease, 0.25);
+    offset_m /= max(1.0 - offset_m * dot(map_rows[3].xyz, normal) / w, 0.25);
+    vec4 through = vec4(seen + normal * (bias_scale * offset_m + error_m), 1.0) * map_rows;
+    return through.xyz / through.w - vec3(0.0, 0.0, depth_error);
+}

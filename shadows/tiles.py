@@ -1,0 +1,250 @@
+"""Rectangles that hold all marked pixels of a picture and few others, and which faces of shadow volumes matter there: what does not
+need not be drawn at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+TILE_PX = 8
+"""Side of the tiles that rectangles are put together from."""
+
+RECTANGLE_TILES = 8
+"""What a further rectangle costs, in tiles."""
+
+GROUP = 16
+"""So many rectangles after one another have the faces beside all of them sorted out together."""
+
+BESIDE, ACROSS, COVERS = 0, 1, 2
+"""Where a triangle may lie to a rectangle."""
+
+DEPTH_MARGIN = 1e-4
+"""Share of a depth by which a face must lie beyond it to count as beyond."""
+
+
+def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Which tiles of a picture of some rows and columns hold one of the pixels (n,): bool."""
+    tiles = np.zeros(tuple(-(-side // TILE_PX) for side in size), bool)
+    tiles[rows // TILE_PX, cols // TILE_PX] = True
+    return tiles
+
+
+def rectangles(tiles: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Rectangles of tiles that hold all marked ones, int32 (k, 4): first column, first row, columns and rows, pixels. Neighbours follow
+    one another.
+
+    What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs.
+    """
+    found = _rectangles(tiles, RECTANGLE_TILES) * TILE_PX
+    found[:, 2:] = np.minimum(found[:, 2:], np.array([size[1], size[0]]) - found[:, :2])
+    return found.astype(np.int32)
+
+
+def depth_bounds(
+    rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, rectangles: np.ndarray, size: tuple[int, int]
+) -> np.ndarray:
+    """Least and greatest depth (k, 2) of those of some pixels (n,) that lie in each rectangle; (inf, -inf) where none does."""
+    tiles = tuple(-(-side // TILE_PX) for side in size)
+    of_tile = _tile_bounds(rows // TILE_PX, cols // TILE_PX, depth, *tiles)
+    out = np.empty((len(rectangles), 2))
+    for number, (col, row, width, height) in enumerate(rectangles.tolist()):
+        part = of_tile[row // TILE_PX : -(-(row + height) // TILE_PX), col // TILE_PX : -(-(col + width) // TILE_PX)]
+        out[number] = part[..., 0].min(), part[..., 1].max()
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Culled:
+    """The faces to be drawn in rectangles: their numbers, one rectangle after the other; where each one's begin (k + 1,); and what
+    those add to the counts of each rectangle (k,) that need not be drawn, being the same in all of its pixels.
+    """
+
+    faces: np.ndarray
+    starts: np.ndarray
+    added: np.ndarray
+
+
+def culled(
+    clip: np.ndarray, faces: np.ndarray, counts_behind: bool, rectangles: np.ndarray, depths: np.ndarray, size: tuple[int, int]
+) -> Culled:
+    """The faces (m, 3) that matter in each of some rectangles whose pixels' depths lie between bounds (k, 2), greater ones nearer.
+
+    ``clip`` (n, 4) are homogeneous clip coordinates; ``counts_behind`` says whether faces behind the pixels' points count (z-fail) or
+    those before them (z-pass). Left out are faces beside a rectangle, and those that lie wholly on the side that does not count;
+    those that cover all of it and lie wholly on the other add the same everywhere (T. Aila and T. Akenine-Moller, A Hierarchical
+    Shadow Volume Algorithm, 2004).
+
+    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight; the weights
+    are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M. Olano and
+    T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). So nothing need be clipped, before the eye or at
+    infinity; and depth, being the same sum of the corners' z, is linear over the picture.
+    """
+    px = np.array([size[1], size[0]]) / 2.0
+    points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
+    return Culled(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths))
+
+
+@compiled
+def _rectangles(tiles, cost):  # type: ignore[no-untyped-def]
+    waiting = [(0, tiles.shape[0], 0, tiles.shape[1])]
+    found = []
+    while waiting:
+        top, bottom, left, right = waiting.pop()
+        while top < bottom and not tiles[top, left:right].any():
+            top += 1
+        if top == bottom:
+            continue
+        while not tiles[bottom - 1, left:right].any():
+            bottom -= 1
+        while not tiles[top:bottom, left].any():
+            left += 1
+        while not tiles[top:bottom, right - 1].any():
+            right -= 1
+        part = tiles[top:bottom, left:right]
+        saved_rows, at_row = _best_cut(part)
+        saved_cols, at_col = _best_cut(part.T)
+        if max(saved_rows, saved_cols) <= cost:
+            found.append((left, top, right - left, bottom - top))
+        elif saved_rows >= saved_cols:
+            waiting.append((top + at_row, bottom, left, right))
+            waiting.append((top, top + at_row, left, right))
+        else:
+            waiting.append((top, bottom, left + at_col, right))
+            waiting.append((top, bottom, left, left + at_col))
+    out = np.empty((len(found), 4), np.int64)
+    for n in range(len(found)):
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = found[n]
+    return out
+
+
+@compiled
+def _best_cut(part):  # type: ignore[no-untyped-def]
+    """The cut between rows of tiles that leaves most tiles outside of what holds the two halves: how many, and where."""
+    rows, cols = part.shape
+    first, last = np.full(rows, cols), np.zeros(rows, np.int64)
+    for row in range(rows):
+        for col in range(cols):
+            if part[row, col]:
+                first[row] = min(first[row], col)
+                last[row] = col + 1
+    after = np.zeros(rows + 1, np.int64)  # tiles of what holds the rows from here on
+    low, high, end = cols, 0, 0
+    for row in range(rows - 1, -1, -1):
+        if last[row] > 0:
+            low, high = min(low, first[row]), max(high, last[row])
+            end = rows - row
+        after[row] = max(high - low, 0) * end
+    best, at = 0, 0
+    low, high, end = cols, 0, 0
+    for row in range(rows - 1):
+        if last[row] > 0:
+            low, high, end = min(low, first[row]), max(high, last[row]), row + 1
+        saved = rows * cols - max(high - low, 0) * end - after[row + 1]
+        if saved > best:
+            best, at = saved, row + 1
+    return best, at
+
+
+@compiled
+def _tile_bounds(rows, cols, depth, down, across):  # type: ignore[no-untyped-def]
+    out = np.empty((down, across, 2))
+    out[..., 0], out[..., 1] = np.inf, -np.inf
+    for n in range(len(rows)):
+        bounds = out[rows[n], cols[n]]
+        bounds[0], bounds[1] = min(bounds[0], depth[n]), max(bounds[1], depth[n])
+    return out
+
+
+@compiled
+def _culled(points, triangles, counts_behind, rectangles, depths):  # type: ignore[no-untyped-def]
+    m, k = len(triangles), len(rectangles)
+    lines, sign = _lines(points, triangles)
+    starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
+    found = np.empty(4 * m, np.int32)
+    near, count = np.empty(m, np.int32), 0
+    for group in range(0, k, GROUP):
+        some = rectangles[group : group + GROUP]
+        left, top = some[:, 0].min(), some[:, 1].min()
+        right, bottom = (some[:, 0] + some[:, 2]).max(), (some[:, 1] + some[:, 3]).max()
+        here = 0
+        for t in range(m):
+            if sign[t] != 0 and _place(lines[t], left, top, right, bottom) != BESIDE:
+                near[here] = t
+                here += 1
+        for number in range(group, min(group + GROUP, k)):
+            left, top = rectangles[number, 0], rectangles[number, 1]
+            right, bottom = left + rectangles[number, 2], top + rectangles[number, 3]
+            # what counts lies beyond one bound, what does not beyond the other; the margin is for float32
+            farthest, nearest = depths[number, 0] * (1.0 - DEPTH_MARGIN), depths[number, 1] * (1.0 + DEPTH_MARGIN)
+            if count + here > len(found):
+                more = np.empty(2 * len(found) + here, np.int32)
+                more[:count] = found[:count]
+                found = more
+            for n in range(here):
+                t = near[n]
+                place = _place(lines[t], left, top, right, bottom)
+                if place == BESIDE:
+                    continue
+                low, high = _range(lines[t, 3], left, top, right, bottom)
+                behind, before = high < farthest, low > nearest
+                if (before if counts_behind else behind):
+                    continue
+                if place == COVERS and (behind if counts_behind else before):
+                    added[number] += sign[t] if counts_behind else -sign[t]
+                    continue
+                found[count] = t
+                count += 1
+            starts[number + 1] = count
+    return found[:count].copy(), starts, added
+
+
+@compiled
+def _place(lines, left, top, right, bottom):  # type: ignore[no-untyped-def]
+    """Where a triangle, by the lines of its sides, lies to a rectangle."""
+    place = COVERS
+    for n in range(3):
+        low, high = _range(lines[n], left, top, right, bottom)
+        slack = abs(lines[n, 0]) + abs(lines[n, 1])  # of a pixel, for the rasteriser's grid
+        if high < -slack:
+            return BESIDE
+        if low <= slack:
+            place = ACROSS
+    return place
+
+
+@compiled
+def _lines(points, triangles):  # type: ignore[no-untyped-def]
+    """Of each triangle the three weights and the depth as linear functions of a pixel (m, 4, 3), and the determinant's sign (m,)."""
+    m = len(triangles)
+    lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
+    for t in range(m):
+        p, q, r = points[triangles[t, 0]], points[triangles[t, 1]], points[triangles[t, 2]]
+        for n in range(3):
+            a, b = (q, r) if n == 0 else (r, p) if n == 1 else (p, q)
+            lines[t, n, 0], lines[t, n, 1], lines[t, n, 2] = (
+                a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+            )  # fmt: skip
+        determinant = lines[t, 0, 0] * p[0] + lines[t, 0, 1] * p[1] + lines[t, 0, 2] * p[2]
+        if determinant == 0.0:
+            continue
+        sign[t] = 1 if determinant > 0.0 else -1
+        for axis in range(3):
+            lines[t, 0, axis] /= determinant
+            lines[t, 1, axis] /= determinant
+            lines[t, 2, axis] /= determinant
+            lines[t, 3, axis] = p[3] * lines[t, 0, axis] + q[3] * lines[t, 1, axis] + r[3] * lines[t, 2, axis]
+    return lines, sign
+
+
+@compiled
+def _range(line, left, top, right, bottom):  # type: ignore[no-untyped-def]
+    """Least and greatest value of a linear function over a rectangle."""
+    x, y, z = line
+    return (
+        z + min(x * left, x * right) + min(y * top, y * bottom),
+        z + max(x * left, x * right) + max(y * top, y * bottom),
+    )

@@ -1,0 +1,247 @@
+"""How many layers of shadow volumes can cover a point, and what to draw at a time so that they never exceed a counter.
+
+The layers over a point are the casting triangles between it and the light, so they are at most the triangles that cover the
+point as seen from the light. That number is the silhouette's winding number: it is 0 where no triangle is, and on the way across a
+directed edge from its right to its left it grows by the edge's multiplicity. All bounds here count such crossings; they hold for
+triangles moved by rounding as well, at every point that rounding does not carry across an edge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.edges import Edges, parts_of
+from shadows.silhouettes import Silhouette, homogeneous, silhouette
+from terrain.compiled import compiled
+from terrain.errors import InputError
+
+MOST = 255
+"""The largest number of layers that a stencil of 8 bits holds."""
+
+MOST_LUNES = 4096
+"""Into how many lunes directions are cut at most."""
+
+LEAST_LUNES = 16
+"""Into how many a full circle is cut at least: each must stay well below a half-circle."""
+
+LINES_PER_EDGE = 0.5
+"""How many lines between lunes an edge may cross, in the mean."""
+
+NEAR_PLANE_DEG = 0.1
+"""A light no farther than this from the near plane sweeps no volume that could be told from rounding."""
+
+APART = 1e-9
+"""Share of its distance, or angle, by which an edge must pass the poles' axis for rounding not to matter."""
+
+ASKEW = np.array([0.4364, 0.2182, 0.8729])
+"""A direction of length 1 that things built square do not line up with."""
+
+
+def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -> int:
+    """A bound of how many layers of the volumes of vertices (n, 3) can cover any point; never more than there are caps.
+
+    Directions from the light have an angle phi round an axis, rising to the left with the axis upwards, and are cut into lunes by
+    half-circles phi = phi_k between the poles. On a plane one unit away from the light, ahead in the middle of a lune, the
+    half-circles and the edges are straight lines; let v be the height there. The count of layers at the lower pole, N(pole), is
+    found triangle by triangle. Along the half-circle phi_k it is known exactly: with rising v it grows by the multiplicity m at an
+    edge that runs to the right, and falls at one that runs to the left. From there to the left, within the lune, it grows only at
+    edges that run upwards. So
+
+        N(phi, v) <= N(phi_k, v) + P_k(v)
+
+    where P_k(v) sums the multiplicities of the edges that run upwards through v, cut off at the lune's half-circles. The right-hand
+    side is a sum of steps in v. For the sun the same holds of the points where its rays meet a plane across them, as seen from one
+    unit before the plane; there, N(pole) = 0.
+    """
+    light = homogeneous(light)
+    if not len(silhouette.edges):
+        return 0
+    drawn = np.asarray(points, np.float32).reshape(-1, 3)
+    used = np.zeros(len(drawn), bool)
+    used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary begins an edge
+    edges = (np.cumsum(used, dtype=np.int32) - np.int32(1))[silhouette.edges]
+    begin = drawn[used].astype(np.float64)
+    if light[3] == 0.0:
+        seen, lower = _seen_from_sun(begin, light[:3]), 0
+    else:
+        axes = _axes_to(begin.mean(axis=0) - light[:3])
+        seen, lower = (begin - light[:3]) @ axes.T, _caps_at_lower_pole((drawn - light[:3]) @ axes[:2].T, silhouette.caps)
+    most = _most_seen(seen, edges, silhouette.times)
+    return len(silhouette.caps) if most is None else min(lower + most, len(silhouette.caps))
+
+
+def batches(
+    points: np.ndarray, triangles: np.ndarray, edges: Edges, turns: np.ndarray, light: np.ndarray, most: int = MOST
+) -> list[np.ndarray]:
+    """The casting triangles in groups that cover no point more than ``most`` times, each as turns (m,) int8; one if that will do.
+
+    Any set of triangles casts a shadow of its own, and a point is dark where any group's shadow covers it. What must be split is
+    halved between connected parts, ordered by their distance from the light, and a part between near and far triangles. Raises
+    ``InputError`` for less than one.
+    """
+    if most < 1:
+        raise InputError("most", most, "1 or more")
+    if most_layers(points, silhouette(triangles, edges, turns), light) <= most:
+        return [turns]
+    part = parts_of(edges)
+    groups, halves = [], [_from_the_light(points, triangles, part, turns, homogeneous(light))]
+    while halves:
+        some = halves.pop()
+        group = np.zeros_like(turns)
+        group[some] = turns[some]
+        if most_layers(points, silhouette(triangles, edges, group), light) <= most:
+            groups.append(group)
+        else:
+            middle = _middle(part[some])
+            halves += [some[middle:], some[:middle]]
+    return groups
+
+
+def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Whether boxes from ``low`` to ``high`` (k, 3) may cast on the near plane's rectangle, bool (k,).
+
+    That is whether they may reach into the volume swept from the rectangle, corners (4, 3) in order, to the light (4,): the
+    near-clip volume of Everitt and Kilgard 2002. False only where the near plane, one of the volume's sides or one of the box's
+    separates the two by more than rounding; True for all where the light lies within ``NEAR_PLANE_DEG`` of the near plane.
+    """
+    light = homogeneous(light)
+    low, high, rectangle = (np.asarray(v, np.float64).reshape(-1, 3) for v in (low, high, rectangle))
+    to_light = light[:3] - light[3] * rectangle
+    normal = np.cross(rectangle[1] - rectangle[0], rectangle[3] - rectangle[0])
+    above = to_light @ normal
+    least = np.sin(np.radians(NEAR_PLANE_DEG)) * np.linalg.norm(normal) * np.linalg.norm(to_light, axis=1)
+    if not (np.abs(above) > least).all():
+        return np.ones(len(low), bool)
+    extent = max(np.abs(low).max(initial=0.0), np.abs(high).max(initial=0.0), np.abs(rectangle).max())
+    rounding = 4.0 * float(np.finfo(np.float32).eps) * (extent + light[3] * float(np.abs(light[:3]).max()))
+    sides = np.cross(np.roll(rectangle, -1, axis=0) - rectangle, to_light)
+    inwards = np.sign(np.einsum("ij,ij->i", sides, rectangle.mean(axis=0) - rectangle))
+    planes = np.concatenate([np.sign(above[:1, None]) * normal, inwards[:, None] * sides])
+    through = np.concatenate([rectangle[:1], rectangle])
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    reach = middle @ planes.T - np.einsum("ij,ij->i", planes, through) + half @ np.abs(planes).T
+    inside = (reach >= -rounding * np.abs(planes).sum(axis=1)).all(axis=1)
+    far = light[:3] if light[3] else np.where(light[:3] == 0.0, rectangle[0], np.copysign(np.inf, light[:3]))
+    lowest, highest = np.minimum(rectangle.min(axis=0), far), np.maximum(rectangle.max(axis=0), far)
+    return inside & (high >= lowest - rounding).all(axis=1) & (low <= highest + rounding).all(axis=1)
+
+
+def _seen_from_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
+    """Points (n, 3) projected along the sun's rays to the plane one unit ahead, within half a unit of its middle."""
+    aside = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
+    plane = np.stack([axis / np.linalg.norm(axis) for axis in (aside, np.cross(aside, to_sun))]) @ points.T
+    low, high = plane.min(axis=1), plane.max(axis=1)
+    scale = max(float((high - low).max()), float(np.finfo(np.float64).tiny))
+    return np.stack([np.ones(len(points)), *((plane - (low + high)[:, None] / 2.0) / scale)], axis=-1)
+
+
+def _axes_to(ahead: np.ndarray) -> np.ndarray:
+    """Right-handed axes (3, 3): ahead, left and up. Up is askew, so that things built square do not line up with it."""
+    ahead = ahead / np.linalg.norm(ahead) if ahead.any() else ASKEW
+    left = np.cross(np.roll(ASKEW, int(np.argmax(np.abs(ahead)))), ahead)
+    left /= np.linalg.norm(left)
+    return np.stack([ahead, left, np.cross(ahead, left)])
+
+
+def _most_seen(seen: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | None:
+    """The largest N(phi_k, v) + P_k(v) less N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
+
+    ``None`` where an edge meets the axis through the poles.
+    """
+    azimuth = np.arctan2(seen[:, 1], seen[:, 0])
+    phi = azimuth[edges]
+    turn = phi[:, 1] - phi[:, 0]
+    round_the_back = np.abs(turn) > np.pi
+    turn[round_the_back] -= np.copysign(2.0 * np.pi, turn[round_the_back])
+    clear = np.hypot(seen[:, 0], seen[:, 1]) > APART * np.abs(seen[:, 2])
+    if not (clear.all() and np.abs(turn).max() < np.pi - APART):
+        return None
+    first, span = (-np.pi, 2.0 * np.pi) if round_the_back.any() else (float(phi.min()), float(np.ptp(phi)))
+    if not span:
+        return 0
+    lines = LINES_PER_EDGE * len(times) * span / max(float(np.abs(turn).sum()), 1e-9)
+    lunes = int(np.clip(lines, np.ceil(LEAST_LUNES * span / (2.0 * np.pi)), MOST_LUNES))
+    lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
+    place, step = _steps(seen, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
+    order = np.argsort(place)
+    place, count = place[order], np.cumsum(step[order])
+    done = np.append(place[1:] > place[:-1], True)  # what happens at one place happens at once
+    # From pole to pole the count changes by as much along one half-circle as along another.
+    count -= count[-1] // lunes * place.astype(np.int64)
+    return int(count[done].max(initial=0))
+
+
+@compiled
+def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):  # type: ignore[no-untyped-def]
+    """The steps of N(phi_k, v) + P_k(v) in all lunes: where each is, the lune's number plus v as a share of 1, and by how much."""
+    line = first + width * np.arange(lunes + 1)
+    line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * width), np.sin(line + 0.5 * width)
+    room = 0
+    for e in range(len(times)):
+        across = lune_of_end[e, 1] - lune_of_end[e, 0] if leftwards[e] else lune_of_end[e, 0] - lune_of_end[e, 1]
+        room += 2 + 3 * (across % lunes)
+    place, step, n = np.empty(room), np.empty(room, np.int64), 0
+    for e in range(len(times)):
+        a, b, m = seen[edges[e, 0]], seen[edges[e, 1]], times[e]
+        lune, last = lune_of_end[e]
+        x, y, z, begun = a[0], a[1], a[2], False
+        while True:
+            start = _height(lune, x * cos[lune] + y * sin[lune], z)
+            if begun and leftwards[e]:
+                place[n], step[n], n = start, -m, n + 1
+            if lune == last:
+                x, y, z = b[0], b[1], b[2]
+            else:
+                k = lune + 1 if leftwards[e] else lune
+                before = a[1] * line_cos[k] - a[0] * line_sin[k]
+                after = b[1] * line_cos[k] - b[0] * line_sin[k]
+                share = min(max(before / (before - after), 0.0), 1.0) if before != after else 0.5
+                x, y, z = a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
+            end = _height(lune, x * cos[lune] + y * sin[lune], z)
+            if end > start:
+                place[n], step[n], place[n + 1], step[n + 1], n = start, m, end, -m, n + 2
+            if lune == last:
+                break
+            if not leftwards[e]:
+                place[n], step[n], n = end, m, n + 1
+            lune, begun = (lune + (1 if leftwards[e] else -1)) % lunes, True
+    return place[:n], step[:n]
+
+
+@compiled
+def _height(lune, ahead, up):  # type: ignore[no-untyped-def]
+    """A lune's number, plus how high a direction is as a share between the poles."""
+    return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2
+
+
+@compiled
+def _caps_at_lower_pole(seen, caps):  # type: ignore[no-untyped-def]
+    """How many triangles (c, 3) that face a lamp have the lower pole in them, or by rounding may have."""
+    count = 0
+    for t in range(len(caps)):
+        inside = True
+        for k in range(3):
+            a, b = seen[caps[t, k]], seen[caps[t, (k + 1) % 3]]
+            there, back = a[0] * b[1], a[1] * b[0]
+            inside &= there - back >= -1e-12 * (abs(there) + abs(back))
+        count += inside
+    return count
+
+
+def _from_the_light(
+    points: np.ndarray, triangles: np.ndarray, part: np.ndarray, turns: np.ndarray, light: np.ndarray
+) -> np.ndarray:
+    """The casting triangles, part by part, and within a part the ones nearest to the light first."""
+    casting = np.flatnonzero(turns)
+    middle = np.asarray(points, np.float64).reshape(-1, 3)[triangles[casting]].mean(axis=1)
+    away = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
+    part = part[casting]
+    part_away = np.bincount(part, away) / np.maximum(np.bincount(part), 1)
+    return casting[np.lexsort((away, part, part_away[part]))]
+
+
+def _middle(part: np.ndarray) -> int:
+    """Where to halve triangles: between two parts (given triangle by triangle) if there are several."""
+    starts = np.flatnonzero(np.diff(part)) + 1
+    half = len(part) // 2
+    return int(starts[np.argmin(np.abs(starts - half))]) if len(starts) else half

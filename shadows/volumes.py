@@ -1,0 +1,212 @@
+"""Shadow volumes as triangles: built once for a light and what casts, and kept while both rest.
+
+The volume of a set of casting triangles is bounded by these, by a side for each edge of their silhouette, and by their images
+infinitely far away from the light (``shadows.silhouettes`` says which triangles cast and what a silhouette is). In homogeneous
+coordinates what lies at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled Shadow
+Volumes for Hardware-Accelerated Rendering, 2002):
+
+- The sun at L (a direction) sends every point to (-L, 0). A side is one triangle, and there is no far cap.
+- A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
+
+**What casts.** Of a closed body the triangles that face the light. Of the ground, above which everything is that is seen, those
+that do not: its near caps lie on what is dark anyway. Of everything else, open or not manifold, all triangles.
+
+**Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
+(``shadows.volume_layers``).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from shadows.attached import lamp_in_frame
+from shadows.edges import Edges, closed_parts, edges_of
+from shadows.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from shadows.volume_layers import batches
+from terrain.casting import Mesh, caster_sheets, caster_solids
+from terrain.geometry import GeometryBuffer
+from terrain.level import SUN, CasterKind
+from terrain.reach import Casters
+from terrain.same import Same
+from terrain.scene import Scene
+
+MOST_LAYERS = 127
+"""Layers that a stencil with one bit for marks can count."""
+
+KEPT = 8
+"""So many volumes are kept, the ones used last."""
+
+
+@dataclass(frozen=True, eq=False)
+class Volumes:
+    """Volumes of a set of casters in a frame.
+
+    Attributes
+    ----------
+    vertices
+        float32 (n, 4), homogeneous, metres.
+    faces
+        int32 (m, 3): counter-clockwise from outside of the volumes.
+    part
+        int32 (m,): the caster that a face is of.
+    low_m, high_m
+        float64 (parts, 3): bounds of the casters.
+    edges
+        int32 (e, 2): the silhouette.
+    first_cap, casting
+        Number of the first face that is a near cap, and how many there are: the casting triangles.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    part: np.ndarray
+    low_m: np.ndarray
+    high_m: np.ndarray
+    edges: np.ndarray
+    first_cap: int
+    casting: int
+
+    @property
+    def caps(self) -> np.ndarray:
+        """The casting triangles, int32 (c, 3), counter-clockwise as seen from the light."""
+        return self.faces[self.first_cap : self.first_cap + self.casting]
+
+    @property
+    def nbytes(self) -> int:
+        return self.vertices.nbytes + self.faces.nbytes
+
+
+def light_in_frame(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
+    """A light (4,) homogeneous in a buffer's frame: the direction to the sun, or the place of a lamp."""
+    if light == SUN:
+        assert scene.sun is not None
+        return np.append(buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, 0.0)
+    return np.append(lamp_in_frame(buffer, scene.lamps[light])[0], 1.0)
+
+
+_kept: OrderedDict[Hashable, list[Volumes]] = OrderedDict()
+
+
+def forget() -> None:
+    """Drop the volumes that are kept."""
+    _kept.clear()
+
+
+def volumes_of(
+    buffer: GeometryBuffer, scene: Scene, light_frame: np.ndarray, kinds: tuple[CasterKind, ...], casters: Casters
+) -> tuple[list[Volumes], int]:
+    """The volumes of all that casts on a buffer's points under a light (4,), and how many of them were kept from before.
+
+    A map's ground is never the same arrays twice: its blocks' pictures are kept instead.
+    """
+    found: list[Volumes] = []
+    kept = 0
+    for sheet in caster_sheets(scene, buffer, casters, kinds):
+        found += _of_sheet(sheet, light_frame)
+    meshes: list[tuple[Mesh, bool]] = []
+    if buffer.ground is not None and "relief" in kinds:
+        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), True))
+    if "meshes" in kinds and scene.population.solids is not None:
+        meshes.append((caster_solids(scene.population, buffer.frame), False))
+    for mesh, is_ground in meshes:
+        key = (*(Same(array) for array in mesh), tuple(light_frame), is_ground)
+        if key in _kept:
+            _kept.move_to_end(key)
+            kept += len(_kept[key])
+        else:
+            _kept[key] = _of_mesh(*mesh, light_frame, is_ground)
+            while len(_kept) > KEPT:
+                _kept.popitem(last=False)
+        found += _kept[key]
+    return found, kept
+
+
+@dataclass(frozen=True, eq=False)
+class _Structure:
+    """What does not depend on the light: the edges of a mesh, the rule of each triangle, and the caster of each vertex. Casters
+    have no vertex in common.
+    """
+
+    edges: Edges
+    rule: np.ndarray
+    part_of_vertex: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def _structure(vertices: Same, triangles: Same, is_ground: bool) -> _Structure:
+    edges, count = edges_of(vertices(), triangles()), len(vertices())
+    if is_ground:
+        return _Structure(edges, np.full(len(triangles()), TURNED_AWAY, np.int8), np.zeros(count, np.int32))
+    rule = np.where(closed_parts(edges), FACING, ALL).astype(np.int8)
+    first, has_edge = triangles()[:, :1], edges.of_triangle >= 0
+    welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
+    others = np.concatenate([triangles()[:, 1:], welded.reshape(-1, 6)], axis=1)
+    pairs = np.broadcast_to(first, others.shape).ravel(), others.ravel()
+    graph = coo_array((np.ones(others.size, bool), pairs), (count, count))
+    return _Structure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
+
+
+def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, is_ground: bool) -> list[Volumes]:
+    structure = _structure(Same(vertices), Same(triangles), is_ground)
+    edges, part = structure.edges, structure.part_of_vertex
+    turns = turns_of(facing(vertices, triangles, light), structure.rule)
+    order = np.argsort(part, kind="stable")
+    first = np.flatnonzero(np.diff(part[order], prepend=-1))
+    low, high = (bound.reduceat(vertices[order], first) for bound in (np.minimum, np.maximum))
+    if not turns.any():
+        return []
+    return [
+        _volumes(vertices, silhouette(triangles, edges, some), light, part, low, high)
+        for some in batches(vertices, triangles, edges, turns, light, MOST_LAYERS)
+    ]
+
+
+def _of_sheet(position: np.ndarray, light: np.ndarray) -> list[Volumes]:
+    known = position[np.isfinite(position[..., 2])]
+    if not len(known):
+        return []
+    found = sheet_silhouette(position, light, "turned_away")
+    if not len(found.caps):
+        return []
+    vertices = np.nan_to_num(position.reshape(-1, 3))
+    none = np.zeros(len(vertices), np.int32)
+    return [_volumes(vertices, found, light, none, known.min(axis=0)[None], known.max(axis=0)[None])]
+
+
+def _volumes(
+    vertices: np.ndarray, of: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> Volumes:
+    """The volumes over near caps and along a silhouette: sides from (a, b) are b, a, and their images."""
+    used, number = np.unique(np.concatenate([of.edges.ravel(), of.caps.ravel()]), return_inverse=True)
+    edges = number[: of.edges.size].reshape(-1, 2)
+    caps = number[of.edges.size :].reshape(-1, 3)
+    points = vertices[used]
+    count = len(points)
+    near = np.column_stack([points, np.ones(count)])
+    a, b = np.repeat(edges, of.times, axis=0).T
+    if light[3] == 0.0:
+        far = np.append(-light[:3], 0.0)[None]
+        sides = np.column_stack([b, a, np.full(len(a), count)])
+        faces = np.concatenate([sides, caps])
+    else:
+        far = np.column_stack([points - light[:3], np.zeros(count)])
+        sides = np.concatenate([np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])])
+        faces = np.concatenate([sides, caps, caps[:, ::-1] + count])
+    part = part_of_vertex[used][faces[:, 0] % count] if count else np.zeros(0, np.int32)
+    return Volumes(
+        np.concatenate([near, far]).astype(np.float32),
+        faces.astype(np.int32),
+        part,
+        low,
+        high,
+        edges.astype(np.int32),
+        len(sides),
+        len(caps),
+    )
