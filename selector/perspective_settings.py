@@ -4,9 +4,44 @@ from __future__ import annotations
 
 from shadows.plan import PerspectiveMapSettings, Reasoned
 from terrain.descriptor import Descriptor
-from terrain.level import Shadows
+from terrain.errors import UnsupportedError
+from terrain.level import SUN, Shadows
+
+AUTO_SIZE = 1024
+"""Texels a side, unless the level says otherwise: they go where the eye sees them, so that few do."""
+
+NO_CHOICE = {
+    "fit": "left out: a perspective map follows the camera, and is always fitted closely",
+    "cascades": "left out: a perspective map is one map, which is fine near the eye by itself",
+    "bias": "left out: a perspective map is compared on the triangle that is seen",
+    "culling": "left out: a perspective map is drawn whole, since it needs no bias",
+}
+"""What a shadow map may be asked for and this one has no choice of."""
 
 
 def perspective_map_settings(descriptor: Descriptor, light: str, asked: Shadows) -> tuple[PerspectiveMapSettings, list[Reasoned]]:
-    """Settings of a light's perspective shadow map, and the reasons for what was left to choose."""
-    raise NotImplementedError
+    """Settings of a light's perspective shadow map, and the reasons for what was left to choose.
+
+    Raises ``UnsupportedError`` for the penumbra of the sun's disc.
+    """
+    if asked.filter == "sun":
+        reason = "texels of a perspective map are as uneven as the picture: 1, 2, 3 or 5 taps a side, or shadow_map for the penumbra"
+        raise UnsupportedError("filter", "sun", reason)
+    who = "" if light == SUN else f"{light}: "
+    reasons = [
+        Reasoned(name=f"{who}{key} {wish}", reason=why)
+        for key, why in NO_CHOICE.items()
+        if (wish := getattr(asked, key)) not in ("auto", {"fit": "tight", "cascades": 1}.get(key, getattr(PerspectiveMapSettings, key, None)))
+    ]  # fmt: skip
+    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
+    if size == "auto":
+        size = AUTO_SIZE
+        reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small where the eye is near: few will do"))
+    if bits == "auto":
+        bits = 24 if light == SUN else 32
+        why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
+        reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits would not do far away"))
+    if taps == "auto":
+        taps = 3
+        reasons.append(Reasoned(name=f"{who}filter 3", reason="nine taps smooth the stairs of texels along shadow edges"))
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons

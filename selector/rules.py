@@ -20,6 +20,10 @@ from terrain.errors import InputError, UnsupportedError
 from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override, spelt
 
 
+MOST_BEND_PX = 0.25
+"""How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
+
+
 def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | None = None) -> Plan:
     """The plan of a view. ``overrides`` (algorithm, map_size, depth_bits, filter) go before what the level says.
 
@@ -91,7 +95,8 @@ def _algorithm(
 def _parts(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Part, ...]:
     """What an algorithm is asked to serve, for a light of a kind and a kind of casters."""
     level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
-    return descriptor.view_kind, light, caster, "level" if level_ground else "uneven"
+    view: tuple[Part, ...] = (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
+    return (*view, light, caster, "level" if level_ground else "uneven")
 
 
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Part, ...], who: str) -> None:

@@ -13,9 +13,6 @@ from terrain.compiled import compiled
 RUNS = 3
 """Runs of depth that a texel keeps."""
 
-BAND_ROWS = 8
-"""Rows whose runs are in memory at a time: a few MB, which caches hold."""
-
 MARGIN = 1.0 / 64.0
 """Triangles touch a texel if they touch its square widened by this share of a texel: covers all rounding of coordinates."""
 
@@ -23,7 +20,7 @@ EDGE_MARGIN = 2.0 * MARGIN
 """The same for edges: a triangle that is taken to touch a widened square reaches well into the one of its edges."""
 
 OPEN = 1e9
-"""Layers of a run that an edge belongs to: how many there are depends on where one is in the texel."""
+"""Layers, at the least, of a run that an edge belongs to: how many there are depends on where one is in the texel."""
 
 THIN_TEXELS = 2.0**-14
 """A triangle no thicker than this is drawn as its three edges: whether it covers a point is a matter of rounding."""
@@ -64,39 +61,36 @@ def certain_depths(cols, rows, corners, edges):  # type: ignore[no-untyped-def]
     nearest = np.full((rows, cols), np.inf)
     nearest_other = np.full((rows, cols), np.inf)
     shaded_beyond = np.full((rows, cols), np.inf)
-    runs = np.empty((BAND_ROWS, cols, RUNS + 1, 3))  # near bound, far bound, layers
-    counts = np.empty((BAND_ROWS, cols), np.int64)
-    for first in range(0, rows, BAND_ROWS):
-        stop = min(first + BAND_ROWS, rows)
-        counts[:] = 0
-        for t in range(len(corners)):
-            _draw_triangle(runs, counts, first, stop, corners[t])
-        for e in range(len(edges)):
-            _draw_edge(runs, counts, first, stop, edges[e, 0], edges[e, 1])
-        for row in range(first, stop):
-            for col in range(cols):
-                count, run = counts[row - first, col], runs[row - first, col]
-                if count > 0:
-                    nearest[row, col] = nearest_other[row, col] = run[0, 0]
-                    if run[0, 2] == 1.0:
-                        nearest_other[row, col] = run[1, 0] if count > 1 else np.inf
-                for k in range(count):
-                    if 1.0 <= run[k, 2] < OPEN:
-                        shaded_beyond[row, col] = run[k, 1]
-                        break
+    runs = np.empty((rows, cols, RUNS + 1, 3))  # near bound, far bound, layers
+    counts = np.zeros((rows, cols), np.int64)
+    for t in range(len(corners)):
+        _draw_triangle(runs, counts, corners[t])
+    for e in range(len(edges)):
+        _draw_edge(runs, counts, edges[e, 0], edges[e, 1])
+    for row in range(rows):
+        for col in range(cols):
+            count, run = counts[row, col], runs[row, col]
+            if count > 0:
+                nearest[row, col] = nearest_other[row, col] = run[0, 0]
+                if run[0, 2] == 1.0:
+                    nearest_other[row, col] = run[1, 0] if count > 1 else np.inf
+            for k in range(count):
+                if 1.0 <= run[k, 2] < OPEN:
+                    shaded_beyond[row, col] = run[k, 1]
+                    break
     return nearest, nearest_other, shaded_beyond
 
 
 @compiled
-def _draw_triangle(runs, counts, first_row, stop_row, corners):  # type: ignore[no-untyped-def]
-    """Add a triangle's interval of depth to each texel of a band of rows that it touches: the extremes of its plane over the
-    texel's square, limited to the extremes of its corners. A run's layers are the triangles that cover the probe.
+def _draw_triangle(runs, counts, corners):  # type: ignore[no-untyped-def]
+    """Add a triangle's interval of depth to each texel that it touches: the extremes of its plane over the texel's square,
+    limited to the extremes of its corners. A run's layers are the triangles that cover the probe.
     """
-    cols = counts.shape[1]
+    rows, cols = counts.shape
     a, b, c = corners[0], corners[1], corners[2]
     u_min, u_max = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
     v_min, v_max = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
-    if u_max < -MARGIN or u_min > cols + MARGIN or v_max < first_row - EDGE_MARGIN or v_min > stop_row + EDGE_MARGIN:
+    if u_max < -EDGE_MARGIN or u_min > cols + EDGE_MARGIN or v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
         return
     bu, bv, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     cu, cv, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -104,7 +98,7 @@ def _draw_triangle(runs, counts, first_row, stop_row, corners):  # type: ignore[
     longest = np.sqrt(max(bu * bu + bv * bv, cu * cu + cv * cv, (cu - bu) ** 2 + (cv - bv) ** 2))
     if abs(area) <= max(THIN_TEXELS * longest, THIN_SHARE * terms):
         for k in range(3):
-            _draw_edge(runs, counts, first_row, stop_row, corners[k], corners[(k + 1) % 3])
+            _draw_edge(runs, counts, corners[k], corners[(k + 1) % 3])
         return
     slope_u, slope_v = (bz * cv - cz * bv) / area, (cz * bu - bz * cu) / area
     z_min, z_max = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
@@ -112,41 +106,39 @@ def _draw_triangle(runs, counts, first_row, stop_row, corners):  # type: ignore[
     in_v = (abs(cz * bu) + abs(bz * cu) + abs(slope_v) * terms) / abs(area) * (v_max - v_min + 1.0)
     reach = (abs(slope_u) + abs(slope_v)) * (0.5 + MARGIN)
     error = ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
-    for row in range(*_texels(v_min - MARGIN, v_max + MARGIN, first_row, stop_row)):
+    for row in range(*_texels(v_min - MARGIN, v_max + MARGIN, rows)):
         low, high = _span(corners, row - MARGIN, row + 1.0 + MARGIN)
         if low > high:
             continue
         probe_low, probe_high = _span(corners, row + PROBE[1] - PROBE_MARGIN, row + PROBE[1] + PROBE_MARGIN)
-        for col in range(*_texels(low - MARGIN, high + MARGIN, 0, cols)):
+        for col in range(*_texels(low - MARGIN, high + MARGIN, cols)):
             middle = a[2] + slope_u * (col + 0.5 - a[0]) + slope_v * (row + 0.5 - a[1])
             near = max(z_min, middle - reach) - error
             far = max(near, min(z_max, middle + reach) + error)
             covers = probe_low - PROBE_MARGIN <= col + PROBE[0] <= probe_high + PROBE_MARGIN
-            counts[row - first_row, col] = _insert(
-                runs[row - first_row, col], counts[row - first_row, col], near, far, 1.0 if covers else 0.0
-            )
+            counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, 1.0 if covers else 0.0)
 
 
 @compiled
-def _draw_edge(runs, counts, first_row, stop_row, a, b):  # type: ignore[no-untyped-def]
-    """Add an edge's interval of depth to each texel of a band of rows that it touches; a run that it belongs to is open."""
-    cols = counts.shape[1]
+def _draw_edge(runs, counts, a, b):  # type: ignore[no-untyped-def]
+    """Add an edge's interval of depth to each texel that it touches; a run that it belongs to is open."""
+    rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
-    if v_max < first_row - EDGE_MARGIN or v_min > stop_row + EDGE_MARGIN:
+    if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
         return
     error = ROUNDING * max(abs(a[2]), abs(b[2]))
-    for row in range(*_texels(v_min - EDGE_MARGIN, v_max + EDGE_MARGIN, first_row, stop_row)):
+    for row in range(*_texels(v_min - EDGE_MARGIN, v_max + EDGE_MARGIN, rows)):
         start, stop = _part(a[1], b[1], row - EDGE_MARGIN, row + 1.0 + EDGE_MARGIN, 0.0, 1.0)
         if start > stop:
             continue
         u_start, u_stop = a[0] + start * (b[0] - a[0]), a[0] + stop * (b[0] - a[0])
         low, high = min(u_start, u_stop), max(u_start, u_stop)
-        for col in range(*_texels(low - EDGE_MARGIN, high + EDGE_MARGIN, 0, cols)):
+        for col in range(*_texels(low - EDGE_MARGIN, high + EDGE_MARGIN, cols)):
             first, last = _part(a[0], b[0], col - EDGE_MARGIN, col + 1.0 + EDGE_MARGIN, start, stop)
             if first <= last:
                 z_first, z_last = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
                 near, far = min(z_first, z_last) - error, max(z_first, z_last) + error
-                counts[row - first_row, col] = _insert(runs[row - first_row, col], counts[row - first_row, col], near, far, OPEN)
+                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, OPEN)
 
 
 @compiled
@@ -155,19 +147,19 @@ def _insert(runs, count, near, far, layers):  # type: ignore[no-untyped-def]
     first = 0
     while first < count and runs[first, 1] < near:
         first += 1
-    last = first
-    while last < count and runs[last, 0] <= far:
-        near, far, layers = min(near, runs[last, 0]), max(far, runs[last, 1]), layers + runs[last, 2]
-        last += 1
-    if last == first:
+    stop = first
+    while stop < count and runs[stop, 0] <= far:
+        near, far, layers = min(near, runs[stop, 0]), max(far, runs[stop, 1]), layers + runs[stop, 2]
+        stop += 1
+    if stop == first:
         for k in range(count, first, -1):
             for i in range(3):
                 runs[k, i] = runs[k - 1, i]
-    elif last > first + 1:
-        for k in range(last, count):
+    elif stop > first + 1:
+        for k in range(stop, count):
             for i in range(3):
-                runs[k - (last - first - 1), i] = runs[k, i]
-    count += 1 - (last - first)
+                runs[k + first + 1 - stop, i] = runs[k, i]
+    count += first + 1 - stop
     runs[first, 0], runs[first, 1], runs[first, 2] = near, far, layers
     if count > RUNS:
         count = RUNS
@@ -184,10 +176,11 @@ def _span(corners, low, high):  # type: ignore[no-untyped-def]
     """
     least, greatest = np.inf, -np.inf
     for k in range(3):
-        a, b = corners[k], corners[(k + 1) % 3]
-        start, stop = _part(a[1], b[1], low, high, 0.0, 1.0)
+        n = (k + 1) % 3
+        start, stop = _part(corners[k, 1], corners[n, 1], low, high, 0.0, 1.0)
         if start <= stop:
-            u_start, u_stop = a[0] + start * (b[0] - a[0]), a[0] + stop * (b[0] - a[0])
+            way = corners[n, 0] - corners[k, 0]
+            u_start, u_stop = corners[k, 0] + start * way, corners[k, 0] + stop * way
             least, greatest = min(least, u_start, u_stop), max(greatest, u_start, u_stop)
     return least, greatest
 
@@ -202,6 +195,6 @@ def _part(a, b, low, high, start, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _texels(low, high, first, stop):  # type: ignore[no-untyped-def]
-    """First texel and the one past the last of those, in [first, stop), that [low, high] meets."""
-    return int(np.floor(max(float(first), min(float(stop), low)))), int(np.floor(max(first - 1.0, min(stop - 1.0, high)))) + 1
+def _texels(low, high, size):  # type: ignore[no-untyped-def]
+    """First texel and the one past the last of those, among ``size``, that [low, high] meets."""
+    return int(np.floor(max(0.0, min(float(size), low)))), int(np.floor(max(-1.0, min(size - 1.0, high)))) + 1

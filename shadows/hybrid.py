@@ -1,8 +1,8 @@
 """`hybrid`: a small map decides where it can, and shadow volumes where it cannot (E. Chan and F. Durand, An Efficient Hybrid Shadow
 Rendering Algorithm, Eurographics Symposium on Rendering 2004).
 
-Volumes are drawn in rectangles of tiles that hold marked pixels alone (``shadows.tiles``), which saves their time, and count in marked
-pixels alone, by a bit of the stencil, which makes that exact.
+Volumes are drawn only in rectangles of tiles that hold marked pixels (``shadows.tiles``), which saves their time, and count only in
+marked pixels, by a bit of the stencil, which makes that exact.
 
 **Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
 thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which

@@ -117,7 +117,7 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, kinds: tuple[CasterKind, .
 def pictures(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
 ) -> np.ndarray:
-    """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), beside one another; the light's up is at the top."""
+    """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), side by side; the light's up is at the top."""
     found = []
     for window in _windows(buffer, scene, light, map_size, wanted):
         nearest = _map(window, volumes).nearest

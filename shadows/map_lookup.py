@@ -8,9 +8,9 @@ from contextlib import contextmanager
 import numpy as np
 from moderngl import Framebuffer, Program
 
+from shadows.map_drawing import MapSettings
 from shadows.map_windows import DepthMap
 from shadows.passes import PassRecord
-from shadows.plan import LampMapSettings, ShadowMapSettings
 from shadows.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
@@ -33,7 +33,7 @@ def look_up(
     drawn: DepthMap,
     target: Framebuffer,
     buffer: GeometryBuffer,
-    settings: ShadowMapSettings | LampMapSettings,
+    settings: MapSettings,
     visibility: np.ndarray,
     record: PassRecord,
 ) -> None:
@@ -69,9 +69,7 @@ def look_up(
                 visibility.ravel()[chosen] = _drawn_pixels(gl, program, some, target, drawn, record).ravel()[: len(chosen)]
 
 
-def _program(
-    gl: Device, drawn: DepthMap, settings: ShadowMapSettings | LampMapSettings, filter: int | str, known: dict[str, bool]
-) -> Program:
+def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:
     """The program that looks a map up, all set but for the points; ``known`` says which triangles are."""
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
     constants = known | {
@@ -80,7 +78,7 @@ def _program(
         # Beside known triangles there are fewer: a point moved far clear of its own misses what touches it.
         "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps,
     }  # fmt: skip
-    fragment = shader("shadows/receiver", "shadows/sun_disc.frag" if disc else "shadows/shadow_map.frag")
+    fragment = shader(drawn.shaders[1], "shadows/sun_disc.frag" if disc else "shadows/shadow_map.frag")
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **drawn.uniforms, "map_size": drawn.size, "bias_scale": settings.bias_scale,
@@ -99,9 +97,7 @@ def _program(
 
 
 @contextmanager
-def _least_depths(
-    gl: Device, drawn: DepthMap, target: Framebuffer, settings: ShadowMapSettings | LampMapSettings
-) -> Iterator[None]:
+def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer, settings: MapSettings) -> Iterator[None]:
     """The least depth of each block of a map's texels, in its texture unit, where the sun's disc needs it."""
     if settings.filter != "sun":
         yield

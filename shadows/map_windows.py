@@ -41,6 +41,9 @@ CUBE = np.array([
 class DepthMap:
     """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, the trees that there are, and in
     perspective the points that it is for (flat indices).
+
+    ``shaders`` are those of the light's clip space and of what is held against the map. ``reach`` bounds the trees that matter
+    (rotation, translation, low, high: as ``terrain.casting.trees_in_the_way`` takes them); ``None``: all of them do.
     """
 
     uniforms: dict
@@ -49,6 +52,8 @@ class DepthMap:
     depth_bits: int
     trees: Stand | None
     pixels: np.ndarray | None
+    reach: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+    shaders: tuple[str, str] = ("shadows/light", "shadows/receiver")
 
     @property
     def texels(self) -> int:
@@ -113,21 +118,23 @@ def _sun_map(
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel, border, stable)
-    steps = _steps(settings.depth_bits)
+    steps = steps_of(settings.depth_bits)
     before_m = 4.0 * (error_m + cascade.depth_step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
+    offset_m, window_m = translation - np.array([*(first * texel), near]), np.array([*(size * texel), steps * step_m])
     uniforms = {
         "lamp": False,
         "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
-        "light_offset_m": tuple(translation - np.array([*(first * texel), near])),
-        "window_m": (*(size * texel), steps * step_m),
+        "light_offset_m": tuple(offset_m),
+        "window_m": tuple(window_m),
         "texel_m": tuple(texel),
         "first_texel": (int(first[0]), int(first[1])),
         "error_m": error_m,
         "depth_step": 1.0 / steps,
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(here)
-    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels)
+    reach = rotation, offset_m, np.zeros(3), window_m
+    return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, reach)
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> DepthMap | None:
@@ -155,7 +162,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "tangent": tangent,
         "near_far_m": (near, far),
         "error_m": POSITION_ERROR * (_extent_m(buffer) + float(np.abs(position).max())),
-        "depth_step": 1.0 / _steps(settings.depth_bits),
+        "depth_step": 1.0 / steps_of(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
     return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
@@ -177,7 +184,8 @@ def _extent_m(buffer: GeometryBuffer) -> float:
     return float(np.abs(light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))).max())
 
 
-def _steps(depth_bits: int) -> int:
+def steps_of(depth_bits: int) -> int:
+    """The steps from depth 0 to depth 1; those of a float are no larger near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 

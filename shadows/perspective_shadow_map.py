@@ -7,10 +7,10 @@ import numpy as np
 from shadows.attached import attached
 from shadows.map_drawing import draw_map
 from shadows.map_lookup import look_up
-from shadows.map_windows import BORDER_TEXELS, POSITION_ERROR, DepthMap, steps_of
+from shadows.map_windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import Camera, Light, PostPerspective, Receivers, fitted, ranked
+from shadows.post_perspective import Camera, Light, Receivers, fitted, is_clear, post_perspectives, uniform_matrix
 from shadows.shadow_map import depths
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_trees
@@ -25,8 +25,11 @@ from terrain.stand import Stand
 
 PASSES = ("depth map", "visibility")
 
-SAMPLE = 1500
-"""Receivers that a map's matrix is chosen by; all of them are fitted to."""
+SAMPLE = 1024
+"""Receivers that a map's matrix is chosen by; it is fitted to all of them."""
+
+BEFORE = 0.01
+"""Share of the map's depths that lies before the nearest receiver."""
 
 
 def fill(
@@ -63,26 +66,35 @@ def perspective_map(
     """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
     chosen = np.flatnonzero(receivers)
     some = chosen[:: max(len(chosen) // SAMPLE, 1)]
-    camera, source = camera_of(buffer), light_of(buffer, scene, light)
-    size = settings.map_size
-    inner = 1.0 - 2.0 * BORDER_TEXELS / size
-    sample = Receivers(buffer.position_frame_m.reshape(-1, 3)[some], buffer.normal_frame.reshape(-1, 3)[some].astype(np.float64))
-    for found in ranked(camera, source, sample, inner):
-        low, high, clear = bounds(found, buffer, receivers)
-        if clear:
+    sample = Receivers(
+        buffer.position_frame_m.reshape(-1, 3)[some], buffer.normal_frame.reshape(-1, 3)[some].astype(np.float64)
+    )
+    source = light_of(buffer, scene, light)
+    inner = 1.0 - 2.0 * BORDER_TEXELS / settings.map_size
+    plain = uniform_matrix(source, sample.points_m)[3]
+    nearest = NEAREST_SHARE * float((sample.points_m @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
+    for found in post_perspectives(camera_of(buffer), source, sample, inner):
+        low, high = _bounds(found.clip_from_frame, plain, nearest, buffer.position_frame_m, receivers)
+        if is_clear(np.array([low[3], high[3]])):
             break
-    clip = fitted(found.clip_from_frame, low, high, inner, 0.05)
-    texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
-    extent_m = max(float(np.abs(sample.points_m).max()), float(np.abs(high).max()) * 0.0)
+    clip = fitted(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
+    size = settings.map_size
+    to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
         "lamp": False,
-        "clip_rows": tuple(clip.ravel()),
-        "map_rows": tuple((texels @ clip).ravel()),
-        "error_m": POSITION_ERROR * 2.0 * extent_m,
+        "clip_rows": tuple(clip.ravel()),  # GLSL's matrices are column by column: these columns are the rows
+        "map_rows": tuple((to_texels @ clip).ravel()),
+        "position_error": 2.0 * POSITION_ERROR,
         "depth_step": 1.0 / steps_of(settings.depth_bits),
     }
+    reach = None
+    if trees is not None and light == SUN:
+        assert scene.light is not None
+        turned = scene.light.from_frame(buffer.frame)
+        first, last = light_bounds(buffer.position_frame_m, receivers, *turned)
+        reach = *turned, first, last
     shaders = "shadows/perspective_light", "shadows/perspective_receiver"
-    return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, None, shaders), found.note
+    return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), found.note
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
@@ -102,23 +114,24 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
     return Light(np.array([*position, 1.0]), position + lamp.reference_m * axis)
 
 
-def bounds(found: PostPerspective, buffer: GeometryBuffer, receivers: np.ndarray):
-    out = _bounds(found.clip_from_frame, buffer.position_frame_m, receivers)
-    return out[0, :3], out[1, :3], out[0, 3] > 0
-
-
 @compiled
-def _bounds(matrix, position, here):  # type: ignore[no-untyped-def]
+def _bounds(matrix, plain, nearest, position, here):  # type: ignore[no-untyped-def]
+    """Bounds (2, 4) of points (rows, cols, 3) that are ``here``: x, y and z in a map, and the distance from its horizon as a share of
+    that from another one (4,). Those nearer than ``nearest`` to that one do not count in z.
+    """
     out = np.empty((2, 4))
     out[0] = np.inf
     out[1] = -np.inf
     for i in range(position.shape[0]):
         for j in range(position.shape[1]):
-            if here[i, j]:
-                p = position[i, j]
-                w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
-                for k in range(3):
-                    v = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) / w
-                    out[0, k], out[1, k] = min(out[0, k], v), max(out[1, k], v)
-                out[0, 3], out[1, 3] = min(out[0, 3], w), max(out[1, 3], w)
+            if not here[i, j]:
+                continue
+            p = position[i, j]
+            w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
+            share = 1.0 / w
+            ahead = plain[0] * p[0] + plain[1] * p[1] + plain[2] * p[2] + plain[3]
+            for k in range(3 if ahead >= nearest else 2):
+                v = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) * share
+                out[0, k], out[1, k] = min(out[0, k], v), max(out[1, k], v)
+            out[0, 3], out[1, 3] = min(out[0, 3], w / ahead), max(out[1, 3], w / ahead)
     return out

@@ -29,15 +29,16 @@ Kozlov's matrix for a sink has its near plane at -e and its far plane at +e, so 
 a point in front it has two positive ones. Depth is a sum of w and a positive multiple of the z above in both: the two differ
 along a ray by a shift and a stretch, which the fit to the receivers undoes. So e need not be chosen.
 
-**Slide-back.** In the light's own image (along the sun; from the lamp) P is a homography, whose horizon w = 0 depends on b: far
-behind the receivers for a large b, where it hardly distorts; no receiver may lie on it or beyond. Of some slide-backs the one is
-taken whose texels are smallest where they are seen: smallest in the power mean of the pixels that a texel covers on the receivers'
-own surfaces, over a sample of the receivers. A large slide-back is as good as a uniform map, so the mean never exceeds that of one
-by much.
+**Slide-back.** In the light's own image (along the sun; from the lamp) P is a homography, whose horizon w = 0 moves with b: for a
+large b it lies far behind the receivers, and hardly anything is distorted. No receiver may lie on it or beyond, nor much nearer to
+it than the farthest one (float32 would not tell them apart): that alone rules out slide-backs. Of the others the one is taken whose
+texels are seen smallest. With T two directions along a receiver's surface, A = d(texels)/dT and B = d(pixels)/dT (2 x 2 both), a
+texel covers B A^-1 in the picture there; the mean of its norm over a sample of the receivers is compared. It goes with the mean
+displacement of a shadow's edge in pixels. A large slide-back is as good as a uniform map, so that none is much worse than that.
 
-**Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation, V
-distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is taken at once,
-and the same where no slide-back keeps the receivers off the horizon; ``note`` says which.
+**Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation behind
+the eye, V distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is
+taken at once, and likewise where no slide-back keeps the receivers off the horizon; ``note`` says which.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
+from terrain.compiled import compiled
 
 LightKind = Literal["point", "sink", "parallel"]
 """What a light is after the camera's projection: in front of it, behind, or neither."""
@@ -56,18 +59,14 @@ CONE_DEG = 3.0
 LEAST_SHARE = 1e-3
 """How close a receiver may come to the horizon, as a share of the farthest one's distance from it: so much of float32 is left."""
 
-SLIDES = (0.0, *(2.0 ** np.arange(-6.0, 6.5, 0.5)))
+SLIDES = (0.0, *(2.0 ** np.arange(-6.0, 7.0)))
 """Slide-backs that are tried, in units of the far plane's distance."""
 
-PARALLEL = 1e-12
-"""Up to this share of its length a light's fourth coordinate counts as 0, when its kind is named."""
-
 TURNS = np.radians(np.arange(0.0, 90.0, 5.0))
-"""Turns of the map about its middle that are tried."""
+"""Turns of the map about its middle that are tried: the one that the receivers fill best is taken."""
 
-POWER = 2.0
-"""Of the mean of what a texel covers."""
-
+OUTLINE = 64
+"""Directions in which the farthest receivers count as their outline, for the map's turn."""
 
 @dataclass(frozen=True, eq=False)
 class Receivers:
@@ -103,8 +102,9 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class PostPerspective:
-    """A map's matrix (4, 4), which takes the sampled receivers to within ``inner`` of the map's middle in x and y; the kind of
-    the light (``None``: the map is uniform, and ``note`` says why), and the slide-back.
+    """A map's matrix (4, 4), with the sampled receivers within the inner part of -1 to 1 in x and y, its depth not yet fitted.
+
+    ``kind`` is that of the light, ``slide_m`` the slide-back; a uniform map has ``None`` and infinity, and a ``note`` that says why.
     """
 
     clip_from_frame: np.ndarray
@@ -132,8 +132,8 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
 
 
 def kind_of(light: np.ndarray) -> LightKind:
-    """The kind of a light (4,) in a camera's clip space."""
-    if abs(light[3]) <= PARALLEL * np.linalg.norm(light[:3]):
+    """The kind of a light (4,) in a camera's clip space; in between are those that rounding does not tell apart."""
+    if abs(light[3]) <= 1e-12 * np.linalg.norm(light[:3]):
         return "parallel"
     return "point" if light[3] > 0.0 else "sink"
 
@@ -144,10 +144,7 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """
     away = light[:3] - light[3] * middle
     square = away @ away
-    first = np.eye(3)[np.argmin(np.abs(away))]
-    right = np.cross(first, away)
-    right /= np.linalg.norm(right)
-    up = np.cross(away, right) / np.sqrt(square)
+    right, up = across(away / np.sqrt(square)).T
     return np.array([
         [*right, -right @ middle],
         [*up, -up @ middle],
@@ -156,53 +153,52 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
     ])  # fmt: skip
 
 
-def post_perspective(camera: Camera, light: Light, receivers: Receivers, inner: float) -> PostPerspective:
-    """The matrix of the map for some receivers; ``inner`` is the part of its half width that they may fill.
-
-    The map's depth is left as the light's perspective makes it: ``fitted`` sets it. Ranked by what is written above.
-    """
-    return ranked(camera, light, receivers, inner)[0]
+def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
+    """The light's perspective (4, 4) in plain space: even texels across the sun's rays, or across a lamp's axis."""
+    return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _amid(points))
 
 
-def ranked(camera: Camera, light: Light, receivers: Receivers, inner: float) -> list[PostPerspective]:
-    """The maps for some receivers, the best one first, the uniform one last: whoever finds that a receiver that is not in the sample
-    lies beyond the horizon takes the next one.
+def post_perspectives(camera: Camera, light: Light, receivers: Receivers, inner: float) -> list[PostPerspective]:
+    """The maps for some receivers, the best one first, the uniform one last.
+
+    Whoever finds that a receiver that is not in the sample lies beyond the horizon takes the next one. ``inner`` is the part of
+    the map's half width that receivers may fill.
     """
     points = receivers.points_m
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    uniform = light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else middle)
-    even = _filling(uniform, points, inner)
-    to_light = light.homogeneous[:3] - light.homogeneous[3] * middle
-    along = abs(float(camera.axis @ to_light)) / float(np.linalg.norm(to_light))
-    if along >= np.cos(np.radians(CONE_DEG)):
-        aside = np.degrees(np.arccos(min(along, 1.0)))
-        why = f"the light stands {aside:.1f} degrees off the view's axis, within {CONE_DEG:g}: a uniform map"
-        return [PostPerspective(even, None, np.inf, why)]
+    uniform = uniform_matrix(light, points)
+    outline = points[_outline(projected(uniform, points)[:, :2])]
+
+    def even(why: str) -> PostPerspective:
+        return PostPerspective(_filled(uniform, outline, inner), None, np.inf, f"a uniform map: {why}")
+
+    off_deg = _off_axis_deg(camera, light, _amid(points))
+    if off_deg <= CONE_DEG:
+        return [even(f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}")]
     seen = camera.seen(points)
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
-    far = max(far, near * (1.0 + 1e-3))
+    far = max(far, near * (1.0 + 1e-3))  # a wall that is looked at straight on
     tangent = float((np.abs(seen[:, :2]).max(axis=1) / seen[:, 2]).max())
-    base, footprint, found = _w(uniform, points), _Footprint(camera, receivers), []
+    ahead, surfaces, found = horizon_m(uniform, points), across(receivers.normals), []
+    pixels = _pixels(camera, seen, surfaces)
     for slide_m in far * np.array(SLIDES):
         view = camera_matrix(camera, tangent, near, far, slide_m)
         seen_light = view @ light.homogeneous
-        for centre in _middles(view, light, points):
-            matrix = light_matrix(seen_light, centre) @ view
-            if _is_clear(_w(matrix, points) / base):
-                matrix = _filling(matrix, points, inner)
-                found.append((footprint.mean(matrix), PostPerspective(matrix, kind_of(seen_light), float(slide_m))))
+        matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
+        if is_clear(horizon_m(matrix, points) / ahead):
+            matrix = _filled(matrix, outline, inner)
+            size = _mean_texel(matrix, points, surfaces, pixels)
+            found.append((size, PostPerspective(matrix, kind_of(seen_light), float(slide_m))))
     found.sort(key=lambda each: each[0])
-    why = "no slide-back keeps all that is seen off the horizon of the map: a uniform map"
-    return [*(each for _, each in found), PostPerspective(even, None, np.inf, why)]
+    return [*(each for _, each in found), even("no slide-back keeps all that is seen off the horizon of the map")]
 
 
-def fitted(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float) -> np.ndarray:
-    """A map's matrix with the receivers' bounds (3,) at +-``inner`` in x and y, and at -1 + ``before`` and 1 in z.
+def fitted(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
+    """A map's matrix with what it takes to bounds (3,) between -``inner`` and ``inner`` in x and y.
 
-    ``before`` is in units of the receivers' depth, and leaves room for their offset.
+    In z it is taken to between -1 and 1, but for a share ``before`` of that before it.
     """
     span = np.maximum(high - low, 1e-9 * (1.0 + np.abs(high)))
-    low, high = low - np.array([0.0, 0.0, before * span[2]]), low + span
+    low, high = low - np.array([0.0, 0.0, before / (1.0 - before) * span[2]]), low + span
     scale = np.array([2.0 * inner, 2.0 * inner, 2.0]) / (high - low)
     out = matrix.copy()
     out[:3] = scale[:, None] * (matrix[:3] - 0.5 * (low + high)[:, None] * matrix[3])
@@ -215,68 +211,82 @@ def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return through[:, :3] / through[:, 3:]
 
 
-def texels_per_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How x, y and z (rows) of points (n, 3) change with a step in the frame (columns): (n, 3, 3)."""
-    through = points @ matrix[:, :3].T + matrix[:, 3]
-    w = through[:, 3, None, None]
-    return (matrix[:3, :3] - through[:, :3, None] / w * matrix[3, :3]) / w
-
-
-def _w(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def horizon_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far points (n, 3) lie before a map's horizon, in a unit of its own: their w."""
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
-def _is_clear(away: np.ndarray) -> bool:
-    """Whether all distances from the horizon (n,) are well above 0."""
+def is_clear(away: np.ndarray) -> bool:
+    """Whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
     return bool(np.isfinite(away).all() and away.min() >= LEAST_SHARE * away.max() > 0.0)
 
 
-def _middles(view: np.ndarray, light: Light, points: np.ndarray) -> list[np.ndarray]:
-    """Points (3,) of the camera's cube that the light may look at."""
-    cube = projected(view, points)
-    middles = [0.5 * (cube.min(axis=0) + cube.max(axis=0))]
-    return middles
+def _amid(points: np.ndarray) -> np.ndarray:
+    """The middle (3,) of the bounds of points (n, 3)."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def _filling(matrix: np.ndarray, points: np.ndarray, inner: float) -> np.ndarray:
-    """A matrix that turns the map about its axis so that points (n, 3) fill +-``inner`` of it best."""
-    seen = projected(matrix, points)[:, :2]
+def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
+    """The angle between the view's axis, either way, and the way from a point (3,) to a light."""
+    way = light.homogeneous[:3] - light.homogeneous[3] * from_m
+    aside = np.linalg.norm(np.cross(camera.axis, way))
+    return float(np.degrees(np.arctan2(aside, abs(camera.axis @ way))))
+
+
+def _outline(image: np.ndarray) -> np.ndarray:
+    """Those of some points (n, 2) that lie farthest in some direction: their outline stays that in any homography."""
+    angle = np.arange(OUTLINE) * 2.0 * np.pi / OUTLINE
+    return np.unique(np.argmax((image - image.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
+
+
+def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
+    """A matrix with the map turned about its axis and stretched so that an outline (n, 3) fills its inner part best."""
     axes = np.stack([np.cos(TURNS), np.sin(TURNS), -np.sin(TURNS), np.cos(TURNS)], axis=1).reshape(-1, 2, 2)
-    turned = axes @ seen.T
+    turned = axes @ projected(matrix, outline)[:, :2].T
     low, high = turned.min(axis=2), turned.max(axis=2)
     best = int(np.argmin((high - low).prod(axis=1)))
     out = matrix.copy()
     out[:2] = axes[best] @ matrix[:2]
-    ends = np.array([[*low[best], 0.0], [*high[best], 1.0]])
-    out[:2] = fitted(out, *ends, inner, 0.0)[:2]
+    out[:2] = fitted(out, np.array([*low[best], -1.0]), np.array([*high[best], 1.0]), inner)[:2]
     return out
 
 
-class _Footprint:
-    """How many pixels of a camera a map's texel covers on the surfaces of receivers."""
+def across(normals: np.ndarray) -> np.ndarray:
+    """Two unit vectors at right angles (..., 3, 2) across unit vectors (..., 3).
 
-    def __init__(self, camera: Camera, receivers: Receivers) -> None:
-        n = receivers.normals
-        first = np.eye(3)[np.abs(n).argmin(axis=1)]
-        right = np.cross(first, n)
-        right /= np.linalg.norm(right, axis=1, keepdims=True)
-        self.points_m = receivers.points_m
-        self.along = np.stack([right, np.cross(n, right)], axis=2)
-        """Two directions (n, 3, 2) along the surfaces."""
-        seen = camera.seen(receivers.points_m)
-        picture = (camera.camera_from_frame[:2] - seen[:, :2, None] / seen[:, 2:, None] * camera.axis) / seen[:, 2:, None]
-        self.picture = picture @ self.along
+    After Duff et al. 2017, "Building an orthonormal basis, revisited".
+    """
+    x, y, z = np.moveaxis(normals, -1, 0)
+    side = np.copysign(1.0, z)
+    a = -1.0 / (side + z)
+    first = np.stack([1.0 + side * x * x * a, side * x * y * a, -side * x], axis=-1)
+    return np.stack([first, np.stack([x * y * a, side + y * y * a, -y], axis=-1)], axis=-1)
 
-    def mean(self, matrix: np.ndarray) -> float:
-        """The power mean of a texel's size in the picture, in a unit of its own."""
-        texel = texels_per_m(matrix, self.points_m)[:, :2] @ self.along
-        area = np.abs(np.linalg.det(texel))
-        turned = np.stack([texel[:, 1, 1], -texel[:, 0, 1], -texel[:, 1, 0], texel[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-        size = np.linalg.norm(self.picture @ turned, axis=(1, 2)) / np.maximum(area, 1e-300)
-        return (
-            float(np.quantile(size, 0.9))
-            if POWER == 0
-            else float(np.exp(np.mean(np.log(size))))
-            if POWER < 0
-            else float(np.mean(size**POWER) ** (1.0 / POWER))
-        )
+
+def _pixels(camera: Camera, seen: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
+    """How the picture's coordinates (in tangents) change along surfaces (n, 3, 2), at points as the camera sees them (n, 3)."""
+    ahead = seen[:, 2, None, None]
+    return (camera.camera_from_frame[:2] - seen[:, :2, None] / ahead * camera.axis) / ahead @ surfaces
+
+
+@compiled
+def _mean_texel(matrix, points, surfaces, pixels):  # type: ignore[no-untyped-def]
+    """The mean size in the picture, in a unit of its own, of what a map's texel covers on surfaces."""
+    total = 0.0
+    for n in range(len(points)):
+        p = points[n]
+        through = np.empty(4)
+        for k in range(4):
+            through[k] = matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]
+        a = np.zeros((2, 2))
+        for k in range(2):
+            for m in range(3):
+                step = (matrix[k, m] - through[k] / through[3] * matrix[3, m]) / through[3]
+                a[k, 0] += step * surfaces[n, m, 0]
+                a[k, 1] += step * surfaces[n, m, 1]
+        square = 0.0
+        for k in range(2):
+            square += (pixels[n, k, 0] * a[1, 1] - pixels[n, k, 1] * a[1, 0]) ** 2
+            square += (pixels[n, k, 1] * a[0, 0] - pixels[n, k, 0] * a[0, 1]) ** 2
+        total += np.sqrt(square) / max(abs(a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]), 1e-300)
+    return total / len(points)

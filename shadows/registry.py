@@ -10,7 +10,9 @@ from shadows import hybrid, perspective_shadow_map, planar, shadow_map, shadow_v
 from shadows.passes import PassLayer
 from terrain.level import AlgorithmName, CasterKind
 
-ViewKind = Literal["map", "perspective"]
+ViewKind = Literal["map", "bent map", "perspective"]
+"""``bent map``: one that no camera can see as it is, for the earth and its projection bend it."""
+
 LightKind = Literal["sun", "spot", "omni"]
 GroundKind = Literal["level", "uneven"]
 """``level`` is one plane: without relief, in a flat world."""
@@ -38,7 +40,10 @@ class Algorithm:
         return next((self.refuses[part] for part in parts if part in self.refuses), None)
 
 
-_NO_VOLUME = "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads"
+_NO_VOLUME: dict[Part, str] = {
+    "forest": "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads",
+    "bent map": "it draws in the view itself, and at this scale the map bends by more than a quarter of a pixel off any camera",
+}
 
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {
     "shadow_map": Algorithm(
@@ -53,11 +58,11 @@ ALGORITHMS: dict[AlgorithmName, Algorithm] = {
         layers=("shadow-map",),
     ),
     "shadow_volume": Algorithm(
-        "shadow_volume", shadow_volume.PASSES, "volumes of shadow counted in the stencil: exact to the pixel", {"forest": _NO_VOLUME},
+        "shadow_volume", shadow_volume.PASSES, "volumes of shadow counted in the stencil: exact to the pixel", _NO_VOLUME,
         layers=("stencil", "silhouettes", "volumes"),
     ),
     "hybrid": Algorithm(
-        "hybrid", hybrid.PASSES, "a small map, and shadow volumes only where it cannot decide", {"forest": _NO_VOLUME},
+        "hybrid", hybrid.PASSES, "a small map, and shadow volumes only where it cannot decide", _NO_VOLUME,
         layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     ),
     "planar": Algorithm(

@@ -191,7 +191,7 @@ def _culled(points, triangles, counts_behind, rectangles, depths):  # type: igno
                     continue
                 low, high = _range(lines[t, 3], left, top, right, bottom)
                 behind, before = high < farthest, low > nearest
-                if (before if counts_behind else behind):
+                if before if counts_behind else behind:
                     continue
                 if place == COVERS and (behind if counts_behind else before):
                     added[number] += sign[t] if counts_behind else -sign[t]

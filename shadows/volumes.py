@@ -9,7 +9,8 @@ Volumes for Hardware-Accelerated Rendering, 2002):
 - A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
 
 **What casts.** Of a closed body the triangles that face the light. Of the ground, above which everything is that is seen, those
-that do not: its near caps lie on what is dark anyway. Of everything else, open or not manifold, all triangles.
+that do not: its near caps lie on what is dark anyway. Of everything else, open or not manifold, all triangles; and so of a body that a lamp
+stands in, and of ground with gaps.
 
 **Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
 (``shadows.volume_layers``).
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.ndimage import binary_fill_holes
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -155,11 +157,14 @@ def _structure(vertices: Same, triangles: Same, is_ground: bool) -> _Structure:
 
 def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, is_ground: bool) -> list[Volumes]:
     structure = _structure(Same(vertices), Same(triangles), is_ground)
-    edges, part = structure.edges, structure.part_of_vertex
-    turns = turns_of(facing(vertices, triangles, light), structure.rule)
+    edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.minimum, np.maximum))
+    if light[3] != 0.0 and not is_ground:  # what a lamp stands in casts by its inside
+        holds = ((low < light[:3]) & (light[:3] < high)).all(axis=1)
+        rule = np.where(holds[part[triangles[:, 0]]], np.int8(ALL), rule)
+    turns = turns_of(facing(vertices, triangles, light), rule)
     if not turns.any():
         return []
     return [
@@ -169,10 +174,12 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, is_
 
 
 def _of_sheet(position: np.ndarray, light: np.ndarray) -> list[Volumes]:
-    known = position[np.isfinite(position[..., 2])]
-    if not len(known):
+    there = np.isfinite(position[..., 2])
+    if not there.any():
         return []
-    found = sheet_silhouette(position, light, "turned_away")
+    known = position[there]
+    has_gaps = not there.all() and bool((binary_fill_holes(there) != there).any())
+    found = sheet_silhouette(position, light, "all" if has_gaps else "turned_away")  # a ray may go into the ground by a gap
     if not len(found.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))

@@ -1,8 +1,8 @@
 """Clip space of a view, for what is rasterised in it: x to the right, y down the picture (row 0 is at y = -1), depth from 1 near
 the eye to 0 infinitely far away. Float64.
 
-A camera's is a projection. A map has no camera: its pixels are a curved function of points, which the best affine one stands in
-for; ``bend_px`` says by how much they differ.
+A camera's is a projection. A map has no camera: its pixels are a curved function of points. On a globe it is drawn in parts of
+``PART_PX`` pixels, each by the affine camera that is nearest to it; ``bend_px`` says by how much they differ.
 """
 
 from __future__ import annotations
@@ -12,13 +12,16 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.camera import PerspectiveView
-from terrain.grid import BLOCK_PX, Grid, MapView
+from terrain.grid import Grid, MapView
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
 from terrain.world import LocalFrame, World
 
+PART_PX = 256
+"""Side of the parts, in pixels."""
+
 FIT_POINTS = 9
-"""So many points along a block's sides, at two heights each, that its affine camera is fitted to."""
+"""So many points along a part's sides, at two heights each, that its affine camera is fitted to."""
 
 
 def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.ndarray, near_m: float) -> np.ndarray:
@@ -31,6 +34,14 @@ def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.nda
     scale = 2.0 * view.focal_px / (view.step * size)
     shift = (1.0 - 2.0 * np.array([view.col0, view.row0]) / view.step) / size - 1.0
     return np.array([scale[0] * right + shift[0] * forward, scale[1] * down + shift[1] * forward, [0.0, 0.0, 0.0, near_m], forward])
+
+
+def parts_of(world: World, view: MapView | PerspectiveView) -> list[tuple[MapView | PerspectiveView, int, int]]:
+    """What a view is drawn in: itself, or the parts of a globe's map; each with its first row and column."""
+    if world.flat or isinstance(view, PerspectiveView):
+        return [(view, 0, 0)]
+    corners = [(row, col) for row in range(0, view.rows, PART_PX) for col in range(0, view.cols, PART_PX)]
+    return [(view.part(row, col, min(PART_PX, view.rows - row), min(PART_PX, view.cols - col)), row, col) for row, col in corners]
 
 
 def map_clip(
@@ -53,7 +64,7 @@ def map_clip(
 
 @lru_cache(maxsize=32)
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
-    """How far, in pixels, the affine camera of a block lies off the map at worst: over blocks at the level's corners and middle.
+    """How far, in pixels, the affine camera of a part lies off the map at worst: over parts at the level's corners and middle.
 
     A function of the level and the grid alone, so that neighbouring blocks are drawn alike.
     """
@@ -65,8 +76,8 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
     for share in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)) if known.any() else ():
         middle = [low + part * (high - low) for part, low, high in
                   ((part, v[known].min(), v[known].max()) for part, v in zip(share, (row, col), strict=True))]  # fmt: skip
-        half = (BLOCK_PX - 1) / 2.0
-        view = MapView(grid, middle[0] - half * row_step, middle[1] - half * col_step, row_step, col_step, BLOCK_PX, BLOCK_PX)
+        half = (PART_PX - 1) / 2.0
+        view = MapView(grid, middle[0] - half * row_step, middle[1] - half * col_step, row_step, col_step, PART_PX, PART_PX)
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
         points, pixel = _samples(scene.world, frame, view, low, high + scene.population.tallest_m, curved=True)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.camera import PerspectiveView
+from terrain.clip_space import bend_px
 from terrain.elevation import Elevation
 from terrain.grid import BLOCK_PX, MapView
 from terrain.ground_mesh import ground_mesh
@@ -59,7 +60,7 @@ class Descriptor(BaseModel):
     tangent), ``casters`` the kinds there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the
     largest extent of a block's receivers in light space: right, up and along the light, metres; ``None`` without a sun.
     ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude
-    anywhere over the level.
+    anywhere over the level. ``bend_px`` is how far a map lies off what a camera could see of it (``terrain.clip_space``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -79,6 +80,7 @@ class Descriptor(BaseModel):
     highest_sun_deg: float | None
     receivers_light_m: tuple[float, float, float] | None
     bands: tuple[Band, ...] = ()
+    bend_px: float = 0.0
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
@@ -103,6 +105,7 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     return {
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
         "receivers_light_m": _receivers_light_m(scene, view, relief_m),
+        "bend_px": bend_px(scene, view.grid, view.row_step, view.col_step),
     }  # fmt: skip
 
 

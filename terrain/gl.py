@@ -241,9 +241,7 @@ class Device:
         return len(triangles)
 
     @contextmanager
-    def uploaded(
-        self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray
-    ) -> Iterator[moderngl.VertexArray]:
+    def uploaded(self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray) -> Iterator[moderngl.VertexArray]:
         """Vertices (n, k) float32 (attribute ``position``) and their indices on the device, to be drawn as often as one likes."""
         self.require_current()
         arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(indices, np.int32)
@@ -255,15 +253,6 @@ class Device:
         finally:
             for item in (array, *buffers):
                 item.release()
-
-    def draw_points(self, program: moderngl.Program, points: np.ndarray) -> None:
-        """Draw points (n, k) (attribute ``position``), each a pixel."""
-        self.require_current()
-        buffer = self.ctx.buffer(np.ascontiguousarray(points, np.float32))
-        array = self.ctx.vertex_array(program, [(buffer, f"{points.shape[1]}f", "position")])
-        array.render(moderngl.POINTS)
-        for item in (array, buffer):
-            item.release()
 
     def draw_instances(self, program: moderngl.Program, vertices: int, instances: list[tuple[str, np.ndarray]]) -> int:
         """Draw ``vertices`` vertices (triangles; numbered by ``gl_VertexID``) per instance of attributes (n, k) float32.
@@ -313,6 +302,10 @@ class Device:
         self.require_current()
         target.use()
         self.ctx.enable_only(moderngl.NOTHING)
+        self.draw_quad(program)
+
+    def draw_quad(self, program: moderngl.Program) -> None:
+        """Run a fragment shader once for every pixel that the state of things lets through."""
         array = self.ctx.vertex_array(program, [(self._quad, "2f", "corner")])
         array.render(moderngl.TRIANGLES, vertices=3)
         array.release()

@@ -22,9 +22,16 @@ _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 MARK = 0x80
 """The bit that marks pixels; what is marked counts to 127, everything else to 255."""
 
+GRID_STEPS = 2.0
+"""Faces are drawn farther away by what so many steps of the rasteriser's grid (1/256 pixel) make of their slope, so that a face that
+begins at a surface and grazes it is not taken to lie before it. A corner is rounded by half a step along either axis, which moves the
+plane at a pixel by at most a step of its steeper slope: one for the face, one for the surface.
+"""
+
 Counting = Literal["z_pass", "z_fail", "faces", "seen"]
-"""What faces do to the stencil. ``z_pass``: before the point, one that faces the eye adds one, another takes one. ``z_fail``: behind
-it or in it the other way round. ``faces``: each before the point adds one, up to 255. ``seen``: what is not behind makes it 255."""
+"""What faces do to the stencil. ``z_pass``: before the point, one that faces the eye adds one, another takes one. ``z_fail``:
+behind it or in it, the other way round. ``faces``: each before the point adds one, up to 255. ``seen``: what is not behind makes it
+255."""
 
 Side = Literal["both", "front", "back"]
 """The faces that are drawn: those that face the eye, or do not."""
@@ -107,14 +114,14 @@ class Stencil:
             yield
 
     @contextmanager
-    def depth_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Draw depths, the nearest wins; the stencil stays as it is."""
+    def depth_pass(self, target: moderngl.Framebuffer, always: bool = False) -> Iterator[None]:
+        """Draw depths, the nearest wins, or with ``always`` the last; the stencil stays as it is."""
         from OpenGL import GL
 
         self._require_current()
         target.use()
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        self._ctx.depth_func = ">"
+        self._ctx.depth_func = "1" if always else ">"
         GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
         try:
             yield
@@ -149,6 +156,7 @@ class Stencil:
             else:
                 GL.glStencilOp(keep, keep, GL.GL_INCR if counting == "faces" else GL.GL_REPLACE)
                 self._ctx.depth_func = ">="
+            self._ctx.polygon_offset = -GRID_STEPS / 256.0, 0.0
             self._ctx.front_face = "cw"
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"
@@ -160,6 +168,7 @@ class Stencil:
             finally:
                 self._ctx.disable_direct(_DEPTH_CLAMP)
                 self._ctx.disable(moderngl.CULL_FACE)
+                self._ctx.polygon_offset = 0.0, 0.0
                 self._ctx.front_face, self._ctx.cull_face = "ccw", "back"
                 self._ctx.depth_func = "<="
                 GL.glStencilMask(0xFF)

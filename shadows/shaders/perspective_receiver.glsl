@@ -7,7 +7,7 @@ uniform sampler2D depth_map;
 uniform mat4 map_rows;               // to columns, rows and depths in [0, 1] of the map, and what they are divided by
 uniform ivec2 map_size;
 uniform float bias_scale;            // 1: as derived
-uniform float error_m;               // of a position in float32
+uniform float position_error;        // of a position in float32, as a share of its coordinates
 uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
 
 const bool lamp = false, on_nodes = false, own = true;
@@ -19,7 +19,8 @@ float w;                             // what it was divided by
 vec3 seen;                           // in the frame, as is its normal, towards the light
 vec3 normal;
 float crease;
-vec3 right, up;                      // a texel in the frame, at the map's same depth
+float error_m;                       // of positions here
+vec3 along_x, along_y, along_z;      // what a step in the frame does in the map
 float depth_error;
 vec3 share, share_right, share_up;   // of the triangle's corners in the point: there, and how they change by texels
 vec2 slope;                          // of the triangle's depth
@@ -30,7 +31,8 @@ float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 vec2 texel_of(vec3 p) { return p.xy; }
 bool is_outside(vec2 at) { return any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size))); }
 float held(vec2 at) { return texelFetch(depth_map, ivec2(at), 0).r; }
-bool is_lit(vec2 at, float z) { return is_outside(at) || min(z - 0.5 * depth_step, 1.0) <= held(at); }
+// What casts before depth 0 is held at 0, and shades what is moved there, too.
+bool is_lit(vec2 at, float z) { return is_outside(at) || clamp(z - 0.5 * depth_step, 0.5 * depth_step, 1.0) <= held(at); }
 
 // Read a pixel; false where there is no surface.
 bool receive(ivec2 pixel) {
@@ -43,38 +45,24 @@ bool receive(ivec2 pixel) {
     normal = facing.xyz;
     crease = facing.w;
 
-    // What a step in the frame does in the map, and the inverse of that.
-    vec3 along_x = (map_rows[0].xyz - point.x * map_rows[3].xyz) / w;
-    vec3 along_y = (map_rows[1].xyz - point.y * map_rows[3].xyz) / w;
-    vec3 along_z = (map_rows[2].xyz - point.z * map_rows[3].xyz) / w;
-    vec3 ray = cross(along_x, along_y);
-    float volume = dot(ray, along_z);
-    right = cross(along_y, along_z) / volume;
-    up = cross(along_z, along_x) / volume;
-    if (dot(normal, ray) * volume > 0.0) normal = -normal;  // foliage is lit from either side
-    depth_error = error_m * length(along_z) + ROUNDING;
+    along_x = (map_rows[0].xyz - point.x * map_rows[3].xyz) / w;
+    along_y = (map_rows[1].xyz - point.y * map_rows[3].xyz) / w;
+    along_z = (map_rows[2].xyz - point.z * map_rows[3].xyz) / w;
 
     ivec2 first = ivec2(pixel.x * 3, pixel.y);
-    vec2 flat_[3];
-    vec3 deep, ahead;
-    for (int k = 0; k < 3; k++) {
-        vec3 aside = texelFetch(corner_frame_m, first + ivec2(k, 0), 0).xyz - seen;
-        vec4 corner = vec4(aside, 0.0) * map_rows;
-        corner.xyz -= point * corner.w;
-        flat_[k] = corner.xy;
-        deep[k] = corner.z;
-        ahead[k] = w + corner.w;
-    }
-    for (int k = 0; k < 3; k++) {
-        int i = (k + 1) % 3, j = (k + 2) % 3;
-        share[k] = cross2(flat_[i], flat_[j]);
-        share_right[k] = ahead[j] * flat_[i].y - ahead[i] * flat_[j].y;
-        share_up[k] = ahead[i] * flat_[j].x - ahead[j] * flat_[i].x;
-    }
-    float area = dot(share, ahead);
-    share /= area;
-    share_right /= area;
-    share_up /= area;
+    vec3 a = texelFetch(corner_frame_m, first, 0).xyz, b = texelFetch(corner_frame_m, first + ivec2(1, 0), 0).xyz;
+    vec3 c = texelFetch(corner_frame_m, first + ivec2(2, 0), 0).xyz;
+    mat3 sides = transpose(mat3(a - seen, b - seen, c - seen));
+    vec3 more = sides * map_rows[3].xyz, ahead = w + more;
+    vec3 x = sides * map_rows[0].xyz - point.x * more, y = sides * map_rows[1].xyz - point.y * more;
+    vec3 deep = sides * map_rows[2].xyz - point.z * more;
+    share = cross(x, y);  // of two corners each, for the third
+    share_right = cross(y, ahead);
+    share_up = cross(ahead, x);
+    float area = 1.0 / dot(share, ahead);
+    share *= area;
+    share_right *= area;
+    share_up *= area;
     slope = vec2(dot(deep, share_right), dot(deep, share_up));
     depth_at = mix(point.z, point.z + dot(deep, share), bias_scale);
     slope *= bias_scale;
@@ -83,6 +71,8 @@ bool receive(ivec2 pixel) {
         vec3 apart = abs(deep) / ahead;
         around = max(apart.x, max(apart.y, apart.z));
     }
+    error_m = position_error * sqrt(max(max(dot(a, a), dot(b, b)), dot(c, c)));
+    depth_error = error_m * length(along_z) + ROUNDING;
     vec2 grid = 1.0 / 128.0 + error_m * vec2(length(along_x), length(along_y));
     slack = min(dot(abs(slope), grid), around) + depth_error;
     return true;
@@ -98,6 +88,12 @@ bool is_on_any(vec2 at, out float z) { return is_on_own(at, z); }
 
 // The point moved clear, for ``taps`` taps a side, of every surface that passes through it.
 vec3 clear_of(int taps) {
+    // A texel in the frame, at the same depth in the map: the inverse of what a step there does.
+    vec3 ray = cross(along_x, along_y), right = cross(along_y, along_z), up = cross(along_z, along_x);
+    float volume = dot(ray, along_z);
+    right /= volume;
+    up /= volume;
+    if (dot(normal, ray) * volume > 0.0) normal = -normal;  // foliage is lit from either side
     float reach = 0.5 * float(taps) + 1.0 / 128.0;
     float widest = max(length(right + up), length(right - up));
     float offset_m = reach * (abs(dot(normal, right)) + abs(dot(normal, up)) + crease * widest) / max(1.0 - 0.5 * crease * crease, 0.25);

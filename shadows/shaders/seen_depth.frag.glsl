@@ -1,0 +1,8 @@
+uniform sampler2D seen;  // depth of a point, -1 where what is drawn says it, NaN where nothing is of interest
+uniform bool marking;
+
+void main() {
+    float depth = texelFetch(seen, ivec2(gl_FragCoord.xy), 0).r;
+    if (depth != depth || !(marking || depth >= 0.0)) discard;
+    gl_FragDepth = depth;
+}

@@ -1,0 +1,190 @@
+"""Views as shadow volumes are drawn in them: clip coordinates, and the depths of the points that are seen.
+
+Meshes, near caps and sides go through one program, so that a near cap has the very depth of the surface that it lies on. Points of
+ground and trees bring their own depths: no near cap lies on a lit one. (The ground of a map that bends is drawn as well: what lies
+beside it by a share of a pixel may be on the wrong side of a volume that grazes it.)
+
+In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
+off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map has no
+eye; depths are clamped there instead.
+
+**Samples** of a perspective view's pixels are pixels of a finer view of the same camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from moderngl import Framebuffer, Program
+
+from terrain.antialias import finer_view
+from terrain.camera import PerspectiveView
+from terrain.clip_space import camera_clip, map_clip, parts_of
+from terrain.geometry import GeometryBuffer
+from terrain.gl import Device
+from terrain.grid import MapView
+from terrain.light_space import light_bounds
+from terrain.resolve import MESHES, RELIEF
+from terrain.scene import Scene
+from terrain.visible import NEAR_M, set_uniforms, shader
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """Some of a buffer's points, in the view that they are drawn in.
+
+    Attributes
+    ----------
+    size
+        Rows and columns of the view.
+    row, col
+        int (n,), the points' pixels in the view.
+    at
+        int (n,), the points' flat indices in the buffer.
+    depth
+        float64 (n,).
+    drawn
+        bool (n,), where drawing what is seen gives the depth: on meshes, and on ground that bends in a map.
+    nodes_frame_m
+        (rows, cols, 3), the nodes of such ground.
+    clip_from_frame, origin_frame_m
+        Clip coordinates (4, 4) of homogeneous frame points, metres from an origin.
+    near_frame_m
+        The near plane's rectangle (4, 3); ``None`` in a map, which has none.
+    """
+
+    size: tuple[int, int]
+    row: np.ndarray
+    col: np.ndarray
+    at: np.ndarray
+    depth: np.ndarray
+    drawn: np.ndarray
+    nodes_frame_m: np.ndarray | None
+    clip_from_frame: np.ndarray
+    origin_frame_m: np.ndarray
+    near_frame_m: np.ndarray | None
+
+    def clip_of(self, points: np.ndarray) -> np.ndarray:
+        """Clip coordinates (n, 4) float64 of homogeneous frame points (n, 4)."""
+        return np.column_stack([points[:, :3] - points[:, 3:] * self.origin_frame_m, points[:, 3]]) @ self.clip_from_frame.T
+
+
+def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray) -> Iterator[SeenPoints]:
+    """Those of a view's own points that are wanted, part by part."""
+    near_m, view = _near_m(buffer), buffer.view
+    for part, top, left in parts_of(scene.world, view):
+        row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
+        if len(row):
+            yield _seen(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
+
+
+def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray) -> Iterator[SeenPoints]:
+    """Those of a view's samples that are wanted, if it has any."""
+    view = buffer.view
+    if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
+        return
+    below = np.nonzero(wanted[view.rows :])
+    if len(below[0]):
+        row, col = (index[below] for index in buffer.sample_pixels)
+        at = (below[0] + view.rows) * view.cols + below[1]
+        yield _seen(buffer, scene, finer_view(view), _near_m(buffer), row, col, at)
+
+
+@contextmanager
+def receiving(
+    gl: Device, buffer: GeometryBuffer, scene: Scene, points: SeenPoints, parts: np.ndarray, marked: bool
+) -> Iterator[tuple[Framebuffer, Program]]:
+    """A stencil with the depths of some points, in rectangles ``parts`` (k, 4) of the view, and the program that draws volumes
+    against them; with ``marked`` the points' pixels are marked.
+    """
+    rows, cols = points.size
+    target = gl.stencil.target(cols, rows)
+    program = gl.program(shader("shadows/volume.vert"), shader("shadows/depth.frag"))
+    set_uniforms(program, {
+        "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
+    })  # fmt: skip
+    if points.drawn.any():
+        with gl.stencil.depth_pass(target):
+            if buffer.solids_frame_m is not None and scene.population.solids is not None:
+                gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.population.solids.triangles)
+            if points.nodes_frame_m is not None:
+                gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
+    seen = np.full(points.size, np.nan, np.float32)
+    seen[points.row, points.col] = np.where(points.drawn, -1.0, points.depth)
+    texture = gl.texture(seen)
+    texture.use(0)
+    for marking in (False, True) if marked else (False,):
+        fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/seen_depth.frag"), {"marking": marking})
+        fill["seen"] = 0
+        with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, always=True):
+            for part in parts.tolist():
+                target.scissor = tuple(part)
+                gl.draw_quad(fill)
+            target.scissor = None
+    texture.release()
+    yield target, program
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) as float32 (..., 4)."""
+    out = np.ones((*points.shape[:-1], 4), np.float32)
+    out[..., :3] = points
+    return out
+
+
+def _seen(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    near_m: float,
+    row: np.ndarray,
+    col: np.ndarray,
+    at: np.ndarray,
+) -> SeenPoints:
+    points, frame = buffer.position_frame_m.reshape(-1, 3)[at], buffer.frame
+    if isinstance(view, PerspectiveView):
+        origin, camera_from_frame = view.in_frame(frame)
+        clip = camera_clip(view, frame, origin, near_m)
+        (left, right), (top, bottom) = (
+            [(first + (size * k - 0.5) * view.step) / view.focal_px for k in (0, 1)]
+            for first, size in ((view.col0, view.cols), (view.row0, view.rows))
+        )
+        corners = np.array([[left, top, 1.0], [right, top, 1.0], [right, bottom, 1.0], [left, bottom, 1.0]])
+        near = origin + near_m * corners @ camera_from_frame
+    else:
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin_m = 1.0 + 0.01 * (high[2] - low[2])
+        origin, near = (low + high) / 2.0, None
+        clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, high[2] + margin_m))
+    nodes = None if scene.world.flat or isinstance(view, PerspectiveView) else _nodes_of(buffer, view)
+    z, w = clip[2:, :3] @ (points - origin).T + clip[2:, 3:]
+    drawn = buffer.kind.ravel()[at] == MESHES
+    if nodes is not None:
+        drawn |= buffer.kind.ravel()[at] == RELIEF
+    return SeenPoints((view.rows, view.cols), row, col, at, z / w, drawn, nodes, clip, origin, near)
+
+
+def _nodes_of(buffer: GeometryBuffer, part: MapView) -> np.ndarray:
+    """The nodes (rows, cols, 3) that the ground in a part of a map is made of."""
+    surface = buffer.surface
+    assert surface is not None
+    rows, cols = (
+        slice(max(int(np.floor(first)) - 1 - origin, 0), int(np.ceil(first + (count - 1) * step)) + 3 - origin)
+        for first, step, count, origin in (
+            (part.row0, part.row_step, part.rows, surface.row0),
+            (part.col0, part.col_step, part.cols, surface.col0),
+        )
+    )
+    return surface.position_frame_m[rows, cols]
+
+
+def _near_m(buffer: GeometryBuffer) -> float:
+    """A distance along the view's axis that all that is seen lies beyond; 0 in a map."""
+    if isinstance(buffer.view, MapView):
+        return 0.0
+    eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
+    low, _ = light_bounds(buffer.position_frame_m, buffer.there, camera_from_frame, -camera_from_frame @ eye)
+    return max(0.5 * float(low[2]), NEAR_M) if np.isfinite(low[2]) else NEAR_M

@@ -1,0 +1,335 @@
+"""The conservative map: what it says for certain is so, whatever is thinner than its texels, and it says enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shadows.conservative_map import (
+    LIT,
+    MASKED,
+    SHADED,
+    ConservativeMap,
+    clipped_edges,
+    clipped_triangles,
+    conservative_map,
+    decide,
+)
+from shadows.conservative_raster import RUNS
+
+SIZE = 12
+GRID = 2**16
+"""Steps per texel of the coordinates below: integers, so that what lies where is exact."""
+
+STEP = 64
+"""Corners lie on multiples of this, so that so do sixty-fourths of the ways between them on integers."""
+
+
+def boundary(triangles: np.ndarray) -> np.ndarray:
+    """Edges (e, 2, 3) whose signed sum over triangles (t, 3, 3) that all go round the same way is not 0."""
+    points, numbers = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    a = numbers.reshape(-1, 3)
+    b = np.roll(a, -1, axis=1)
+    pairs, which = np.unique(np.sort(np.stack([a.ravel(), b.ravel()], axis=1), axis=1), axis=0, return_inverse=True)
+    times = np.bincount(which.ravel(), np.where(a.ravel() < b.ravel(), 1, -1), len(pairs))
+    return points[pairs[(times != 0) & (pairs[:, 0] != pairs[:, 1])]]
+
+
+def turned(triangles: np.ndarray) -> np.ndarray:
+    """Triangles (t, 3, 3), all of them counter-clockwise in (u, v)."""
+    a, b, c = np.moveaxis(triangles[..., :2], 1, 0)
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return np.where((area < 0)[:, None, None], triangles[:, ::-1], triangles)
+
+
+def layers_before(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How many triangles (t, 3, 3) int64, their borders included, lie truly before points (n, 3) int64: exact."""
+    count = np.zeros(len(points), np.int64)
+    for corners in triangles:
+        shares = []
+        for k in range(3):
+            a, b = corners[(k + 1) % 3], corners[(k + 2) % 3]
+            shares.append((b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0]))
+        share = np.stack(shares, axis=1)
+        area = share.sum(axis=1)
+        count += (area > 0) & (share >= 0).all(axis=1) & (share @ corners[:, 2] < area * points[:, 2])
+    return count
+
+
+def soup(rng: np.random.Generator) -> np.ndarray:
+    """Triangles (t, 3, 3) int64: large, tiny, slivers, wires, edge-on, walls, and welded sheets in front of one another."""
+
+    def at(n: int, beyond: float = 3.0) -> np.ndarray:  # (n, 3) points
+        return np.concatenate([rng.uniform(-beyond, SIZE + beyond, (n, 2)), rng.uniform(0, 1, (n, 1))], axis=1)
+
+    parts = [np.stack([at(3) for _ in range(rng.integers(1, 4))])]
+    for spread in (0.002, 0.1, 1.0):
+        if rng.random() < 0.6:
+            n = rng.integers(1, 8)
+            parts.append(at(n)[:, None] + rng.normal(0, 1, (n, 3, 3)) * [spread, spread, 0.1])
+    for _ in range(rng.integers(0, 4)):  # wires, and strips too thin to be triangles
+        a, b = at(2)
+        across = np.append(np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a)[:2]), 0.0)
+        across = across * rng.choice([2.0**-15, 0.004, 0.05, 0.3, 1.0, 2.0])
+        parts.append(np.array([[a, b, b + across], [a, b + across, a + across]]))
+    if rng.random() < 0.4:  # a wall that stands on edge, whole numbers of texels from the border or not
+        a, b = np.round(at(2) * [1, 1, 8]) / [1, 1, 8] if rng.random() < 0.5 else at(2)
+        down = np.array([0.0, 0.0, 0.4])
+        parts.append(np.array([[a, b, b + down], [a, b + down, a + down]]))
+    for _ in range(rng.integers(0, 4)):
+        n = rng.integers(2, 9)
+        u, v = np.meshgrid(np.linspace(-1, SIZE + 1, n), np.linspace(rng.uniform(-1, 6), SIZE + 1, n))
+        wobble = rng.choice([0.0, 0.2]) * (SIZE / n)
+        node = np.stack([u, v, np.full((n, n), rng.random())], axis=-1) + rng.uniform(-1, 1, (n, n, 3)) * [wobble, wobble, 0.1]
+        a, b, c, d = node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]
+        sheet = np.stack([np.stack([a, b, c], axis=-2), np.stack([a, c, d], axis=-2)]).reshape(-1, 3, 3)
+        parts.append(sheet[rng.random(len(sheet)) < rng.choice([1.0, 0.9])])
+    return turned(np.round(np.concatenate(parts) * GRID / STEP).astype(np.int64) * STEP)
+
+
+def known_of(triangles: np.ndarray, size: tuple[int, int] = (SIZE, SIZE)) -> ConservativeMap:
+    """The map of triangles in grid steps."""
+    return conservative_map(size, triangles / GRID, boundary(triangles) / GRID)
+
+
+def on(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (n, 3) int64 on triangles, exactly."""
+    shares = rng.multinomial(STEP, [1 / 3, 1 / 3, 1 / 3], n)
+    return np.einsum("nk,nkc->nc", shares, triangles[rng.integers(0, len(triangles), n)]) // STEP
+
+
+def anywhere(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (n, 3) int64 all over the map, on texels' borders, and before and behind triangles."""
+    points = np.round(rng.uniform(0, 1, (n, 3)) * [SIZE, SIZE, 1.1] * GRID).astype(np.int64)
+    points[: n // 2, :2] = on(triangles, n // 2, rng)[:, :2]
+    axis = rng.integers(0, 2, n)
+    snapped = rng.random(n) < 0.3
+    points[snapped, axis[snapped]] = points[snapped, axis[snapped]] // GRID * GRID
+    return points
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_what_is_certain_is_so(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    triangles = soup(rng)
+    points = anywhere(triangles, 3000, rng)
+    before = layers_before(triangles, points)
+    moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # as rounding does
+    found = decide(known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9)
+    assert not before[found == LIT].any()
+    assert (before[found == SHADED] > 0).all()
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_what_is_certain_of_points_on_casters_is_so(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    triangles = soup(rng)
+    points = on(triangles, 3000, rng)
+    before = layers_before(triangles, points)
+    found = decide(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
+    assert not before[found == LIT].any()
+    assert (before[found == SHADED] > 0).all()
+
+
+SLOPES = [0.0, 0.05, 0.11, 0.25, 0.43, 0.6, 0.8, 1.0]
+
+
+def wire(width: float, slope: float, at: float = 32.2) -> np.ndarray:
+    """A wire (2, 3, 3) across a map of 64 texels, at depth 0.2."""
+    along = np.array([1.0, slope]) / np.hypot(1.0, slope)
+    across = width * np.array([-along[1], along[0]])
+    ends = at + np.array([[-80.0], [80.0]]) * along
+    a, b, c, d = (np.append(p, 0.2) for p in (*ends, ends[1] + across, ends[0] + across))
+    return np.array([[a, b, c], [a, c, d]])
+
+
+def shadow_of(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """u, v (2, n') of points in the map that triangles of equal size cover."""
+    shares = rng.dirichlet([1.0, 1.0, 1.0], n)
+    u, v, _ = np.einsum("nk,nkc->cn", shares, triangles[rng.integers(0, len(triangles), n)])
+    return np.stack([u, v])[:, (np.abs(u - 32) < 31) & (np.abs(v - 32) < 31)]
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+@pytest.mark.parametrize("width", [0.05, 0.1, 0.25, 0.5, 0.75, 1.0, 2.0])
+def test_no_wire_is_missed(width: float, slope: float) -> None:
+    triangles, rng = wire(width, slope), np.random.default_rng(1)
+    known = conservative_map((64, 64), triangles, boundary(triangles))
+    dark = shadow_of(triangles, 10000, rng)
+    assert dark.shape[1] > 3000
+    assert not (decide(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT).any()
+    anywhere = rng.uniform(0, 64, (2, 20000))
+    masked = (decide(known, *anywhere, np.full(20000, 0.9), 1e-9) == MASKED).mean()
+    assert masked <= (width * np.hypot(1.0, slope) + 2.0 + slope) / 64  # the texels that it touches
+
+
+def test_depths_at_texel_centres_miss_what_is_thin() -> None:
+    """Chan and Durand's own criterion, that two by two texels round a point disagree: what the conservative map is for."""
+    rng, missed = np.random.default_rng(1), []
+    for slope in SLOPES:
+        for at in rng.uniform(31, 33, 10):
+            triangles = wire(0.25, slope, at)
+            along = np.array([1.0, slope]) / np.hypot(1.0, slope)
+            u, v = np.floor(shadow_of(triangles, 2000, rng) - 0.5) + 0.5
+            away = [(v + j - at) * along[0] - (u + i - at) * along[1] for i in (0, 1) for j in (0, 1)]
+            missed.append((~((np.array(away) >= 0) & (np.array(away) <= 0.25)).any(axis=0)).mean())
+    assert 0.3 < np.mean(missed) < 0.7
+
+
+def prism(turn_deg: float) -> np.ndarray:
+    """A roof (2, 3, 3) of 60 by 40 texels, 10 deep, in the middle of a map of 128."""
+    turn = np.radians(turn_deg)
+    corners = np.array([[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]])
+    corners = corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + 64.0
+    a, b, c, d = np.concatenate([corners, np.full((4, 1), 10.0)], axis=1)
+    return np.array([[a, b, c], [a, c, d]])
+
+
+@pytest.mark.parametrize("floor_casts", [False, True])
+@pytest.mark.parametrize("turn_deg", [0.0, 17.0, 45.0])
+def test_only_outlines_are_masked(turn_deg: float, floor_casts: bool) -> None:
+    roof, rng = prism(turn_deg), np.random.default_rng(1)
+    a, b, c, d = np.array([[-1.0, -1.0, 20.0], [129.0, -1.0, 60.0], [129.0, 129.0, 90.0], [-1.0, 129.0, 50.0]])
+    casting = np.concatenate([roof, [[a, b, c], [a, c, d]]]) if floor_casts else roof
+    known = conservative_map((128, 128), casting, boundary(casting))
+    u, v = rng.uniform(0, 128, (2, 100_000))
+    depth = 20.0 + 40.0 * (u + 1) / 130 + 30.0 * (v + 1) / 130
+    found = decide(known, u, v, depth, 1e-9, on_caster=floor_casts)
+    side = np.roll(roof[[0, 0, 0, 1], [0, 1, 2, 2]], -1, axis=0)[:, :2] - roof[[0, 0, 0, 1], [0, 1, 2, 2]][:, :2]
+    from_corner = np.stack([u, v], axis=-1)[:, None] - roof[[0, 0, 0, 1], [0, 1, 2, 2]][:, :2]
+    dark = (side[:, 0] * from_corner[..., 1] - side[:, 1] * from_corner[..., 0] > 0).all(axis=1)
+    known_points = found != MASKED
+    assert ((found == SHADED) == dark)[known_points].all()
+    assert (~known_points).mean() * 128**2 < 2.1 * 200.0  # the outline is 200 texels long
+
+
+def test_layers_follow_one_another() -> None:
+    """Plates one behind the other, more than a texel keeps runs of: lit before the first, on it, and dark behind."""
+    a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
+    plates = [[[*p, float(k)] for p in corners] for k in range(2 * RUNS + 1) for corners in ((a, b, c), (a, c, d))]
+    known = conservative_map((8, 8), np.array(plates[::-1]), np.zeros((0, 2, 3)))
+    assert (np.abs(known.nearest) < 1e-9).all()
+    assert (np.abs(known.nearest_other - 1.0) < 1e-9).all()
+    assert (np.abs(known.shaded_beyond) < 1e-9).all()
+    edge = np.array([[[4.5, 4.5, -1.0], [4.6, 4.6, -1.0]]])  # a wire before them takes nothing from what they shade
+    known = conservative_map((8, 8), np.array(plates), edge)
+    assert known.nearest[4, 4] == known.nearest_other[4, 4] == pytest.approx(-1.0)
+    assert abs(known.shaded_beyond[4, 4]) < 1e-9
+    edge[..., 2] = 0.0  # one in the first hides what its run does, and the next shades
+    assert conservative_map((8, 8), np.array(plates), edge).shaded_beyond[4, 4] == pytest.approx(1.0)
+
+
+def test_a_hole_in_a_far_layer_is_known() -> None:
+    """Layers that a texel has no room for are one run, and a hole in any of them makes it open."""
+    a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
+    edges = np.array([[[-1.0, 4.5, float(k)], [9.0, 4.5, float(k)]] for k in range(RUNS + 2)])
+    plates = np.array([[[*p, float(k)] for p in corners] for k in range(RUNS + 2) for corners in ((a, b, c), (a, c, d))])
+    for gone in range(RUNS + 2):  # all but one have an edge there
+        known = conservative_map((8, 8), plates, np.delete(edges, gone, axis=0))
+        assert known.shaded_beyond[4, 4] == (pytest.approx(gone) if gone < RUNS - 1 else np.inf)
+        assert (np.abs(known.shaded_beyond[:4]) < 1e-9).all()
+
+
+def test_runs_joined_in_any_order_are_known() -> None:
+    """A steep sheet welded of two parts, the second drawn when its texel has room for it again: a point farther than that one
+    may lie before the first.
+    """
+    tiny = np.array([[4.2, 4.2, 0.0], [4.3, 4.2, 0.0], [4.2, 4.3, 0.0]])
+    bridge = tiny + [[0, 0, -0.5], [0, 0, 1.5], [0, 0, 1.5]]
+    near = [tiny + [0.0, 0.0, float(k)] for k in range(RUNS)]
+    far, at, close = (np.array([[u, -9.0, z], [u, 18.0, z]]) for u, z in ((-9.0, 60.0), (4.3, 10.0), (18.0, 8.0)))
+    first = np.array([[far[0], at[0], at[1]], [far[0], at[1], far[1]]])
+    second = np.array([[at[0], close[0], close[1]], [at[0], close[1], at[1]]])
+    triangles = np.stack([*near, *first, bridge, *second])
+    known = conservative_map((9, 9), triangles, boundary(triangles))
+    assert decide(known, np.array([4.1]), np.array([4.6]), np.array([10.2]), 1e-9) == MASKED
+
+
+def test_layers_where_triangles_meet_are_not_missed() -> None:
+    """Two layers at one depth, the edge between two triangles of one of them past the very place where layers are counted."""
+    plate = np.array([[[-40.0, -40.0, 1.0], [90.0, -40.0, 1.0], [-40.0, 90.0, 1.0]]])
+    for turn in np.linspace(0.0, 6.0, 40):
+        along, across = 20.0 * np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0]])
+        probe = np.array([4.437, 4.613, 1.0])
+        a, b = probe - along, probe + along
+        triangles = np.concatenate([plate, [[a, b, probe + across], [b, a, probe - across]]])
+        known = conservative_map((9, 9), triangles, boundary(triangles))
+        assert abs(known.nearest_other[4, 4] - 1.0) < 1e-9
+        assert abs(known.shaded_beyond[4, 4] - 1.0) < 1e-9
+
+
+def test_two_sides_edge_on_shade_nothing() -> None:
+    """A fin without thickness, its two sides casting and its edges cancelled, past the very place where layers are counted."""
+    for along in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]):
+        a = np.array([4.437, 4.613, 1.0]) - 8.0 * np.array(along)
+        b = a + 16.0 * np.array(along)
+        for beside in (0.0, 1e-12, 1e-8):
+            c = (a + b) / 2 + [beside, 0.0, 3.0]
+            fin = np.array([[a, b, c], [b, a, c]])
+            known = conservative_map((9, 9), fin, np.zeros((0, 2, 3)))
+            assert np.isinf(known.shaded_beyond).all()
+            assert known.nearest[4, 4] == pytest.approx(1.0)
+
+
+def test_rounding_past_the_border_of_a_texel_is_harmless() -> None:
+    """What begins or ends within rounding of a border, and a point truly on this side that rounding puts on the other."""
+    for end in (5.0 - 1e-9, 5.0, 5.0 + 1e-9):
+        left = np.array([[[-20.0, -20.0, 1.0], [end, -20.0, 1.0], [end, 40.0, 1.0]]])
+        right = np.array([[[end, -20.0, 1.0], [30.0, -20.0, 1.0], [end, 40.0, 1.0]]])
+        for triangle in (left, right, left[..., [1, 0, 2]], right[..., [1, 0, 2]]):
+            known = conservative_map((9, 9), triangle, boundary(triangle))
+            for at in (5.0 - 1e-8, 5.0 + 1e-8):
+                for u, v in ((at, 4.3), (4.3, at)):
+                    on_border = (np.abs(triangle[0, :, 0 if u == at else 1] - end) < 1e-6).sum() == 2
+                    found = decide(known, np.array([u]), np.array([v]), np.array([2.0]), 1e-9)
+                    assert found == MASKED or not on_border
+
+
+def test_points_outside_are_masked() -> None:
+    known = conservative_map((4, 3), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
+    u, v = np.array([0.0, 3.99, -1e-9, 4.0, 1.0, 1e300, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 3.0, 1.0, 1.0])
+    assert decide(known, u, v, np.zeros(7), 0.0).tolist() == [LIT, LIT] + 5 * [MASKED]
+
+
+def test_triangles_outside_leave_no_trace() -> None:
+    triangle = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0]])
+    for way in ([-9, 0], [9, 0], [0, -9], [0, 9], [-6, 4], [5, 5], [-1e6, 1e6]):
+        moved = triangle + [*way, 0.0]
+        assert np.isinf(conservative_map((4, 4), moved[None], boundary(moved[None])).nearest).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_clipping_keeps_planes_areas_and_edges(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    triangles, z_near = rng.uniform(-1, 1, (20, 3, 3)), 0.25
+    ahead = clipped_triangles(triangles, z_near)
+    mirror = np.array([1.0, 1.0, -1.0])
+    behind = clipped_triangles(triangles * mirror, -z_near) * mirror
+
+    def area(t: np.ndarray) -> np.ndarray:  # (t, 3)
+        return np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) / 2
+
+    assert (ahead[..., 2] >= z_near).all() and (behind[..., 2] <= z_near).all()
+    np.testing.assert_allclose(area(ahead).sum(axis=0) + area(behind).sum(axis=0), area(triangles).sum(axis=0), atol=1e-12)
+    whole = np.linalg.norm(area(triangles), axis=1).sum()
+    assert sum(np.linalg.norm(area(t), axis=1).sum() for t in (ahead, behind)) == pytest.approx(whole)
+    for way in (triangles[:, [0, 1]], triangles[:, [1, 0]]):
+        ends = clipped_edges(way, z_near).reshape(-1, 3)
+        assert {tuple(end) for end in ends} <= {tuple(corner) for corner in ahead.reshape(-1, 3)}
+
+
+def test_depth_of_a_lamp_is_linear_over_its_map() -> None:
+    """A clipped triangle seen in perspective: what (u, v, -1/z) says between its corners is where its points are."""
+    rng = np.random.default_rng(3)
+    corners = clipped_triangles(np.array([[[-1.0, -2.0, -1.0], [3.0, 1.0, 4.0], [-2.0, 2.0, 6.0]]]), 0.1)
+    assert len(corners) == 2
+    for triangle in corners:
+        points = rng.dirichlet([1.0, 1.0, 1.0], 50) @ triangle
+        project = np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], np.ones(50)])
+        u, v, z = triangle.T
+        shares = np.linalg.solve(np.stack([u / z, v / z, np.ones(3)]), project)
+        np.testing.assert_allclose((-1 / z) @ shares, -1 / points[:, 2], rtol=1e-9)

@@ -1,0 +1,114 @@
+"""Edges of meshes: known counts, welding by place, and the parts that bound a body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from shadows.edges import closed_parts, edges_of, parts_of, signed_sums
+from terrain.errors import InputError
+from terrain.surface import sheet_triangles
+
+Mesh = tuple[np.ndarray, np.ndarray]
+
+
+def soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
+    """The same triangles without shared vertices."""
+    return np.asarray(vertices)[np.ravel(triangles)], np.arange(3 * len(triangles)).reshape(-1, 3)
+
+
+def row_of_boxes(count: int) -> Mesh:
+    box = trimesh.creation.box()
+    vertices = np.concatenate([box.vertices + [2.0 * n, 0.0, 0.0] for n in range(count)])
+    return vertices, np.concatenate([box.faces + 8 * n for n in range(count)])
+
+
+def test_a_square_of_two_triangles_has_five_edges():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    edges = edges_of(vertices, np.array([[0, 1, 2], [2, 3, 0]]))
+    assert edges.ends.tolist() == [[0, 1], [1, 2], [0, 2], [2, 3], [0, 3]]
+    assert edges.of_triangle.tolist() == [[0, 1, 2], [3, 4, 2]]
+    assert edges.along.tolist() == [[1, 1, -1], [1, -1, 1]]
+    assert (edges.ends.dtype, edges.of_triangle.dtype, edges.along.dtype) == (np.int32, np.int32, np.int8)
+    assert signed_sums(edges, np.array([1, 1])).tolist() == [1, 1, 0, 1, -1]
+    assert signed_sums(edges, np.array([1, -1])).tolist() == [1, 1, -2, -1, 1]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_sphere_obeys_euler(shared: bool):
+    sphere = trimesh.creation.icosphere(3)
+    vertices, triangles = (sphere.vertices, sphere.faces) if shared else soup(sphere.vertices, sphere.faces)
+    edges = edges_of(vertices, triangles)
+    places = len(np.unique(edges.ends))
+    assert places - len(edges.ends) + len(triangles) == 2
+    assert (np.bincount(edges.of_triangle.ravel()) == 2).all()
+    assert not signed_sums(edges, np.ones(len(triangles))).any()
+
+
+def test_sides_lie_on_their_edges():
+    rng = np.random.default_rng(4)
+    vertices = rng.integers(0, 3, (60, 3)).astype(float)  # many in one place
+    triangles = rng.integers(0, 60, (200, 3))
+    edges = edges_of(vertices, triangles)
+    start, end = vertices[triangles], vertices[np.roll(triangles, -1, axis=1)]
+    degenerate = (start == end).all(axis=2).any(axis=1)
+    assert 0 < degenerate.sum() < 200
+    assert (edges.along[degenerate] == 0).all() and (edges.of_triangle[degenerate] == -1).all()
+    ends = vertices[edges.ends[edges.of_triangle[~degenerate]]]
+    forwards = edges.along[~degenerate, :, None, None] > 0
+    np.testing.assert_array_equal(np.where(forwards, ends, ends[:, :, ::-1]), np.stack([start, end], axis=2)[~degenerate])
+    assert len(np.unique(vertices[edges.ends].reshape(-1, 6), axis=0)) == len(edges.ends)
+
+
+def test_places_are_told_apart_as_float32_does():
+    near = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 1e-50, 0], [1 + 1e-9, 0, 0], [0, -1, 0]])
+    assert len(edges_of(near, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 5
+    near[4, 0] = np.nextafter(np.float32(1), np.float32(2))
+    assert len(edges_of(near, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 6
+
+
+@pytest.mark.parametrize("wrong", [-1, 3])
+def test_a_vertex_that_is_not_there_is_named(wrong: int):
+    with pytest.raises(InputError, match=rf"triangles: '{wrong}' is not allowed; allowed: vertex numbers below 3"):
+        edges_of(np.eye(3), np.array([[0, 1, wrong]]))
+
+
+def test_nothing_has_no_edges():
+    edges = edges_of(np.zeros((0, 3)), np.zeros((0, 3), int))
+    assert edges.ends.shape == (0, 2) and edges.of_triangle.shape == edges.along.shape == (0, 3)
+    assert parts_of(edges).shape == closed_parts(edges).shape == (0,)
+    point = edges_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    assert point.ends.shape == (0, 2) and signed_sums(point, np.array([1])).shape == (0,)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_hole_opens_its_part_and_no_other(shared: bool):
+    vertices, triangles = row_of_boxes(3)
+    whole = edges_of(*((vertices, triangles) if shared else soup(vertices, triangles)))
+    assert parts_of(whole).tolist() == np.repeat([0, 1, 2], 12).tolist()
+    assert closed_parts(whole).all()
+    left = np.delete(triangles, 17, axis=0)
+    holed = edges_of(*((vertices, left) if shared else soup(vertices, left)))
+    np.testing.assert_array_equal(closed_parts(holed), np.repeat([True, False, True], [12, 11, 12]))
+
+
+def test_a_flipped_triangle_opens_its_part():
+    vertices, triangles = row_of_boxes(2)
+    triangles[3] = triangles[3][::-1]
+    np.testing.assert_array_equal(closed_parts(edges_of(vertices, triangles)), np.repeat([False, True], 12))
+
+
+def test_bodies_that_share_an_edge_are_one_closed_part():
+    box = trimesh.creation.box()
+    vertices = np.concatenate([box.vertices, box.vertices + [1.0, 1.0, 0.0]])
+    edges = edges_of(vertices, np.concatenate([box.faces, box.faces + 8]))
+    assert np.bincount(edges.of_triangle.ravel()).max() == 4
+    assert parts_of(edges).max() == 0 and closed_parts(edges).all()
+
+
+def test_a_sheet_is_open():
+    row, col = np.mgrid[:5, :7].astype(float)
+    edges = edges_of(np.stack([col, -row, row * col], axis=-1).reshape(-1, 3), sheet_triangles(5, 7))
+    assert len(edges.ends) == 5 * 6 + 4 * 7 + 4 * 6
+    assert not closed_parts(edges).any()

@@ -1,0 +1,231 @@
+"""How many layers can cover a point: bounds that hold, and are close; batches; and what may cast on the near plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shadows.edges import edges_of
+from shadows.silhouettes import RULES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from shadows.volume_layers import MOST, batches, may_shade_near, most_layers
+from terrain.errors import InputError
+from terrain.surface import sheet_triangles
+
+Mesh = tuple[np.ndarray, np.ndarray]
+
+OVERHEAD = np.array([0.0, 0.0, 1.0, 0.0])
+LIGHTS = [
+    OVERHEAD, np.array([2.0, 0.0, 0.0, 0.0]), np.array([0.31, -0.52, 0.43, 0.0]), np.array([2.3, 1.1, 3.2, 1.0]),
+    np.array([0.07, -0.11, 0.13, 1.0]),
+]  # fmt: skip
+
+
+def copies(vertices: np.ndarray, triangles: np.ndarray, offsets: np.ndarray) -> Mesh:
+    numbers = np.arange(len(offsets))[:, None, None] * len(vertices) + triangles
+    return (vertices + np.asarray(offsets)[:, None]).reshape(-1, 3), numbers.reshape(-1, 3)
+
+
+def boxes(size: float, offsets: np.ndarray) -> Mesh:
+    box = trimesh.creation.box(extents=(size, size, size))
+    return copies(np.asarray(box.vertices), np.asarray(box.faces), offsets)
+
+
+def plates(count: int) -> Mesh:
+    """Squares on top of one another."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    return copies(square, np.array([[0, 1, 2], [2, 3, 0]]), np.arange(count)[:, None] * [0.0, 0.0, 0.125])
+
+
+def folded(count: int) -> Mesh:
+    """A strip folded to and fro, ``count`` layers thick, in one piece."""
+    n = np.arange(count + 1)
+    side = np.stack([n % 2, 0.0 * n, 0.1 * n], axis=-1)
+    vertices = np.concatenate([side, side + [0.0, 1.0, 0.0]])
+    a, b = n[:-1], n[:-1] + count + 1
+    return vertices, np.concatenate([np.stack([a, a + 1, b], axis=-1), np.stack([b + 1, b, a + 1], axis=-1)])
+
+
+def cast(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
+    vertices, triangles = mesh
+    return silhouette(triangles, edges_of(vertices, triangles), turns_of(facing(vertices, triangles, light), rule))  # type: ignore
+
+
+def covered(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """How many triangles cover each point (n, 3) as seen from a light, whatever their distance."""
+    corners = np.asarray(vertices, np.float32).astype(float)[caps]
+    to_light = light[:3] - light[3] * points
+    if light[3]:
+        a, b, c = (corners[:, k] - light[:3] for k in range(3))
+        inside = [-to_light @ np.cross(p, q).T <= 0.0 for p, q in ((a, b), (b, c), (c, a))]
+        return np.logical_and.reduce(inside).sum(axis=1)
+    a, b, c = (corners[:, k] for k in range(3))
+    away = points[:, None]
+    inside = [np.cross(q - p, away - p) @ light[:3] >= 0.0 for p, q in ((a, b), (b, c), (c, a))]
+    return np.logical_and.reduce(inside).sum(axis=1)
+
+
+@pytest.mark.parametrize("light", LIGHTS, ids=str)
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_covered_more_often(light: np.ndarray, seed: int):
+    """Soups of few large and of many small triangles, all sorts of things between, and where they are densest."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.choice([1, 3, 20, 150]))
+    middle = rng.uniform(-1, 1, (count, 1, 3))
+    vertices = (middle + rng.choice([0.2, 1.0]) * rng.uniform(-1, 1, (count, 3, 3))).reshape(-1, 3)
+    triangles = np.arange(3 * count).reshape(-1, 3)
+    if seed % 2:
+        triangles = rng.permuted(triangles.ravel()).reshape(-1, 3) % max(count, 3)  # shared vertices
+    for rule in RULES:
+        bound = cast((vertices, triangles), light, rule)
+        points = np.concatenate([rng.uniform(-2, 2, (1000, 3)), vertices[triangles].mean(axis=1)])
+        found = int(covered(points, vertices, bound.caps, light).max())
+        assert found <= most_layers(vertices, bound, light) <= len(bound.caps)
+
+
+@pytest.mark.parametrize("light", LIGHTS, ids=str)
+def test_one_convex_body_is_one_layer(light: np.ndarray):
+    ball = trimesh.creation.icosphere(3, 0.3)
+    for middle in ([0.0, 0.0, -1.5], [0.4, -2.0, 0.1]):
+        assert most_layers(ball.vertices + middle, cast((ball.vertices + middle, ball.faces), light), light) == 1
+
+
+@pytest.mark.parametrize("lamp", [np.array([0.2, 0.1, -0.3, 1.0]), np.array([0.0, 0.0, 0.1, 1.0])], ids=str)
+@pytest.mark.parametrize("shells", [1, 2, 5])
+def test_a_lamp_in_shells_is_covered_all_round(lamp: np.ndarray, shells: int):
+    ball = trimesh.creation.icosphere(2)
+    vertices, triangles = copies(np.asarray(ball.vertices), np.asarray(ball.faces), np.zeros((shells, 3)))
+    vertices *= np.repeat(1.0 + np.arange(shells), len(ball.vertices))[:, None]
+    opened = vertices, np.delete(triangles, [17, 300, 306], axis=0)
+    assert shells <= most_layers(vertices, cast(opened, lamp, "all"), lamp) <= shells + 1
+    assert most_layers(vertices, cast(opened, lamp), lamp) == 0
+
+
+def test_what_no_axis_passes_clear_of_is_bounded_by_its_triangles():
+    """A lamp on a corner, which lies in no direction from there."""
+    vertices, triangles = plates(5)
+    lamp = np.append(vertices[-1], 1.0)
+    bound = cast((vertices, triangles), lamp, "all")
+    assert most_layers(vertices, bound, lamp) == len(bound.caps) == 10
+
+
+@pytest.mark.parametrize("count", [1, 7, 40])
+@pytest.mark.parametrize("light", [OVERHEAD, np.array([0.0, 0.0, 900.0, 1.0])], ids=str)
+def test_a_stack_is_as_many_layers_as_boxes(light: np.ndarray, count: int):
+    stack = boxes(1.0, np.arange(count)[:, None] * [0.0, 0.0, 1.5])
+    assert most_layers(stack[0], cast(stack, light), light) == count
+
+
+def test_a_wave_is_one_layer_a_crest():
+    x, y = np.meshgrid(np.linspace(0, 10, 201), np.linspace(0, 4, 40))
+    position = np.stack([x, -y, 0.5 * np.sin(2 * np.pi * x)], axis=-1)
+    position[3, 40] = np.nan
+    sun = np.array([1.0, 0.1, 0.02, 0.0])
+    for rule in ("turned_away", "facing"):
+        assert 9 <= most_layers(position, sheet_silhouette(position, sun, rule), sun) <= 12
+
+
+@pytest.mark.parametrize("light", [np.array([0.6, 0.5, 0.4, 0.0]), np.array([1.0, 1, 1, 0]), np.array([30.0, 20, 15, 1]),
+                                   np.array([4.5, 4.5, 4.5, 1]), OVERHEAD], ids=str)  # fmt: skip
+def test_a_thousand_boxes_fit_a_stencil(light: np.ndarray):
+    rng = np.random.default_rng(1)
+    mesh = boxes(0.6, np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3))
+    bound = cast(mesh, light)
+    points = rng.uniform(-1, 11, (500, 3))
+    found, most = int(covered(points, mesh[0], bound.caps, light).max()), most_layers(mesh[0], bound, light)
+    assert found <= most <= 60
+    assert len(batches(*mesh, edges_of(*mesh), turns_of(facing(*mesh, light), "facing"), light)) == 1
+
+
+def test_rough_ground_at_low_sun_fits_a_stencil():
+    rng = np.random.default_rng(3)
+    row, col = np.mgrid[:200, :200]
+    position = np.stack([10.0 * col, -10.0 * row, rng.normal(0.0, 3.0, row.shape)], axis=-1)
+    for light in (np.array([0.6, 0.5, 0.05, 0.0]), np.array([1000.0, -900.0, 15.0, 1.0])):
+        bound = sheet_silhouette(position, light, "turned_away")
+        assert len(bound.edges) > 20000
+        assert most_layers(position, bound, light) < 100
+
+
+@pytest.mark.parametrize("mesh", [plates(300), plates(600), folded(300), folded(600)], ids=["plates", "more", "folded", "longer"])
+def test_batches_fit_and_are_everything(mesh: Mesh):
+    vertices, triangles = mesh
+    edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
+    layers = len(triangles) // 2
+    assert most_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MOST
+    groups = batches(vertices, triangles, edges, turns, OVERHEAD)
+    assert 2 <= len(groups) <= 2 * layers / MOST
+    assert all(most_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MOST for group in groups)
+    assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == turns).all()
+    [group] = batches(vertices, triangles, edges, turns, OVERHEAD, layers)
+    np.testing.assert_array_equal(group, turns)
+    assert len(batches(vertices, triangles, edges, turns, OVERHEAD, 1)) >= layers
+
+
+def test_plates_stay_whole():
+    vertices, triangles = plates(300)
+    edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
+    groups = batches(vertices, triangles, edges, turns, OVERHEAD, 100)
+    assert all((group[::2] == group[1::2]).all() for group in groups)
+    heights = [vertices[triangles[group != 0], 2] for group in groups]
+    assert all(before.min() > after.max() for before, after in zip(heights, heights[1:], strict=False))  # from the light on
+
+
+def test_nothing_is_no_layer():
+    row, col = np.mgrid[:3, :3].astype(float)
+    position = np.stack([col, -row, 0.0 * row], axis=-1)
+    none = sheet_silhouette(position, OVERHEAD, "turned_away")
+    assert len(none.caps) == 0 and most_layers(position, none, OVERHEAD) == 0
+    vertices, triangles = position.reshape(-1, 3), sheet_triangles(3, 3)
+    [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD)
+    assert not group.any()
+
+
+def test_no_layers_at_all_are_too_few():
+    vertices, triangles = plates(2)
+    with pytest.raises(InputError, match="most: '0' is not allowed; allowed: 1 or more"):
+        batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD, 0)
+
+
+NUMBER = st.floats(-5, 5, allow_subnormal=False)
+POINT = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
+
+
+@given(
+    middle=POINT, turns=POINT, width=st.floats(0.01, 3), height=st.floats(0.01, 3), light=POINT.filter(np.any),
+    is_lamp=st.booleans(), share=st.tuples(*[st.floats(0, 1)] * 3), size=st.tuples(*[st.floats(0, 2)] * 3),
+    corner=st.tuples(*[st.floats(0, 1)] * 3),
+)  # fmt: skip
+def test_what_lies_between_the_near_plane_and_the_light_is_found(middle, turns, width, height, light, is_lamp, share, size, corner):
+    turned = trimesh.transformations.euler_matrix(*turns)[:3, :3]
+    corners = np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
+    rectangle = middle + corners @ turned[:2]
+    light = np.append(light, float(is_lamp))
+    across, along, away = share
+    start = middle + [(2 * across - 1) * width, (2 * along - 1) * height] @ turned[:2]
+    between = start + (away if is_lamp else 20 * away) * (light[:3] - light[3] * start)
+    low = between - np.array(size) * corner
+    assert may_shade_near(low[None], (low + size)[None], rectangle, light).all()
+
+
+def test_what_lies_elsewhere_is_not():
+    rectangle = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    middle = np.array([[0, 0, 5], [0, 0, -5], [5, 0, 0.5], [5, 0, 5], [0, -9, 5], [4, 4, 20]], float)
+    low, high = middle - 0.4, middle + 0.4
+    up, aslant, lamp = np.array([[0.0, 0, 1, 0], [1.0, 0, 1, 0], [0.0, 0, 8, 1]])
+    assert may_shade_near(low, high, rectangle, up).tolist() == [True, False, False, False, False, False]
+    assert may_shade_near(low, high, rectangle, aslant).tolist() == [False, False, False, True, False, False]
+    assert may_shade_near(low, high, rectangle[::-1], aslant).tolist() == [False, False, False, True, False, False]
+    assert may_shade_near(low, high, rectangle, lamp).tolist() == [True, False, False, False, False, False]
+    assert may_shade_near(low[:0], high[:0], rectangle, up).shape == (0,)
+
+
+def test_a_light_in_the_near_plane_tells_nothing_apart():
+    rectangle = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    low, high = np.array([[50.0, 50, -50]]), np.array([[51.0, 51, -49]])
+    for degrees, found in ((0.0, True), (0.09, True), (-0.09, True), (0.11, False), (-0.11, False)):
+        rise = np.tan(np.radians(degrees))
+        assert may_shade_near(low, high, rectangle, np.array([1.0, 0.0, rise, 0.0])).all() == found
+    assert may_shade_near(low, high, rectangle, np.array([0.3, 0.2, 0.0, 1.0])).all()
