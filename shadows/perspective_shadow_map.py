@@ -10,7 +10,7 @@ from shadows.map_lookup import look_up
 from shadows.map_windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import Camera, Light, Receivers, fitted, is_clear, post_perspectives, uniform_matrix
+from shadows.post_perspective import Camera, Light, fitted, is_clear, post_perspectives, uniform_matrix
 from shadows.shadow_map import depths
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_trees
@@ -66,13 +66,11 @@ def perspective_map(
     """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
     chosen = np.flatnonzero(receivers)
     some = chosen[:: max(len(chosen) // SAMPLE, 1)]
-    sample = Receivers(
-        buffer.position_frame_m.reshape(-1, 3)[some], buffer.normal_frame.reshape(-1, 3)[some].astype(np.float64)
-    )
+    sample = buffer.position_frame_m.reshape(-1, 3)[some]
     source = light_of(buffer, scene, light)
     inner = 1.0 - 2.0 * BORDER_TEXELS / settings.map_size
-    plain = uniform_matrix(source, sample.points_m)[3]
-    nearest = NEAREST_SHARE * float((sample.points_m @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
+    plain = uniform_matrix(source, sample)[3]
+    nearest = NEAREST_SHARE * float((sample @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
     for found in post_perspectives(camera_of(buffer), source, sample, inner):
         low, high = _bounds(found.clip_from_frame, plain, nearest, buffer.position_frame_m, receivers)
         if is_clear(np.array([low[3], high[3]])):
@@ -116,8 +114,9 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 @compiled
 def _bounds(matrix, plain, nearest, position, here):  # type: ignore[no-untyped-def]
-    """Bounds (2, 4) of points (rows, cols, 3) that are ``here``: x, y and z in a map, and the distance from its horizon as a share of
-    that from another one (4,). Those nearer than ``nearest`` to that one do not count in z.
+    """Bounds (2, 4) of points (rows, cols, 3) that are ``here``: x, y and z in a map, and w as a share of another plane's (4,).
+
+    Those nearer than ``nearest`` to that plane do not count in z.
     """
     out = np.empty((2, 4))
     out[0] = np.inf

@@ -32,9 +32,10 @@ along a ray by a shift and a stretch, which the fit to the receivers undoes. So 
 **Slide-back.** In the light's own image (along the sun; from the lamp) P is a homography, whose horizon w = 0 moves with b: for a
 large b it lies far behind the receivers, and hardly anything is distorted. No receiver may lie on it or beyond, nor much nearer to
 it than the farthest one (float32 would not tell them apart): that alone rules out slide-backs. Of the others the one is taken whose
-texels are seen smallest. With T two directions along a receiver's surface, A = d(texels)/dT and B = d(pixels)/dT (2 x 2 both), a
-texel covers B A^-1 in the picture there; the mean of its norm over a sample of the receivers is compared. It goes with the mean
-displacement of a shadow's edge in pixels. A large slide-back is as good as a uniform map, so that none is much worse than that.
+texels are seen smallest. With T two directions across the light's ray at a receiver, A = d(texels)/dT and B = d(pixels)/dT (2 x 2
+both), the columns of B A^-1 are a texel's sides in the picture; the mean square of its norm over a sample of the receivers is
+compared. The displacement of shadow edges goes with it, but for the slope of the surfaces to the light, which no map can help. A
+large slide-back is as good as a uniform map under the sun, and nearly so under a lamp: the best is never much worse than that.
 
 **Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation behind
 the eye, V distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is
@@ -69,14 +70,6 @@ OUTLINE = 64
 """Directions in which the farthest receivers count as their outline, for the map's turn."""
 
 @dataclass(frozen=True, eq=False)
-class Receivers:
-    """Some of the points (n, 3) that a camera sees and a light may reach, and their surfaces' unit normals (n, 3)."""
-
-    points_m: np.ndarray
-    normals: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Camera:
     """An eye (3,) and the rotation (3, 3) from the frame to right, down and forward."""
 
@@ -104,17 +97,19 @@ class Light:
 class PostPerspective:
     """A map's matrix (4, 4), with the sampled receivers within the inner part of -1 to 1 in x and y, its depth not yet fitted.
 
-    ``kind`` is that of the light, ``slide_m`` the slide-back; a uniform map has ``None`` and infinity, and a ``note`` that says why.
+    ``kind`` is that of the light, ``slide_m`` the slide-back; a uniform map has ``None`` and infinity, and a ``note`` that says
+    why. ``texel`` is the root mean square of what half the map's width covers in the picture, in tangents.
     """
 
     clip_from_frame: np.ndarray
     kind: LightKind | None
     slide_m: float
+    texel: float
     note: str = ""
 
 
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_m: float) -> np.ndarray:
-    """The virtual camera's projection (4, 4): ``near_m`` to ``far_m`` from the real eye to -1 to 1, the camera ``slide_m`` behind it.
+    """The virtual camera's projection (4, 4): it stands ``slide_m`` behind the real one, from which its planes are counted.
 
     Raises ``ValueError`` unless the planes lie before the virtual camera, one behind the other.
     """
@@ -158,38 +153,39 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _amid(points))
 
 
-def post_perspectives(camera: Camera, light: Light, receivers: Receivers, inner: float) -> list[PostPerspective]:
-    """The maps for some receivers, the best one first, the uniform one last.
+def post_perspectives(camera: Camera, light: Light, points: np.ndarray, inner: float) -> list[PostPerspective]:
+    """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last.
 
-    Whoever finds that a receiver that is not in the sample lies beyond the horizon takes the next one. ``inner`` is the part of
+    Whoever finds that a receiver that is not among these lies beyond the horizon takes the next one. ``inner`` is the part of
     the map's half width that receivers may fill.
     """
-    points = receivers.points_m
     uniform = uniform_matrix(light, points)
     outline = points[_outline(projected(uniform, points)[:, :2])]
+    seen, ahead = camera.seen(points), horizon_m(uniform, points)
+    ways = light.homogeneous[:3] - light.homogeneous[3] * points
+    ways = np.broadcast_to(ways / np.linalg.norm(ways, axis=-1, keepdims=True), points.shape)
+    aside = across(ways)
+    pixels = _pixels(camera, seen, aside)
 
-    def even(why: str) -> PostPerspective:
-        return PostPerspective(_filled(uniform, outline, inner), None, np.inf, f"a uniform map: {why}")
+    def made(matrix: np.ndarray, kind: LightKind | None, slide_m: float, note: str = "") -> PostPerspective:
+        matrix = _filled(matrix, outline, inner)
+        return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, aside, pixels), note)
 
     off_deg = _off_axis_deg(camera, light, _amid(points))
     if off_deg <= CONE_DEG:
-        return [even(f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}")]
-    seen = camera.seen(points)
+        why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
+        return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
     far = max(far, near * (1.0 + 1e-3))  # a wall that is looked at straight on
-    tangent = float((np.abs(seen[:, :2]).max(axis=1) / seen[:, 2]).max())
-    ahead, surfaces, found = horizon_m(uniform, points), across(receivers.normals), []
-    pixels = _pixels(camera, seen, surfaces)
+    widest, found = np.abs(seen[:, :2]).max(axis=1), []
     for slide_m in far * np.array(SLIDES):
-        view = camera_matrix(camera, tangent, near, far, slide_m)
+        view = camera_matrix(camera, float((widest / (seen[:, 2] + slide_m)).max()), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
         if is_clear(horizon_m(matrix, points) / ahead):
-            matrix = _filled(matrix, outline, inner)
-            size = _mean_texel(matrix, points, surfaces, pixels)
-            found.append((size, PostPerspective(matrix, kind_of(seen_light), float(slide_m))))
-    found.sort(key=lambda each: each[0])
-    return [*(each for _, each in found), even("no slide-back keeps all that is seen off the horizon of the map")]
+            found.append(made(matrix, kind_of(seen_light), float(slide_m)))
+    found.sort(key=lambda each: each.texel)
+    return [*found, made(uniform, None, np.inf, "a uniform map: no slide-back keeps all that is seen off the map's horizon")]
 
 
 def fitted(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
@@ -263,15 +259,15 @@ def across(normals: np.ndarray) -> np.ndarray:
     return np.stack([first, np.stack([x * y * a, side + y * y * a, -y], axis=-1)], axis=-1)
 
 
-def _pixels(camera: Camera, seen: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
-    """How the picture's coordinates (in tangents) change along surfaces (n, 3, 2), at points as the camera sees them (n, 3)."""
+def _pixels(camera: Camera, seen: np.ndarray, aside: np.ndarray) -> np.ndarray:
+    """How the picture's coordinates (tangents) change along two directions (n, 3, 2) at points as the camera sees them (n, 3)."""
     ahead = seen[:, 2, None, None]
-    return (camera.camera_from_frame[:2] - seen[:, :2, None] / ahead * camera.axis) / ahead @ surfaces
+    return (camera.camera_from_frame[:2] - seen[:, :2, None] / ahead * camera.axis) / ahead @ aside
 
 
 @compiled
-def _mean_texel(matrix, points, surfaces, pixels):  # type: ignore[no-untyped-def]
-    """The mean size in the picture, in a unit of its own, of what a map's texel covers on surfaces."""
+def _texel(matrix, points, aside, pixels):  # type: ignore[no-untyped-def]
+    """The root mean square size in the picture, in tangents, of what half the width of a map covers along two directions."""
     total = 0.0
     for n in range(len(points)):
         p = points[n]
@@ -282,11 +278,11 @@ def _mean_texel(matrix, points, surfaces, pixels):  # type: ignore[no-untyped-de
         for k in range(2):
             for m in range(3):
                 step = (matrix[k, m] - through[k] / through[3] * matrix[3, m]) / through[3]
-                a[k, 0] += step * surfaces[n, m, 0]
-                a[k, 1] += step * surfaces[n, m, 1]
+                a[k, 0] += step * aside[n, m, 0]
+                a[k, 1] += step * aside[n, m, 1]
         square = 0.0
         for k in range(2):
             square += (pixels[n, k, 0] * a[1, 1] - pixels[n, k, 1] * a[1, 0]) ** 2
             square += (pixels[n, k, 1] * a[0, 0] - pixels[n, k, 0] * a[0, 1]) ** 2
-        total += np.sqrt(square) / max(abs(a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]), 1e-300)
-    return total / len(points)
+        total += square / max((a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) ** 2, 1e-300)
+    return np.sqrt(total / len(points))

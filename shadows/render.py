@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shadows import hybrid, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth
+from shadows import hybrid, hybrid_maps, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth, volumes
 from shadows.attached import attached
 from shadows.kept_layers import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
@@ -144,6 +144,8 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
 def forget_kept() -> None:
     """Drop what algorithms keep from frame to frame while nothing changes: the next one pays all its costs."""
     ground_of_level.cache_clear()
+    volumes.forget()
+    hybrid_maps.forget()
     if is_open():
         device().depth_targets.forget()
 

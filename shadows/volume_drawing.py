@@ -79,10 +79,9 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
                 indices = each.edges if lines else each.faces
                 if not len(indices):
                     continue
-                clamped = points.near_frame_m is None
                 with (
                     gl.uploaded(program, each.vertices, indices) as array,
-                    gl.stencil.count_pass(target, counting, clamped=clamped),
+                    gl.stencil.count_pass(target, counting),
                 ):
                     array.render(moderngl.LINES if lines else moderngl.TRIANGLES)
             out.ravel()[points.at] = gl.stencil.read(target)[points.row, points.col]
@@ -116,7 +115,7 @@ def _counted(
                     continue
                 with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
                     for side in ("both",) if settings.stencil == "one_pass" else ("front", "back"):
-                        with gl.stencil.count_pass(target, counting, side, marked, clamped=points.near_frame_m is None):
+                        with gl.stencil.count_pass(target, counting, side, marked):
                             record.draws += _render(target, array, parts, some.starts)
                         record.triangles += len(some.faces)
                 record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])

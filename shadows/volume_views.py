@@ -5,8 +5,8 @@ ground and trees bring their own depths: no near cap lies on a lit one. (The gro
 beside it by a share of a pixel may be on the wrong side of a volume that grazes it.)
 
 In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
-off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map has no
-eye; depths are clamped there instead.
+off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is seen from
+above everything; what lies below all that is seen is cut off, for nothing is counted there.
 
 **Samples** of a perspective view's pixels are pixels of a finer view of the same camera.
 """
@@ -156,9 +156,10 @@ def _seen(
         near = origin + near_m * corners @ camera_from_frame
     else:
         low, high = points.min(axis=0), points.max(axis=0)
-        margin_m = 1.0 + 0.01 * (high[2] - low[2])
+        top_m = max(float(high[2]), scene.height_range_m[1] + scene.population.tallest_m)  # above all that casts
+        margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
-        clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, high[2] + margin_m))
+        clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
     nodes = None if scene.world.flat or isinstance(view, PerspectiveView) else _nodes_of(buffer, view)
     z, w = clip[2:, :3] @ (points - origin).T + clip[2:, 3:]
     drawn = buffer.kind.ravel()[at] == MESHES

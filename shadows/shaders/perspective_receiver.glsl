@@ -25,6 +25,7 @@ float depth_error;
 vec3 share, share_right, share_up;   // of the triangle's corners in the point: there, and how they change by texels
 vec2 slope;                          // of the triangle's depth
 float depth_at, slack;               // its depth there, and what is taken off it
+vec2 range_;                         // the depths of its corners: where the light grazes it, all that is known
 
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 
@@ -64,24 +65,23 @@ bool receive(ivec2 pixel) {
     share_right *= area;
     share_up *= area;
     slope = vec2(dot(deep, share_right), dot(deep, share_up));
-    depth_at = mix(point.z, point.z + dot(deep, share), bias_scale);
-    slope *= bias_scale;
-    float around = 1e30;
+    depth_at = point.z + dot(deep, share);
+    range_ = point.z + vec2(-1e30, 1e30);
     if (all(greaterThan(ahead, vec3(0.0)))) {
-        vec3 apart = abs(deep) / ahead;
-        around = max(apart.x, max(apart.y, apart.z));
+        deep /= ahead;
+        range_ = point.z + vec2(min(deep.x, min(deep.y, deep.z)), max(deep.x, max(deep.y, deep.z)));
     }
     error_m = position_error * sqrt(max(max(dot(a, a), dot(b, b)), dot(c, c)));
     depth_error = error_m * length(along_z) + ROUNDING;
     vec2 grid = 1.0 / 128.0 + error_m * vec2(length(along_x), length(along_y));
-    slack = min(dot(abs(slope), grid), around) + depth_error;
+    slack = min(dot(abs(slope), grid), range_.y - range_.x) + depth_error;
     return true;
 }
 
 // Whether a texel's centre falls into the point's own triangle, and the depth there that the map holds unless something is nearer.
 bool is_on_own(vec2 at, out float z) {
     vec2 aside = at + 0.5 - point.xy;
-    z = depth_at + dot(slope, aside) - slack;
+    z = mix(point.z, clamp(depth_at + dot(slope, aside), range_.x, range_.y), bias_scale) - slack;
     return all(greaterThanEqual(share + share_right * aside.x + share_up * aside.y, vec3(0.0)));
 }
 bool is_on_any(vec2 at, out float z) { return is_on_own(at, z); }
@@ -93,7 +93,8 @@ vec3 clear_of(int taps) {
     float volume = dot(ray, along_z);
     right /= volume;
     up /= volume;
-    if (dot(normal, ray) * volume > 0.0) normal = -normal;  // foliage is lit from either side
+    // Foliage is lit from either side; what the light grazes must not be turned into its own body by rounding.
+    if (dot(normal, ray) * sign(volume) > 1e-4 * length(ray)) normal = -normal;
     float reach = 0.5 * float(taps) + 1.0 / 128.0;
     float widest = max(length(right + up), length(right - up));
     float offset_m = reach * (abs(dot(normal, right)) + abs(dot(normal, up)) + crease * widest) / max(1.0 - 0.5 * crease * crease, 0.25);
