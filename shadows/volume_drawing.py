@@ -2,10 +2,10 @@
 
 A surface is held to lie before its near cap: it counts as behind the point, and not as before it.
 
-Each caster's volume has a sum of its own in every pixel, either of its faces before the point (z-pass), which is right while the near
-plane lies outside of it, or of those behind (z-fail), which is right always but takes near and far caps. So both go into one stencil.
-Which it is says whether the caster's bounds reach into what the light would have to pass to shade the near plane's rectangle (Everitt
-and Kilgard 2002). A map is seen from infinitely far above: z-pass.
+Each caster's volume has a sum of its own in every pixel, either of its faces before the point (z-pass), which is right while
+the near plane lies outside of it, or of those behind (z-fail), which is right always but takes near and far caps. So both go
+into one stencil. Which it is says whether the caster's bounds reach into what the light would have to pass to shade the near
+plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass.
 
 Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there (``shadows.tiles``).
 """

@@ -5,8 +5,8 @@ ground and trees bring their own depths: no near cap lies on a lit one. (The gro
 beside it by a share of a pixel may be on the wrong side of a volume that grazes it.)
 
 In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
-off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is seen from
-above everything; what lies below all that is seen is cut off, for nothing is counted there.
+off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is
+seen from above everything; what lies below all that is seen is cut off, for nothing is counted there.
 
 **Samples** of a perspective view's pixels are pixels of a finer view of the same camera.
 """
