@@ -1,4 +1,42 @@
-"""`perspective_shadow_map`: a depth map in the post-perspective space of the camera."""
+"""`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
+
+``shadows.post_perspective`` derives the map's matrix P and why no caster is lost. Here it is fitted, drawn, and looked up.
+
+**Window.** P is chosen by a sample of the receivers (what is seen and not turned away from the light) and then fitted to all of
+them: x and y to the map but for a border, in which the bias and the taps move; depth from the nearest receiver, a little before
+it, to the farthest. What casts before that is clamped to depth 0. If a receiver that was not in the sample lies too near the
+horizon of P, the next best matrix is taken.
+
+**Comparison.** P keeps lines and planes. With a receiver at p and a triangle's corners p + s_k, let
+
+    W_k = (P (p + s_k))_w,  (X_k, Y_k, Z_k) = (P s_k)_xyz - (x, y, z) (P s_k)_w,     x, y, z: the map's coordinates of p,
+
+which are exact differences, however far the origin is. A point of the triangle with homogeneous weights c_k (their sum weighted
+by W_k is 1) lies at (x, y, z) + sum of c_k (X_k, Y_k, Z_k), so that the weights at (dx, dy) beside p are
+
+    c = (X cross Y + dx Y cross W + dy W cross X) / ((X cross Y).W).
+
+The texel's centre falls into the triangle if all are at least 0, corners behind the horizon included, and the depth there is
+z + c.Z: exactly what the map holds unless something else is nearer. As in ``shadows.shadow_map`` it is compared as it is. Only the
+rasteriser's grid of 1/256 texel, the float32 of positions and half a depth step are taken off; where the light grazes the triangle,
+at most the range of its corners' depths.
+
+*Beside them* the receiver is moved along its unit normal n. Let r and u be the steps in the frame that move it by a texel right
+and up at the same depth in the map: two columns of the inverse of the Jacobian J = (P_3x3 - (x, y, z) P_w) / w at p, so texels
+have their own size and slant at every point. The plane n.(q - p) = 0 is in the map A dx + B dy + C dz = 0 with (A, B, C) the
+products of n with the three columns, times 1/w: a texel's centre at (i, j) lies |i n.r + j n.u| / (w |C|) nearer. A step of b
+along n gains b / (w' |C|), where w' = w + b n.P_w is that of the moved point.
+With n taps a side, k = n/2 + 1/128, and the neighbours' crease c as there,
+
+    b = k (|n.r| + |n.u| + c max(|r + u|, |r - u|)) / (1 - c^2 / 2),    b / (1 - b n.P_w / w)
+
+is enough at every slope. ``bias_scale`` multiplies it, and what the depth on the triangle differs by from the point's own.
+
+The error that float32 makes of a position is taken as 16 units in the last place of the triangle's largest coordinate, not of the
+scene's: what is near the eye is near the frame's origin, too.
+
+Taps, their weights, kept maps and foliage are as in ``shadows.shadow_map``. A uniform map is put on record with the reason.
+"""
 
 from __future__ import annotations
 

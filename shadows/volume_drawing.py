@@ -30,7 +30,7 @@ from terrain.stencil import MARK, Counting
 COUNT = ~MARK & 0xFF
 """The bits of the stencil that count."""
 
-TOWARDS_EYE = 1.0 + 2.0**-16
+TOWARDS_EYE = 1.0 + 2.0**-10
 """How much nearer silhouettes are drawn than the surfaces that they lie on."""
 
 
@@ -84,7 +84,9 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
                     gl.stencil.count_pass(target, counting),
                 ):
                     array.render(moderngl.LINES if lines else moderngl.TRIANGLES)
-            out.ravel()[points.at] = gl.stencil.read(target)[points.row, points.col]
+            top, left = divmod(int(points.at[0]), buffer.view.cols)
+            top, left = top - int(points.row[0]), left - int(points.col[0])
+            out[top : top + points.size[0], left : left + points.size[1]] = gl.stencil.read(target)
     return out
 
 
