@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from api.layers import layer_of
+from api.layers import layer_of, viewable
+from shadows.render import render_frame
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
 from terrain.scene import build_scene
 from tests import golden
 from tests.golden import assert_golden
-from tests.render import block_at, render
+from tests.render import block_at, plan_of, render
 
 SUNS = {"evening": (246, 12), "morning": (110, 25), "low": (67, 3), "usual": (315, 45), "dusk": (250, -4)}
 
@@ -26,6 +27,12 @@ PICTURES = [
     ("jacksboro_alpine", "evening", "mask"),
 ]
 
+IN_PERSPECTIVE = ("shadow_volume", "hybrid", "perspective_shadow_map")
+SCENES = (("thesis_boxgrid_sun", "main"), ("thesis_street", "main"), ("thesis_room_sun", "close"))
+
+IN_MAPS = ("shadow_volume", "hybrid")
+MAPS = (("thesis_rocks_sun", (-30, -30, 30, 30)), ("thesis_water_tower", (-40, -40, 40, 40)), ("jacksboro", None))
+
 
 @pytest.mark.parametrize(("level", "sun", "layer"), PICTURES)
 def test_map_views(gl, level, sun, layer, request):
@@ -34,6 +41,38 @@ def test_map_views(gl, level, sun, layer, request):
     frame = render(scene, scene.view(size=(300, 300)))
     picture = layer_of(scene, frame, layer)
     assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
+
+
+@pytest.mark.parametrize("algorithm", IN_PERSPECTIVE)
+@pytest.mark.parametrize(("level", "view"), SCENES)
+def test_algorithms_in_perspective(gl, level, view, algorithm, request):
+    scene = build_scene(load_level(f"configs/{level}.yaml"))
+    frame = render(scene, scene.view(view, size=(360, 288)), algorithm=algorithm)
+    assert frame.plan.headline == algorithm
+    picture = layer_of(scene, frame, "color")[..., :3]
+    assert_golden(f"{level}-{view}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
+
+
+@pytest.mark.parametrize("algorithm", IN_MAPS)
+@pytest.mark.parametrize(("level", "bounds"), MAPS)
+def test_algorithms_in_maps(gl, level, bounds, algorithm, request):
+    scene = build_scene(load_level(f"configs/{level}.yaml"))
+    frame = render(scene, scene.view(bounds=bounds, size=(256, 256)), algorithm=algorithm)
+    assert frame.plan.headline == algorithm
+    picture = layer_of(scene, frame, "mask")
+    assert_golden(f"{level}-map-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "layer"),
+    [("shadow_volume", "volumes"), ("shadow_volume", "silhouettes"), ("shadow_volume", "stencil"), ("hybrid", "silhouettes")],
+)
+def test_layers_of_volumes(gl, algorithm, layer, request):
+    scene = build_scene(load_level("configs/thesis_street_sun.yaml"))
+    view = scene.view("main", size=(360, 288))
+    frame = render_frame(scene, view, plan_of(scene, view, algorithm=algorithm), layers=frozenset({layer}))
+    picture = viewable(layer, layer_of(scene, frame, layer), frame.color)
+    assert_golden(f"thesis_street_sun-{layer}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
 def test_tiles_of_a_block(gl, request):
