@@ -45,7 +45,7 @@ def summary(path: Path) -> dict[str, Any]:
 
 def remarks(path: Path) -> list[str]:
     """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
-    and the algorithms that it asks for can serve it.
+    and the algorithms that it asks for can serve each of its views.
 
     Raises ``SkuggaError``.
     """
@@ -54,10 +54,12 @@ def remarks(path: Path) -> list[str]:
     for name in scene.loaded.level.views:
         scene.view(name)
     imagery_of(scene)
-    try:
-        choose(describe(scene, scene.view()), scene.loaded.level)
-    except UnsupportedError as error:
-        raise UnsupportedError(f"{path}: {error.name}", error.value, error.allowed) from None
+    level = scene.loaded.level
+    for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
+        try:
+            choose(describe(scene, scene.view(name), name), level)
+        except UnsupportedError as error:
+            raise UnsupportedError(f"{path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
     elevation, notes = scene.elevation, []
     low, high = scene.height_range_m
     notes.append(

@@ -59,7 +59,7 @@ def render(
         str,
         typer.Option(
             help="color, shadow, mask, visibility, depth or position; or what an algorithm leaves behind: shadow-map, stencil, "
-            "shadow-height."
+            "silhouettes, volumes, shadow-height."
         ),
     ] = "color",
     algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")] = None,
@@ -76,6 +76,9 @@ def render(
     bias: Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")] = None,
     culling: Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")] = None,
     fit: Annotated[str | None, typer.Option(help="Where shadow maps lie: stable (a fixed lattice) or tight.")] = None,
+    stencil: Annotated[str | None, typer.Option(help="Both sides of shadow volumes in one_pass, or in two_pass.")] = None,
+    counting: Annotated[str | None, typer.Option(help="auto, or z_fail for all shadow volumes.")] = None,
+    mask: Annotated[str | None, typer.Option(help="What a hybrid leaves to volumes: conservative or original.")] = None,
     light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
     seconds: Annotated[float | None, typer.Option(help="The clock of moving casters.")] = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
@@ -94,6 +97,9 @@ def render(
         "bias": bias,
         "culling": culling,
         "fit": fit,
+        "stencil": stencil,
+        "counting": counting,
+        "mask": mask,
     }
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)

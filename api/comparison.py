@@ -17,18 +17,20 @@ from terrain.scene import Scene
 
 
 def row_name(figures: dict[str, Any]) -> str:
-    """A row's algorithm and settings in few words, as ``shadow_map-2048-3-16``."""
+    """A row's algorithm and settings in few words, as ``shadow_map-2048-3-16`` or ``hybrid-512-original``."""
     names = [name for per_kind in figures["algorithm"].values() for name in per_kind.values() if name != "none"]
-    settings = next((s for per_kind in figures["settings"].values() for s in per_kind.values() if "map_size" in s), None)
     name = "+".join(dict.fromkeys(names)) or "none"
-    return f"{name}-{settings['map_size']}-{settings['filter']}-{settings['depth_bits']}" if settings else name
+    every = [settings for per_kind in figures["settings"].values() for settings in per_kind.values()]
+    words = next((_words(settings, "map_size", "filter", "depth_bits") for settings in every if "map_size" in settings), [])
+    words = next((_words(settings["map"] | settings, "map_size", "mask") for settings in every if "mask" in settings), words)
+    return "-".join([name, *words])
 
 
 def show(comparison: Comparison, console: Console | None = None) -> None:
     """Print the rows, best first by ``wrong_cast``, and what holds for all of them."""
     console = console or Console(width=140)
     table = Table(box=None, header_style="bold")
-    table.add_column("algorithm-map-filter-bits")
+    table.add_column("algorithm-map-filter-bits or -mask")
     for title in (
         "ms",
         "wrong cast %",
@@ -61,6 +63,10 @@ def write_pictures(scene: Scene, comparison: Comparison, folder: Path, view: str
     ground = render_frame(scene, comparison.view, plan).color.mean(axis=2)
     for row in comparison.rows:
         Image.fromarray(false_colours(ground, row)).save(folder / f"{row_name(row.figures)}.png")
+
+
+def _words(settings: dict[str, Any], *names: str) -> list[str]:
+    return [str(settings[name]) for name in names]
 
 
 def _cells(row: Row) -> list[str]:

@@ -30,6 +30,9 @@ class Overrides(_Value):
     filter: int | str | None = None
     bias: str | None = None
     culling: str | None = None
+    stencil: str | None = None
+    counting: str | None = None
+    mask: str | None = None
 
     def for_selector(self) -> dict[str, Any]:
         """As ``selector.rules.choose`` takes them. Raises ``InputError``."""

@@ -27,8 +27,17 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
     "shadow": (".png", ".webp", ".tif"), "mask": (".png", ".webp", ".tif"),
     "visibility": (".npy", ".tif"), "depth": (".npy", ".tif"), "position": (".npy",),
     "shadow-map": (".npy", ".png"), "stencil": (".npy", ".png"), "shadow-height": (".npy", ".tif"),
+    "silhouettes": (".npy", ".png"), "volumes": (".npy", ".png"),
 }  # fmt: skip
 """Layer -> file suffixes that can hold it without loss, or as a picture to look at."""
+
+VOLUME_COLOR = (255, 120, 30)
+"""sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
+
+FACE_COVERS, ALL_COVER = 0.12, 0.8
+"""Share of the light from behind that each face of a volume takes in a picture, of the most that all of them together take: what
+lies behind a hundred volumes can still be made out.
+"""
 
 MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
 
@@ -109,15 +118,21 @@ def _kept(frame: Frame, layer: str) -> np.ndarray:
     return by_light[light]
 
 
-def viewable(layer: str, array: np.ndarray) -> np.ndarray:
+def viewable(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """A layer as a picture for PNG. ``shadow-map``: uint16, nearest to the light brightest, black where nothing casts.
 
-    ``stencil``: uint8, its values spread so that the largest is bright. A picture layer is one already.
+    ``stencil``: uint8, its values spread so that the largest is bright. ``volumes``: uint8 (rows, cols, 3), translucent over the
+    frame's ``color``, which is repeated where several algorithms left their volumes beside one another. Any other layer is a
+    picture already.
     """
     if layer == "shadow-map":
         return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
     if layer == "stencil":
         return array * np.uint8(255 // max(int(array.max()), 1))
+    if layer == "volumes":
+        behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
+        covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
+        return np.rint((1.0 - covered) * behind + covered * np.array(VOLUME_COLOR)).astype(np.uint8)
     return array
 
 
@@ -147,7 +162,7 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     elif suffix == ".tif":
         _write_tiff(frame, array, path)
     else:
-        path.write_bytes(encode_picture(viewable(layer, array), suffix))
+        path.write_bytes(encode_picture(viewable(layer, array, frame.color), suffix))
 
 
 def check_suffix(layer: str, path: Path) -> None:

@@ -18,7 +18,10 @@ from terrain.errors import InputError
 from terrain.level import SunSpec, parse_sun
 from terrain.scene import MAX_PERSPECTIVE_PX
 
-PICTURE_PARAMETERS = ("time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling")
+PICTURE_PARAMETERS = (
+    "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
+    "stencil", "counting", "mask",
+)  # fmt: skip
 """What may be asked of any picture or plan."""
 
 
@@ -73,9 +76,22 @@ async def wishes(
     ] = None,
     bias: Annotated[MapBias | None, Query(description="What keeps a surface from shading itself in a shadow map.")] = None,
     culling: Annotated[Culling | None, Query(description="Faces of closed bodies that are left out of a shadow map.")] = None,
+    stencil: Annotated[
+        Literal["one_pass", "two_pass"] | None, Query(description="Whether both sides of shadow volumes are drawn at once.")
+    ] = None,
+    counting: Annotated[
+        Literal["auto", "z_fail"] | None,
+        Query(description="Faces of shadow volumes that count: what each caster needs, or those behind the point for all."),
+    ] = None,
+    mask: Annotated[
+        Literal["conservative", "original"] | None, Query(description="How a hybrid finds the pixels that it leaves to volumes.")
+    ] = None,
 ) -> Wishes:
     """The dependency for pictures and plans. Raises ``InputError``."""
-    overrides = Overrides(algorithm=algorithm, map_size=map_size, depth_bits=depth_bits, filter=filter, bias=bias, culling=culling)
+    overrides = Overrides(
+        algorithm=algorithm, map_size=map_size, depth_bits=depth_bits, filter=filter, bias=bias, culling=culling,
+        stencil=stencil, counting=counting, mask=mask,
+    )  # fmt: skip
     names = names_in(overrides.for_selector()["algorithm"])
     if not names <= set(SERVED_ALGORITHMS):
         raise InputError("algorithm", algorithm, ", ".join(["auto", *SERVED_ALGORITHMS]))

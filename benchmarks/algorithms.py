@@ -2,6 +2,8 @@
 
     python benchmarks/algorithms.py frames [--repeats 30] [--map-size 512] [--json FILE] [--markdown FILE]
     python benchmarks/algorithms.py cascades [--json FILE] [--markdown FILE]
+    python benchmarks/algorithms.py thesis [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
+    python benchmarks/algorithms.py stencil [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
 
 `frames` draws the SpatialAce level's perspective view at 800 x 600 with one map of 512 x 512 texels: whole frames
 (``render_frame``), taking turns, medians over those without cast shadows. ``redrawn``: before every frame the sun moves by a
@@ -10,6 +12,15 @@ step that it never takes twice, so that nothing that depends on a sun is at hand
 
 `cascades` holds four cascades of 1024 against one map of 2048 texels a side (the same memory) against ray-traced truth, seen
 from a summit over houses and 20 km of mountains: shadow edges near and far.
+
+`thesis` lets the algorithms that stand in J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7, take turns in the
+main views of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 512. Times are
+those of the shadow alone, which is what lies between casters and shading; ratios are those of medians to ``shadow_map``.
+``redrawn`` pays all that a light costs when it moves, ``kept`` what is left while light and casters rest. With `--cpu` they are the
+CPU time of all threads, for machines that have other work to do. `stencil` does the same with ways of counting volumes, and with
+the hybrids where the eye is in the shadow; ratios are those to ``shadow_volume``. ``MiB`` is the most that a pass holds, ``marked``
+and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its volumes, ``differs`` is the
+share of pixels whose shadow is not that of ``shadow_volume``. Below them stand the figures that were asked for.
 
 The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
@@ -21,7 +32,8 @@ import json
 import resource
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +43,18 @@ import trimesh
 from api.catalogue import find_level
 from selector.compare import measure
 from selector.rules import choose
+from shadows.attached import attached
+from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import Frame, render_frame
+from shadows.render import FILLS, Frame, bands_of, forget_kept, render_frame
+from shadows.tiles import marked_tiles
+from terrain.antialias import Sampled, sampled
+from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.gl import device
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
+from terrain.reach import Casters, casters_of
 from terrain.scene import Scene, build_scene
 
 SIZE = (800, 600)
@@ -52,6 +70,46 @@ HOUSES_AT_M = (60, 90, 130, 190, 280, 400, 600, 900, 1300, 2000, 3000)
 
 SUNS = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
 """Azimuths and altitudes that the cascades are measured under."""
+
+SCENES = [f"thesis_{name}{sun}" for name in ("boxgrid", "rocks", "street", "room", "water_tower") for sun in ("", "_sun")]
+
+RIVALS: dict[str, dict[str, Any]] = {
+    "shadow_map": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
+    "shadow_map tight": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1, "fit": "tight"},
+    "perspective_shadow_map": {"algorithm": "perspective_shadow_map", "map_size": 1024},
+    "shadow_volume": {"algorithm": "shadow_volume"},
+    "hybrid": {"algorithm": "hybrid"},
+    "hybrid original": {"algorithm": "hybrid", "mask": "original"},
+}
+"""What takes turns in the thesis's scenes, and what is asked of it."""
+
+WAYS: dict[str, dict[str, Any]] = {
+    "shadow_volume": {"algorithm": "shadow_volume"},
+    "two passes": {"algorithm": "shadow_volume", "stencil": "two_pass"},
+    "all z-fail": {"algorithm": "shadow_volume", "counting": "z_fail"},
+    "hybrid": RIVALS["hybrid"],
+    "hybrid original": RIVALS["hybrid original"],
+}
+"""Ways of counting volumes: both sides of them at a time and z-pass where that is right, and otherwise."""
+
+IN_SHADOW, AHEAD_M = "in shadow", 23.0
+"""A view from so far ahead of the box grids' main one, on its axis: there the eye is in the shadow, the spot's and the sun's."""
+
+STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW, "close"), "rocks": ("main",), "street": ("main",)}
+"""Views that the ways of counting are compared in. (The box grids' close ones have their eyes in the shadow, too.)"""
+
+TARGETS = [
+    ("rocks", "main", "perspective_shadow_map", "shadow_map", "at most", 1.15),
+    ("rocks", "main", "perspective_shadow_map", "shadow_map tight", "at most", 1.15),
+    ("street", "main", "shadow_volume", "perspective_shadow_map", "under", 1.0),
+    ("boxgrid", "main", "shadow_volume", "two passes", "under", 1.0),
+    ("boxgrid", IN_SHADOW, "hybrid", "shadow_volume", "at most", 0.7),
+    ("boxgrid", "close", "hybrid", "shadow_volume", "at most", 0.7),
+]
+"""Scene, view, what is asked to be fast, beside what, and the ratio of their times."""
+
+MOST_MARKED = 0.25
+"""Share of the box grids' pixels that the hybrid may leave to its volumes, where the eye is in the shadow."""
 
 Row = dict[str, Any]
 
@@ -140,9 +198,142 @@ def cascades() -> list[Row]:
     return rows
 
 
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A view, and what its shadows fall on and are thrown by, in its bands: pixels and samples of pixels as in a frame."""
+
+    scene: Scene
+    view: PerspectiveView
+    name: str
+    bands: list[tuple[Sampled, Casters]]
+
+    def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
+        """What the plan's algorithms say of the one light, band by band."""
+        return [self._of_band(picture, casters, plan, log) for picture, casters in self.bands]
+
+    def dark(self, visibility: list[np.ndarray]) -> np.ndarray:
+        """Where pixels are in shadow (rows, cols), attached shadow among it; False off the surface."""
+        rows = [
+            picture.own.there & ((each[: picture.rows] < 0.5) | attached(picture.own, self.scene, *self.scene.light_names))
+            for each, (picture, _) in zip(visibility, self.bands, strict=True)
+        ]
+        return np.concatenate(rows)
+
+    @property
+    def there(self) -> np.ndarray:
+        """Where there is a surface (rows, cols)."""
+        return np.concatenate([picture.own.there for picture, _ in self.bands])
+
+    def _of_band(self, picture: Sampled, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
+        out = np.ones(picture.buffer.there.shape, np.float32)
+        for step in plan.steps:
+            if step.algorithm in FILLS:
+                out *= FILLS[step.algorithm](picture.buffer, self.scene, step.light, step.kinds, casters, step.settings, log)
+        return out
+
+
+def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
+    """A perspective view of a bundled level, which has one light."""
+    scene = build_scene(load_level(find_level(level)))
+    view = scene.view("main" if name == IN_SHADOW else name, size=size)
+    assert isinstance(view, PerspectiveView)
+    if name == IN_SHADOW:
+        view = replace(view, eye_earth_m=view.eye_earth_m + AHEAD_M * view.earth_from_camera[:, 2])
+    pictures = [sampled(scene, band) for band, _, _ in bands_of(view)]
+    return Shot(scene, view, name, [(picture, casters_of(scene, picture.own)) for picture in pictures])
+
+
+def thesis(given: argparse.Namespace) -> list[Row]:
+    """All algorithms in the main views of the thesis's scenes."""
+    return [row for level in given.scenes or SCENES for row in _in_turns(level, "main", RIVALS, given)]
+
+
+def stencil(given: argparse.Namespace) -> list[Row]:
+    """Ways of counting volumes."""
+    levels = given.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
+    shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
+    return [row for level, name in shots for row in _in_turns(level, name, WAYS, given)]
+
+
+def _scene(level: str) -> str:
+    return level.removeprefix("thesis_").removesuffix("_sun")
+
+
+def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
+    """A row for each of what is asked; ratios are to the first."""
+    its = shot(level, name, given.size)
+    descriptor = describe(its.scene, its.view, "main")
+    plans = {key: choose(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
+    clock = time.process_time if given.cpu else time.perf_counter
+    times: dict[tuple[str, str], list[float]] = {(key, how): [] for key in plans for how in ("redrawn", "kept")}
+    logs, darks = {}, {}
+    for number in range(given.repeats + 2):
+        for key in [*plans][:: 1 if number % 2 else -1]:
+            forget_kept()
+            for how in ("redrawn", "kept"):
+                log, start = PassLog(), clock()
+                visibility = its.visibility(plans[key], log)
+                if number >= 2:  # the first ones compile and allocate
+                    times[key, how].append(1000.0 * (clock() - start))
+                if how == "redrawn":
+                    logs[key], darks[key] = log, its.dark(visibility)
+    first = [*plans][0]
+    medians = {key: float(np.median(taken)) for key, taken in times.items()}
+    there, rows = its.there, []
+    tiles = int(marked_tiles(*np.nonzero(there), there.shape).sum())
+    for key in plans:
+        records = logs[key].records.values()
+        row: Row = {"scene": level.removeprefix("thesis_"), "view": name, "row": key}
+        for how in ("redrawn", "kept"):
+            row |= {how: medians[key, how] / medians[first, how], f"{how}_ms": medians[key, how]}
+            row |= {f"{how}_p95_ms": float(np.quantile(times[key, how], 0.95))}
+        row |= {"MiB": max(record.bytes for record in records) / 2**20}
+        row |= {each: sum(getattr(record, each) for record in records) for each in ("edges", "triangles", "draws", "map_texels")}
+        row |= {"marked": sum(record.marked for record in records) / there.sum()}
+        row |= {"tiles": sum(record.tiles for record in records) / tiles}
+        row |= {"differs": float((darks[key] != darks["shadow_volume"]).sum() / there.sum())}
+        rows.append({**row, "passes_ms": {record.name: round(record.ms, 1) for record in records}})
+        print(level, name, key, f"{row['redrawn']:.2f}", f"{row['kept']:.2f}", flush=True)
+    return rows
+
+
+def targets(rows: Sequence[Row]) -> list[Row]:
+    """The figures that were asked for, met or not, as far as rows hold them. What is redrawn counts; kept stands beside it."""
+    at = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
+    found = []
+    for scene, view, one, other, word, most in TARGETS:
+        for under in (scene, f"{scene}_sun"):
+            a, b = at.get((under, view, one)), at.get((under, view, other))
+            if a is not None and b is not None:
+                measured, kept = (a[how] / b[how] for how in ("redrawn", "kept"))
+                met = measured < most if word == "under" else measured <= most
+                found.append(_target(under, view, f"{one} / {other}: {word} {most}", measured, kept, met))
+    for (scene, view, key), row in at.items():
+        if key == "hybrid" and view in (IN_SHADOW, "close"):
+            share = row["marked"]
+            found.append(_target(scene, view, f"marked pixels: at most {MOST_MARKED}", share, share, share <= MOST_MARKED))
+    return found
+
+
+def ratios(rows: Sequence[Row]) -> list[Row]:
+    """A line for each view: the ratio of each row as redrawn, and as kept."""
+    lines: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        if "differs" in row:
+            line = lines.setdefault((row["scene"], row["view"]), {"scene": row["scene"], "view": row["view"]})
+            line[row["row"]] = f"{row['redrawn']:.2f} / {row['kept']:.2f}"
+    return list(lines.values())
+
+
+def _target(scene: str, view: str, target: str, measured: float, kept: float, met: bool) -> Row:
+    return {"scene": scene, "view": view, "target": target, "measured": measured, "kept": kept, "met": "yes" if met else "NO"}
+
+
 MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
     "frames": lambda given: frames(given.repeats, given.map_size),
     "cascades": lambda given: cascades(),
+    "thesis": thesis,
+    "stencil": stencil,
 }
 
 
@@ -154,25 +345,37 @@ def table(rows: list[Row]) -> str:
 
 
 def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = (int(side) for side in text.split("x"))
+    return width, height
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=tuple(MEASUREMENTS))
     parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--map-size", type=int, default=512)
+    parser.add_argument("--map-size", type=int, default=512, help="of frames")
+    parser.add_argument("--scenes", nargs="+", help="bundled levels, of thesis and stencil")
+    parser.add_argument("--size", type=_size, default=(1280, 1024), help="of thesis and stencil")
+    parser.add_argument("--cpu", action="store_true", help="CPU time of all threads, of thesis and stencil")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()
     rows = MEASUREMENTS[given.what](given)
+    asked = targets(rows)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB"
-    print(where, table(rows), sep="\n\n", end="")
+    clock = "CPU time of all threads" if given.cpu else "wall clock"
+    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {given.repeats} repeats"
+    text = "\n".join([f"{where}\n", *(table(some) for some in (rows, ratios(rows), asked) if some)])
+    print(text, end="")
     if given.markdown:
-        given.markdown.write_text(f"{where}\n\n{table(rows)}", encoding="utf-8")
+        given.markdown.write_text(text, encoding="utf-8")
     if given.json:
-        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": given.repeats, "rows": rows}
+        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": given.repeats, "cpu": given.cpu}
+        report |= {"rows": rows, "targets": asked}
         given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 

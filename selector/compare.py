@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ from shadows.attached import attached, lamp_in_frame
 from shadows.metrics import BLOCK_PX as COVERAGE_PX
 from shadows.metrics import block_shares, coverage_error, errors_of
 from shadows.passes import PassLog
-from shadows.plan import LampMapSettings, Plan, ShadowMapSettings, Step
+from shadows.perspective_shadow_map import perspective_map
+from shadows.plan import LampMapSettings, PerspectiveMapSettings, Plan, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
 from shadows.render import FILLS, bands_of, forget_kept
 from shadows.truth import Truth
 from shadows.truth_cache import cached_truth
 from terrain.camera import PerspectiveView
+from terrain.casting import caster_trees
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import InputError, UnsupportedError
 from terrain.geometry import GeometryBuffer
@@ -34,9 +37,24 @@ from terrain.scene import Scene
 View = MapView | PerspectiveView
 
 MAP_SIZES = (512, 1024, 2048, 4096)
+PERSPECTIVE_SIZES = MAP_SIZES[:3]
 FILTERS = (1, 3)
 DEPTHS = (16, 24)
-REPEATS = 5
+VARIANTS: dict[AlgorithmName, list[dict[str, Any]]] = {
+    "shadow_map": [
+        {"map_size": size, "filter": taps, "depth_bits": bits}
+        for size, taps in product(MAP_SIZES, FILTERS)
+        for bits in (DEPTHS if (size, taps) == (MAP_SIZES[-1], FILTERS[0]) else DEPTHS[:1])
+    ],
+    "perspective_shadow_map": [{"map_size": size, "filter": taps} for size, taps in product(PERSPECTIVE_SIZES, FILTERS)],
+    "hybrid": [{"mask": "conservative"}, {"mask": "original"}],
+}
+"""Settings that an algorithm is compared with; one that is not listed has its own alone."""
+
+COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
+REPEATS, ENOUGH_S = 5, 5.0
+"""A row is measured so often, but not again once that has taken so many seconds."""
+
 FINE_SAMPLES = 16
 SAMPLES = 4
 
@@ -80,28 +98,22 @@ class Comparison:
 
 
 def candidates(scene: Scene, view: View, name: str = "map") -> Iterator[Plan]:
-    """The plans to compare: every capable algorithm but truth itself, its settings crossed, for all lights alike."""
+    """The plans to compare: every capable algorithm but truth itself, with its settings, for all lights alike."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
-    for algorithm in ALGORITHMS.values():
-        if algorithm.name == "truth":
+    for algorithm in ALGORITHMS:
+        if algorithm == "truth":
             continue
-        if algorithm.name != "shadow_map":
-            yield from _alone_or_for_relief(descriptor, level, algorithm.name)
-            continue
-        for size in MAP_SIZES:
-            for taps in FILTERS:
-                for bits in DEPTHS if (size, taps) == (MAP_SIZES[-1], FILTERS[0]) else DEPTHS[:1]:
-                    asked = {"algorithm": algorithm.name, "map_size": size, "filter": taps, "depth_bits": bits}
-                    plan = choose(descriptor, level, asked)
-                    if plan.headline == algorithm.name:
-                        yield plan
+        for settings in VARIANTS.get(algorithm, [{}]):
+            yield from _as_far_as_it_serves(descriptor, level, algorithm, settings)
 
 
-def _alone_or_for_relief(descriptor: Descriptor, level: Level, name: AlgorithmName) -> Iterator[Plan]:
-    """The plan of an algorithm for everything; where it cannot serve that, for the sun's relief beside shadow maps."""
-    for asked in (name, {"relief": name}):
+def _as_far_as_it_serves(descriptor: Descriptor, level: Level, name: AlgorithmName, settings: dict[str, Any]) -> Iterator[Plan]:
+    """The plan of an algorithm for everything; where it cannot serve that, for the sun's relief and meshes, or relief alone,
+    beside shadow maps.
+    """
+    for asked in (name, {"relief": name, "meshes": name}, {"relief": name}):
         with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-            plan = choose(descriptor, level, {"algorithm": asked})
+            plan = choose(descriptor, level, {"algorithm": asked, **settings})
             if name in (used for per_kind in plan.algorithm.values() for used in per_kind.values()):
                 yield plan
                 return
@@ -131,9 +143,9 @@ def compare(
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
     rows = []
-    largest = max(plans, key=_map_size, default=None)
-    if largest is not None and real.there.any():  # compiles, allocates, fills caches: what no row is to pay for
-        _measure(scene, view, grounds, real, largest, pixel_m, repeats=1)
+    if real.there.any():  # compiles, allocates, fills caches: what no row is to pay for
+        for largest in {plan.headline: plan for plan in sorted(plans, key=_map_size)}.values():
+            _measure(scene, view, grounds, real, largest, pixel_m, repeats=1)
     for done, plan in enumerate(plans, start=3):
         rows.append(_measure(scene, view, grounds, real, plan, pixel_m))
         step(done, total)
@@ -215,14 +227,11 @@ def _measure(
     steps = [step for step in plan.steps if step.light == grounds[0].light and step.algorithm in FILLS]
     times_ms, parts = [], []
     log = PassLog()
-    for _ in range(repeats if real.there.any() else 1):
+    while not times_ms or (len(times_ms) < repeats and sum(times_ms) < 1000.0 * ENOUGH_S and steps and real.there.any()):
         forget_kept()  # every cost that a moving sun has is to be paid
         log, start = PassLog(), time.perf_counter()
         parts = [_visibility(scene, ground, steps, log) for ground in grounds]
-        times_ms.append((time.perf_counter() - start) * 1000.0)
-        if not steps:
-            times_ms = [0.0]
-            break
+        times_ms.append((time.perf_counter() - start) * 1000.0 if steps else 0.0)
     footprints = []
     for ground, part in zip(grounds, parts, strict=True):
         part[attached(ground.buffer, scene, ground.light)] = 0.0
@@ -240,12 +249,10 @@ def _measure(
         "coverage": float(np.mean(shares)),
         "ms_median": float(np.median(times_ms)),
         "ms_p95": float(np.quantile(times_ms, 0.95)),
+        "runs": len(times_ms),
         "bytes": max((record.bytes for record in log.records.values()), default=0),
-        "counters": {
-            "triangles": sum(record.triangles for record in log.records.values()),
-            "draws": sum(record.draws for record in log.records.values()),
-            "map_texels": sum(record.map_texels for record in log.records.values()),
-        },
+        "counters": {name: sum(getattr(record, name) for record in log.records.values()) for name in COUNTERS},
+        "notes": [record.note for record in log.records.values() if record.note],
         "pareto": False,
     }
     return Row(figures, real.decidable & dark & ~true_dark, real.decidable & ~dark & true_dark)
@@ -277,8 +284,26 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
         length_m = np.linalg.norm(way, axis=-1)
         tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
         texel_m = 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)
+    elif isinstance(settings, PerspectiveMapSettings) and step is not None:
+        receivers = buffer.there & ~attached(buffer, scene, step.light)
+        if receivers.any():
+            drawn, _ = perspective_map(buffer, receivers, scene, step.light, settings, caster_trees(buffer, step.kinds))
+            texel_m = texel_on_level_ground_m(np.reshape(drawn.uniforms["map_rows"], (4, 4)), buffer.position_frame_m)
     size_m = away_m * buffer.view.pixel if isinstance(buffer.view, PerspectiveView) else pixel_m
     return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
+
+
+def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.ndarray) -> np.ndarray:
+    """A texel's larger side on level ground at points (..., 3), metres, where a projective map (4, 4) takes a frame to texels.
+
+    A metre is as many texels as the least singular value of the map's derivative says, in the direction where texels are largest
+    (J. Blinn, Consider the Lowly 2 x 2 Matrix, 1996).
+    """
+    x, y, _, w = np.moveaxis(position_frame_m @ map_from_frame[:, :3].T + map_from_frame[:, 3], -1, 0)
+    (ux, uy), (vx, vy), _, (wx, wy) = map_from_frame[:, :2]
+    a, b, c, d = ((k - at / w * along) / w for k, at, along in ((ux, x, wx), (uy, x, wy), (vx, y, wx), (vy, y, wy)))
+    least = np.abs(np.hypot(a + d, b - c) - np.hypot(a - d, b + c)) / 2.0
+    return 1.0 / np.maximum(least, 1e-30)
 
 
 def _mark_pareto(rows: list[Row]) -> None:

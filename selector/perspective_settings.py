@@ -11,12 +11,12 @@ AUTO_SIZE = 1024
 """Texels a side, unless the level says otherwise: they go where the eye sees them, so that few do."""
 
 NO_CHOICE = {
-    "fit": "left out: a perspective map follows the camera, and is always fitted closely",
-    "cascades": "left out: a perspective map is one map, which is fine near the eye by itself",
-    "bias": "left out: a perspective map is compared on the triangle that is seen",
-    "culling": "left out: a perspective map is drawn whole, since it needs no bias",
+    "fit": ("tight", "a perspective map follows the camera, and is always fitted closely"),
+    "cascades": (1, "a perspective map is one map, which is fine near the eye by itself"),
+    "bias": ("receiver_plane", "a perspective map is compared on the triangle that is seen"),
+    "culling": ("none", "a perspective map is drawn whole, since it needs no bias"),
 }
-"""What a shadow map may be asked for and this one has no choice of."""
+"""What a shadow map may be asked for: the only way of a perspective one, and why."""
 
 
 def perspective_map_settings(descriptor: Descriptor, light: str, asked: Shadows) -> tuple[PerspectiveMapSettings, list[Reasoned]]:
@@ -25,14 +25,14 @@ def perspective_map_settings(descriptor: Descriptor, light: str, asked: Shadows)
     Raises ``UnsupportedError`` for the penumbra of the sun's disc.
     """
     if asked.filter == "sun":
-        reason = "texels of a perspective map are as uneven as the picture: 1, 2, 3 or 5 taps a side, or shadow_map for the penumbra"
+        reason = "texels of a perspective map are as uneven as the picture: 1, 2, 3 or 5 taps a side; shadow_map has the penumbra"
         raise UnsupportedError("filter", "sun", reason)
     who = "" if light == SUN else f"{light}: "
     reasons = [
-        Reasoned(name=f"{who}{key} {wish}", reason=why)
-        for key, why in NO_CHOICE.items()
-        if (wish := getattr(asked, key)) not in ("auto", {"fit": "tight", "cascades": 1}.get(key, getattr(PerspectiveMapSettings, key, None)))
-    ]  # fmt: skip
+        Reasoned(name=f"{who}{key} {getattr(asked, key)}", reason=f"left out: {why}")
+        for key, (only, why) in NO_CHOICE.items()
+        if getattr(asked, key) not in ("auto", only)
+    ]
     size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
     if size == "auto":
         size = AUTO_SIZE

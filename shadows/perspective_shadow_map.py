@@ -19,7 +19,7 @@ by W_k is 1) lies at (x, y, z) + sum of c_k (X_k, Y_k, Z_k), so that the weights
 The texel's centre falls into the triangle if all are at least 0, corners behind the horizon included, and the depth there is
 z + c.Z: exactly what the map holds unless something else is nearer. As in ``shadows.shadow_map`` it is compared as it is. Only the
 rasteriser's grid of 1/256 texel, the float32 of positions and half a depth step are taken off; where the light grazes the triangle,
-at most the range of its corners' depths.
+at most the range of its corners' depths. The sum of the weights is 1/w there: nearer to the horizon errors grow with its square.
 
 *Beside them* the receiver is moved along its unit normal n. Let r and u be the steps in the frame that move it by a texel right
 and up at the same depth in the map: two columns of the inverse of the Jacobian J = (P_3x3 - (x, y, z) P_w) / w at p, so texels
@@ -48,7 +48,7 @@ from shadows.map_lookup import look_up
 from shadows.map_windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import Camera, Light, fitted, is_clear, post_perspectives, uniform_matrix
+from shadows.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, uniform_matrix
 from shadows.shadow_map import depths
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_trees
@@ -65,6 +65,9 @@ PASSES = ("depth map", "visibility")
 
 SAMPLE = 1024
 """Receivers that a map's matrix is chosen by; it is fitted to all of them."""
+
+ERROR = 2.0 * POSITION_ERROR
+"""Bound of what float32 makes of positions, as a share of their coordinates."""
 
 BEFORE = 0.01
 """Share of the map's depths that lies before the nearest receiver."""
@@ -88,7 +91,8 @@ def fill(
     with log.run(depth_pass) as record:
         receivers = buffer.there & ~attached(buffer, scene, light)
         if receivers.any():
-            drawn, record.note = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
+            drawn, note = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
+            record.note = record.note or note  # of any part of a view
             gl = device()
             target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
             log.keep("shadow-map", light, depths, gl, drawn, target)
@@ -113,6 +117,7 @@ def perspective_map(
         low, high = _bounds(found.clip_from_frame, plain, nearest, buffer.position_frame_m, receivers)
         if is_clear(np.array([low[3], high[3]])):
             break
+    high[2] = max(high[2], low[2] + _least_depth(found.clip_from_frame, source, sample))
     clip = fitted(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
@@ -120,7 +125,7 @@ def perspective_map(
         "lamp": False,
         "clip_rows": tuple(clip.ravel()),  # GLSL's matrices are column by column: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
-        "position_error": 2.0 * POSITION_ERROR,
+        "position_error": ERROR,
         "depth_step": 1.0 / steps_of(settings.depth_bits),
     }
     reach = None
@@ -131,6 +136,16 @@ def perspective_map(
         reach = *turned, first, last
     shaders = "shadows/perspective_light", "shadows/perspective_receiver"
     return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), found.note
+
+
+def _least_depth(matrix: np.ndarray, source: Light, points: np.ndarray) -> float:
+    """The range of a map's z of which what lies before the receivers is eight times the error of their positions.
+
+    A metre towards the light is 1 / w in z under the sun, and at least 1 / (w times the distance) under a lamp.
+    """
+    away_m = np.linalg.norm(source.homogeneous[:3] - source.homogeneous[3] * points, axis=-1)
+    errors = ERROR * np.abs(points).max(axis=1) / (horizon_m(matrix, points) * away_m)
+    return 8.0 / BEFORE * float(errors.max())
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:

@@ -69,6 +69,7 @@ TURNS = np.radians(np.arange(0.0, 90.0, 5.0))
 OUTLINE = 64
 """Directions in which the farthest receivers count as their outline, for the map's turn."""
 
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """An eye (3,) and the rotation (3, 3) from the frame to right, down and forward."""

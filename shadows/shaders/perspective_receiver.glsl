@@ -32,8 +32,7 @@ float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 vec2 texel_of(vec3 p) { return p.xy; }
 bool is_outside(vec2 at) { return any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size))); }
 float held(vec2 at) { return texelFetch(depth_map, ivec2(at), 0).r; }
-// What casts before depth 0 is held at 0, and shades what is moved there, too.
-bool is_lit(vec2 at, float z) { return is_outside(at) || clamp(z - 0.5 * depth_step, 0.5 * depth_step, 1.0) <= held(at); }
+bool is_lit(vec2 at, float z) { return is_outside(at) || min(z - 0.5 * depth_step, 1.0) <= held(at); }
 
 // Read a pixel; false where there is no surface.
 bool receive(ivec2 pixel) {
@@ -75,6 +74,9 @@ bool receive(ivec2 pixel) {
     depth_error = error_m * length(along_z) + ROUNDING;
     vec2 grid = 1.0 / 128.0 + error_m * vec2(length(along_x), length(along_y));
     slack = min(dot(abs(slope), grid), range_.y - range_.x) + depth_error;
+    // The weights' sum is 1 / w: taps lie up to three texels aside, where errors may be larger.
+    float nearer = 1.0 + 3.0 * w * (abs(dot(share_right, vec3(1.0))) + abs(dot(share_up, vec3(1.0))));
+    slack *= nearer * nearer;
     return true;
 }
 
@@ -100,5 +102,6 @@ vec3 clear_of(int taps) {
     float offset_m = reach * (abs(dot(normal, right)) + abs(dot(normal, up)) + crease * widest) / max(1.0 - 0.5 * crease * crease, 0.25);
     offset_m /= max(1.0 - offset_m * dot(map_rows[3].xyz, normal) / w, 0.25);
     vec4 through = vec4(seen + normal * (bias_scale * offset_m + error_m), 1.0) * map_rows;
-    return through.xyz / through.w - vec3(0.0, 0.0, depth_error);
+    vec3 clear = through.xyz / through.w;
+    return vec3(clear.xy, max(clear.z - depth_error, depth_step));  // what casts before depth 0 is held there, and shades it still
 }

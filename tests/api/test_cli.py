@@ -191,6 +191,21 @@ def test_validate_refuses_what_cannot_be_drawn(run, tmp_path):
     assert f"{level}: shadows.algorithm" in err and "not flat" in err
 
 
+def test_validate_asks_for_each_view_that_the_level_lists(gl, run, tmp_path):
+    """A map has no perspective; a level that shows none may ask for a perspective map."""
+    level = tmp_path / "figure.yaml"
+    eye = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "size": [64, 48]}
+    keys = {
+        "version": 1, "terrain": {"flat": {"size": [90, 90], "cells": [9, 9]}}, "meshes": [{"generate": "tetrahedra"}],
+        "shadows": {"algorithm": "perspective_shadow_map"},
+    }  # fmt: skip
+    for views, right in (({"eye": eye}, True), ({"eye": eye, "plan": {"kind": "map"}}, False), ({}, False)):
+        level.write_text(json.dumps({**keys, "views": views}), encoding="utf-8")
+        status, _, err = run("validate", str(level))
+        assert (status == 0) is right, err
+        assert right or (err.count("\n") == 1 and f"in view {'plan' if views else 'map'}" in err and "no perspective" in err)
+
+
 def test_doctor_finds_this_machine_able_to_draw(gl, run):
     status, out, _ = run("doctor", "--json")
     findings = {finding["subject"]: finding for finding in json.loads(out)}
@@ -212,10 +227,15 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path):
     status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")
     rows = json.loads(rows_file.read_text())
-    assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {"shadow_map", "sweep", "none"}
+    assert len(rows) >= 8 and {row["algorithm"]["sun"]["relief"] for row in rows} == {
+        "shadow_map", "shadow_volume", "hybrid", "sweep", "none",
+    }  # fmt: skip
     assert sum(row["pareto"] for row in rows) >= 1
     for row in rows:
-        assert 0 <= row["wrong"] <= 1 and row["ms_p95"] >= row["ms_median"] >= 0 and row["bytes"] >= 0
+        assert 0 <= row["wrong"] <= 1 and row["ms_p95"] >= row["ms_median"] >= 0 and row["bytes"] >= 0 and row["runs"] >= 1
+        name, counters = row["algorithm"]["sun"]["relief"], row["counters"]
+        assert (counters["edges"] > 0) is (name in ("shadow_volume", "hybrid")) and row["notes"] == []
+        assert (counters["marked"] > 0) is (counters["tiles"] > 0) is (name == "hybrid")
     assert "wrong cast" in out and "surface" in out and "noise" in out
     pictures = sorted(folder.glob("*.png"))
     assert len(pictures) == len(rows)

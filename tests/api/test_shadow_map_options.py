@@ -1,4 +1,4 @@
-"""What may be asked of shadow maps, on the command line and over HTTP: it reaches the plan, or is refused by name."""
+"""What may be asked of shadow maps and volumes, on the command line and over HTTP: it reaches the plan, or is refused by name."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import pytest
 
 from api import cli
 from api.jobs import Overrides
-from api.parameters import wishes
+from api.parameters import PICTURE_PARAMETERS, wishes
+from terrain.level import Shadows
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 
 
 @pytest.fixture
 def settings_of(monkeypatch, capsys, tmp_path: Path):
-    """``settings_of("--bias", "...")`` gives exit status, standard error and the settings of the map that was drawn."""
+    """``settings_of("--bias", "...")`` gives exit status, standard error and the settings that were drawn with."""
 
     def call(*arguments: str) -> tuple[int, str, dict]:
         stats = tmp_path / "stats.json"
@@ -45,16 +46,38 @@ def test_options_reach_the_map(gl, settings_of, key: str, value: str, drawn: str
 
 
 @pytest.mark.parametrize(
+    ("algorithm", "key", "value"),
+    [
+        ("shadow_volume", "stencil", "one_pass"), ("shadow_volume", "stencil", "two_pass"), ("shadow_volume", "counting", "auto"),
+        ("shadow_volume", "counting", "z_fail"), ("hybrid", "mask", "conservative"), ("hybrid", "mask", "original"),
+        ("hybrid", "stencil", "two_pass"),
+    ],
+)  # fmt: skip
+def test_options_reach_the_volumes(gl, settings_of, algorithm: str, key: str, value: str):
+    status, _, settings = settings_of("--algorithm", algorithm, f"--{key}", value)
+    assert status == 0 and settings[key] == value
+
+
+@pytest.mark.parametrize(
     ("key", "value", "words"),
-    [("filter", "4", "'sun'"), ("filter", "moon", "'sun'"), ("bias", "slope", "normal_offset"), ("culling", "back", "'front'")],
-)
+    [
+        ("filter", "4", "'sun'"), ("filter", "moon", "'sun'"), ("bias", "slope", "normal_offset"), ("culling", "back", "'front'"),
+        ("stencil", "three_pass", "'one_pass' or 'two_pass'"), ("counting", "z_pass", "'z_fail'"), ("mask", "paper", "'original'"),
+    ],
+)  # fmt: skip
 def test_other_values_are_refused_with_those_that_are_right(settings_of, key: str, value: str, words: str):
     status, said, _ = settings_of(f"--{key}", value)
     assert status == 2 and said.count("\n") == 1 and key in said and value in said and words in said
 
 
 def test_a_request_s_wishes_hold_them():
-    asked = asyncio.run(wishes(filter="sun", bias="normal_offset", culling="front"))
-    assert asked.overrides == Overrides(filter="sun", bias="normal_offset", culling="front")
-    assert asked.overrides.for_selector()["bias"] == "normal_offset"
-    assert asked.query() == "filter=sun&bias=normal_offset&culling=front"
+    given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
+    given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
+    asked = asyncio.run(wishes(**given))
+    assert asked.overrides == Overrides(**given)
+    assert given.items() <= asked.overrides.for_selector().items()
+    assert asked.query() == "&".join(f"{key}={value}" for key, value in given.items())
+
+
+def test_what_may_be_asked_of_the_selector_may_be_asked_of_a_request():
+    assert set(Overrides.model_fields) <= set(Shadows.model_fields) & set(PICTURE_PARAMETERS)

@@ -178,6 +178,20 @@ def test_algorithms_of_the_query(yards: Client):
     assert (pixels(answer("none")) == MASK_SHADOW).sum() < (pixels(answer("shadow_map")) == MASK_SHADOW).sum()
 
 
+def test_volumes_of_the_query(yards: Client):
+    """However they are counted, and whether everywhere or where a map cannot decide: the same shadow."""
+
+    def answer(algorithm: str, **query) -> httpx.Response:
+        return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm, **query})
+
+    plain = pixels(answer("shadow_volume"))
+    assert (plain == MASK_SHADOW).sum() > (pixels(answer("none")) == MASK_SHADOW).sum()
+    for algorithm, query in (("shadow_volume", {"stencil": "two_pass", "counting": "z_fail"}), ("hybrid", {})):
+        drawn = answer(algorithm, **query)
+        assert drawn.headers["x-skugga-algorithm"] == algorithm
+        np.testing.assert_array_equal(pixels(drawn), plain)
+
+
 def test_what_the_client_has_costs_no_rendering(yards: Client):
     query = {"view": "across", "size": "40x30", "seconds": 0.25}
     tag = yards.get(f"{YARD}.png", params=query).headers["etag"]
@@ -199,6 +213,7 @@ def test_tags_tell_pictures_apart(yards: Client):
         "png?view=across", "webp?view=across", "png?view=low", "png?view=across&layer=mask", "png?view=across&layer=shadow",
         "png?view=across&layer=mask&light=lamp", "png?view=across&seconds=1", "png?view=across&size=10x10",
         "png?view=across&azimuth=1&altitude=20", "png?view=across&algorithm=none", "png?view=across&filter=1",
+        "png?view=across&stencil=two_pass", "png?view=across&counting=z_fail", "png?view=across&mask=original",
     ]  # fmt: skip
     tags = [tag_of(yards, f"{YARD}.{query}") for query in [*queries, *queries]]
     assert len(set(tags)) == len(queries)
@@ -243,6 +258,9 @@ def test_equal_snapshots_at_once_are_one_render(yards: Client):
         ("png?map_size=63", "map_size", "64"),
         ("png?depth_bits=17", "depth_bits", "24"),
         ("png?filter=4", "filter", "5"),
+        ("png?stencil=three_pass", "stencil", "two_pass"),
+        ("png?counting=z_pass", "counting", "z_fail"),
+        ("png?mask=paper", "mask", "original"),
         ("png?bounds=1,2,3,4", "bounds", "size"),
         ("png?view=across&view=low", "view", "more than once"),
         ("png?algorithm=truth", "algorithm", "shadow_map"),
@@ -265,6 +283,7 @@ def test_documentation(yards: Client):
     assert {each["name"] for each in described["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
         "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
+        "stencil", "counting", "mask",
     }  # fmt: skip
 
 

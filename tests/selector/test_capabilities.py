@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 import pyogrio
@@ -21,38 +22,54 @@ from selector.compare import candidates
 from selector.rules import choose
 from shadows.registry import ALGORITHMS, GroundKind, LightKind, Part, ViewKind, able
 from shadows.render import FILLS, render_frame
+from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.errors import UnsupportedError
+from terrain.grid import MapView
 from terrain.level import AlgorithmName, CasterKind, load_level
 from terrain.made_ground import ENGINEERING
-from terrain.scene import build_scene
+from terrain.scene import Scene, build_scene
 from tests.api.conftest import running
-from tests.render import plan_of
+from tests.render import block_at, plan_of
 
 CASTERS: tuple[CasterKind, ...] = get_args(CasterKind)
 LIGHTS: tuple[LightKind, ...] = get_args(LightKind)
 VIEWS: tuple[ViewKind, ...] = get_args(ViewKind)
 GROUNDS: tuple[GroundKind, ...] = get_args(GroundKind)
-EVERY = list(product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS))
+EVERY = [each for each in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS) if each[3:] != ("bent map", "level")]
+"""All that can be asked for: level ground is of a flat world, whose maps never bend."""
 
 TERRAIN = {
     "level": {"flat": {"size": [60, 60], "cells": [30, 30]}},
     "uneven": {"generate": {"kind": "landscape", "size": [60, 60], "cell": 2, "relief": 6, "seed": 3}},
+    "earth": {"source": "jacksboro"},
 }
 SPOT = {"kind": "spot", "position": [-14, -10, 22], "target": [0, 0, 0], "cutoff": 45}
 OMNI = {"kind": "omni", "position": [5, -8, 16]}
 FORCED = {"cast_shadows": "on"}  # on level ground with nothing on it nothing casts
 EYE = {"kind": "perspective", "eye": [-25, -30, 14], "target": [2, 2, 2], "fov": 45, "size": [48, 36]}
+PLACE = [-84.25, 36.6]
+"""Where things stand on the earth, degrees."""
 
 
 @pytest.fixture(scope="module")
 def level_file(tmp_path_factory):
-    """``level_file(ground)`` is the path of a level with trees, a figure, a sun, a spot and an omni light."""
+    """``level_file(ground)`` is the path of a level with trees, a figure, a sun, a spot and an omni light; ``earth`` is a ground on
+    the round one.
+    """
     folder: Path = tmp_path_factory.mktemp("capabilities")
-    points = shapely.to_wkb(np.array([shapely.Point(*p) for p in ((-8, 6), (9, -4), (12, 10))], object))
-    pyogrio.raw.write(folder / "trees.gpkg", points, [], [], geometry_type="Point", crs=ENGINEERING)
+    for name, places, crs in (("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING), ("pines", (PLACE,), "EPSG:4326")):
+        points = shapely.to_wkb(np.array([shapely.Point(*place) for place in places], object))
+        pyogrio.raw.write(folder / f"{name}.gpkg", points, [], [], geometry_type="Point", crs=crs)
 
-    def path(ground: GroundKind, **keys) -> Path:
+    def path(ground: GroundKind | Literal["earth"], **keys) -> Path:
+        if ground == "earth":
+            up = {"position": [*PLACE, 900]}
+            keys = {
+                "lights": {"spot": {**SPOT, **up, "target": [*PLACE, 0]}, "omni": {**OMNI, **up}}, "views": {},
+                "meshes": [{"generate": "tetrahedra", "at": PLACE}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
+                **keys,
+            }  # fmt: skip
         level = {
             "version": 1, "terrain": TERRAIN[ground],
             "sun": {"azimuth": 215, "altitude": 30}, "lights": {"spot": SPOT, "omni": OMNI},
@@ -69,7 +86,23 @@ def level_file(tmp_path_factory):
 @pytest.fixture(scope="module")
 def scene_on(level_file):
     """``scene_on(ground)`` is that level's scene."""
-    return lru_cache(maxsize=2)(lambda ground: build_scene(load_level(level_file(ground))))
+    return lru_cache(maxsize=3)(lambda ground: build_scene(load_level(level_file(ground))))
+
+
+@pytest.fixture(scope="module")
+def seen(scene_on):
+    """``seen(kind, ground)`` is a scene and a view of it."""
+
+    def scene_and_view(kind: ViewKind, ground: GroundKind) -> tuple[Scene, MapView | PerspectiveView]:
+        scene = scene_on("earth" if kind == "bent map" else ground)
+        return scene, scene.view("map", size=(12, 12)) if kind == "bent map" else scene.view(kind)  # pixels of 2.5 km
+
+    return scene_and_view
+
+
+def parts_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Part, ...]:
+    """What an algorithm is asked to serve: a bent map is a map too."""
+    return (*(("map",) if kind == "bent map" else ()), kind, light, caster, ground)
 
 
 def only(name: AlgorithmName, light: LightKind, caster: CasterKind) -> dict:
@@ -80,11 +113,9 @@ def only(name: AlgorithmName, light: LightKind, caster: CasterKind) -> dict:
 
 
 @pytest.mark.parametrize(("name", "light", "caster", "kind", "ground"), EVERY)
-def test_it_renders_or_says_why_not(gl, scene_on, name, light, caster, kind, ground):
-    scene, algorithm = scene_on(ground), ALGORITHMS[name]
-    parts: tuple[Part, ...] = (kind, light, caster, ground)
-    view = scene.view(kind)
-    why = algorithm.refusal(parts)
+def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground):
+    (scene, view), algorithm = seen(kind, ground), ALGORITHMS[name]
+    why = algorithm.refusal(parts_of(light, caster, kind, ground))
     if why is None:
         plan = plan_of(scene, view, algorithm=only(name, light, caster), map_size=64)
         assert plan.algorithm[light][caster] == name
@@ -111,22 +142,30 @@ def test_every_refusal_is_of_something_that_can_be_asked_for():
 
 def test_whatever_is_asked_for_something_serves_it():
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
-        assert "shadow_map" in able((kind, light, caster, ground))
-        assert not {"truth", "none"} & set(able((kind, light, caster, ground)))
+        serve = able(parts_of(light, caster, kind, ground))
+        assert "shadow_map" in serve and not {"truth", "none"} & set(serve)
 
 
 def test_what_fills_is_what_has_passes():
     assert set(FILLS) == {name for name, algorithm in ALGORITHMS.items() if algorithm.passes}
 
 
-def test_refusals_of_planar_and_sweep_are_these():
-    planar, sweep = ALGORITHMS["planar"], ALGORITHMS["sweep"]
-    assert (
-        planar.refusal(("map", "sun", "meshes", "uneven")) == "it projects onto one plane, and the ground of this level is not flat"
-    )
-    assert planar.refusal(("map", "omni", "forest", "level")) is None
-    assert "heightfield" in sweep.refusal(("map", "sun", "forest", "level"))
-    assert "azimuth" in sweep.refusal(("map", "spot", "relief", "level"))
+@pytest.mark.parametrize(
+    ("name", "refused"),
+    [
+        ("shadow_map", {}),
+        ("perspective_shadow_map", {"map": "perspective", "bent map": "perspective", "omni": "shines all round"}),
+        ("shadow_volume", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
+        ("hybrid", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
+        ("planar", {"uneven": "it projects onto one plane, and the ground of this level is not flat"}),
+        ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per place", "forest": "heightfield"}),
+    ],
+)
+def test_refusals_are_these(name, refused):
+    for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
+        why = ALGORITHMS[name].refusal(parts_of(light, caster, kind, ground))
+        words = [refused[part] for part in (light, caster, kind, ground) if part in refused]
+        assert why is None if not words else any(word in why for word in words)
 
 
 def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(level_file):
@@ -159,21 +198,77 @@ def test_a_comparison_leaves_out_what_cannot_be(scene_on):
         assert ("planar" in names) is there and {"shadow_map", "none"} <= names
 
 
+def test_a_comparison_takes_an_algorithm_as_far_as_it_serves(scene_on):
+    """Trees and omni lights are left to shadow maps by what cannot serve them; each setting is a plan of its own."""
+    scene = scene_on("uneven")
+    plans = list(candidates(scene, scene.view("perspective"), "perspective"))
+    assert len({plan.model_dump_json() for plan in plans}) == len(plans)
+    of = {name: [plan for plan in plans if name in plan.algorithm["sun"].values()] for name in ALGORITHMS}
+    assert {name: len(found) for name, found in of.items() if name != "shadow_map"} == {
+        "perspective_shadow_map": 6, "shadow_volume": 1, "hybrid": 2, "planar": 0, "sweep": 1, "truth": 0, "none": 1,
+    }  # fmt: skip
+    for name, kinds in (("shadow_volume", 2), ("hybrid", 2), ("perspective_shadow_map", 2), ("sweep", 1)):
+        served, left = [name] * kinds, ["shadow_map"] * (3 - kinds)
+        assert all(list(plan.algorithm["sun"].values()) == served + left for plan in of[name])
+        assert all(set(plan.algorithm["omni"].values()) == {"shadow_map"} for plan in of[name])
+    assert {plan.settings["sun"]["relief"].mask for plan in of["hybrid"]} == {"conservative", "original"}
+    assert {plan.settings["sun"]["relief"].map_size for plan in of["perspective_shadow_map"]} == {512, 1024, 2048}
+
+
 def test_a_filter_that_plays_no_part_is_named(scene_on):
     scene = scene_on("level")
     view = scene.view("map")
-    for filter, named in (("sun", True), (3, True), (1, False)):
-        plan = plan_of(scene, view, algorithm="planar", filter=filter)
-        assert any("sharp" in reason.reason for reason in plan.reasons) is named
+    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), (("sun", True), (3, True), (1, False))):
+        plan = plan_of(scene, view, algorithm={"meshes": name}, filter=filter)
+        assert any(f"edges of {name} are sharp" in reason.reason for reason in plan.reasons) is named
     sweep = plan_of(scene_on("uneven"), view, algorithm={"relief": "sweep"}, filter="sun")
     assert sweep.settings["sun"]["relief"].filter == "sun"
     assert not any("sharp" in reason.reason for reason in sweep.reasons)
 
 
+# -- volumes where trees stand, and where maps bend
+
+
+def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
+    """For everything: the reason and what can. For relief and meshes, with a map for the trees: drawn, each for its own."""
+    scene = scene_on("uneven")
+    view = scene.view("perspective")
+    for name in ("shadow_volume", "hybrid"):
+        with pytest.raises(UnsupportedError) as caught:
+            plan_of(scene, view, algorithm=name)
+        said = str(caught.value)
+        assert f"'{name} for forest under sun'" in said and "alpha-tested leaves would cast the whole of their quads" in said
+        assert said.endswith("; what can: shadow_map, perspective_shadow_map")
+    choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
+    frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
+    assert [step.algorithm for step in frame.plan.steps[:2]] == ["shadow_volume", "shadow_map"]
+    assert [record.name for record in frame.passes] == frame.plan.passes
+    solid, trees = ({**choice, **change} for change in ({"forest": "none"}, {"relief": "none", "meshes": "none"}))
+    alone = [render_frame(scene, view, plan_of(scene, view, algorithm=each)).visibility for each in (solid, trees)]
+    np.testing.assert_array_equal(frame.visibility, alone[0] * alone[1])
+    both, *each = ((visibility[frame.there] < 0.5).sum() for visibility in (frame.visibility, *alone))
+    assert both > max(each) > min(each) > 0
+
+
+def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl):
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    for name in ("shadow_volume", "hybrid"):
+        with pytest.raises(UnsupportedError, match="at this scale the map bends.*; what can: shadow_map, sweep$"):
+            plan_of(scene, block_at(-84.25, 36.6, 8), algorithm=name)
+        block = block_at(-84.25, 36.6, 12)
+        view = replace(block, row0=block.row0 + 500, col0=block.col0 + 500, rows=96, cols=96)
+        frame = render_frame(scene, view, plan_of(scene, view, algorithm=name))
+        assert frame.plan.headline == name and 0.02 < (frame.visibility[frame.there] < 0.5).mean() < 0.98
+
+
 # -- what users see
 
 
-REFUSED = [("planar", "uneven", "is not flat"), ("sweep", "level", "a tree is no heightfield")]
+REFUSED = [
+    ("planar", "uneven", "is not flat"), ("sweep", "level", "a tree is no heightfield"),
+    ("shadow_volume", "level", "knows no texture"), ("hybrid", "uneven", "knows no texture"),
+    ("perspective_shadow_map", "level", "a map has no perspective"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "ground", "sentence"), REFUSED)

@@ -7,6 +7,7 @@ import pytest
 from selector.rules import choose
 from shadows import render as render_module
 from shadows import shadow_map
+from shadows.registry import ALGORITHMS
 from terrain.descriptor import describe
 from terrain.errors import RenderError
 from terrain.level import Level, SunSpec, load_level
@@ -24,7 +25,7 @@ def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     assert plan.algorithm == {"sun": {"relief": "shadow_map"}} and plan.headline == "shadow_map"
     assert [effect.name for effect in plan.effects] == ["cast_shadows"]
     assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
-    assert [item.name for item in plan.rejected] == ["planar", "sweep", "truth", "none"]
+    assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "shadow_map"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
 
 
@@ -33,7 +34,7 @@ def test_night_needs_nothing_and_says_so(scene):
     plan = plan_of(night, night.view())
     assert plan.algorithm == {"sun": {"relief": "none"}} and plan.settings == {}
     assert plan.left_out[0].name == "cast_shadows" and "night" in plan.left_out[0].reason
-    assert [item.name for item in plan.rejected] == ["shadow_map", "planar", "sweep", "truth"]
+    assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "none"]
 
 
 def test_overrides_win_and_are_named(scene):

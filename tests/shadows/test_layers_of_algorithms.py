@@ -14,8 +14,10 @@ from shadows.kept_layers import KeptLayers, beside_one_another
 from shadows.passes import PassLog
 from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
+from terrain.camera import PerspectiveView
 from terrain.errors import InputError, UnsupportedError
 from terrain.gl import Device
+from terrain.grid import MapView
 from terrain.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of, render
@@ -149,7 +151,91 @@ def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
     np.testing.assert_array_equal(stencil > 0, ground)
 
 
+def facing(scene: Scene, view: MapView | PerspectiveView, light: str) -> np.ndarray:
+    """Where floor is seen that a light would reach if nothing cast."""
+    plain = with_layers(scene, view=view, algorithm="none")
+    return plain.there & (plain.height_m == 0.0) & (plain.visibilities[light] > 0.5)
+
+
+@pytest.mark.parametrize(("view", "light"), [("eye", SUN), ("eye", "spot"), ("eye", "omni"), ("map", SUN)])
+def test_what_volumes_leave(gl, scene, view, light):
+    """The stencil counts the volumes that hold a point. A ray from an eye outside of them meets a face on its way into each, and
+    two of each that it goes through.
+    """
+    seen = scene.view("eye") if view == "eye" else scene.view(bounds=(-30, -30, 30, 30), size=(90, 90))
+    choice = {each: "none" for each in (SUN, "spot", "omni")} | {light: "shadow_volume"}
+    layers = {"stencil", "silhouettes", "volumes"}
+    frame = with_layers(scene, *layers, view=seen, algorithm=choice)
+    assert set(frame.layers) == layers
+    stencil, silhouettes, faces = (frame.layers[layer][light] for layer in ("stencil", "silhouettes", "volumes"))
+    assert {each.dtype for each in (stencil, silhouettes, faces)} == {np.dtype(np.uint8)}
+    floor, dark = facing(scene, seen, light), frame.visibilities[light] < 0.5
+    np.testing.assert_array_equal((stencil > 0)[floor], dark[floor])
+    assert dark[floor].any() and not stencil[frame.there & ~dark].any()
+    assert (faces >= stencil)[floor].all() and ((faces - stencil) % 2 == 0)[floor].all()
+    assert (faces > stencil)[floor].any() and set(np.unique(silhouettes)) == {0, 255}
+
+
+def test_what_a_hybrid_leaves(gl, scene):
+    """Its silhouettes are the pixels that it marks, and it counts in no other."""
+    choice = {SUN: "hybrid", "spot": "none", "omni": "none"}
+    frame = with_layers(scene, "stencil", "silhouettes", "volumes", "shadow-map", algorithm=choice)
+    stencil, marks, faces, depths = (frame.layers[each][SUN] for each in ("stencil", "silhouettes", "volumes", "shadow-map"))
+    (record,) = [record for record in frame.passes if record.name.endswith("stencil")]
+    assert set(np.unique(marks)) == {0, 255} and record.marked == (marks == 255).sum() > 0 < record.tiles
+    assert not stencil[marks == 0].any() and depths.dtype == np.float32
+    floor = facing(scene, frame.view, SUN) & (marks == 255)
+    np.testing.assert_array_equal((stencil > 0)[floor], (frame.visibilities[SUN] < 0.5)[floor])
+    plain = with_layers(scene, "volumes", algorithm={**choice, SUN: "shadow_volume"})
+    np.testing.assert_array_equal(faces, plain.layers["volumes"][SUN])
+
+
+def test_a_perspective_map_leaves_its_depths(gl, scene):
+    choice = {SUN: "perspective_shadow_map", "spot": "perspective_shadow_map", "omni": "none"}
+    maps = with_layers(scene, "shadow-map", algorithm=choice, map_size=128).layers["shadow-map"]
+    for light in (SUN, "spot"):
+        assert maps[light].shape == (128, 128) and 0.0 <= maps[light].min() < maps[light].max() == 1.0
+
+
+def test_a_picture_of_volumes_covers_what_is_behind_them():
+    """n faces cover four fifths of 1 - 0.88^n; under volumes beside one another the frame is repeated."""
+    ground = np.full((1, 3, 3), 100, np.uint8)
+    counts = np.array([[0, 1, 255]], np.uint8)
+    picture = viewable("volumes", counts, ground)
+    shares = 0.8 * (1.0 - 0.88 ** counts[..., None].astype(float))
+    np.testing.assert_allclose(picture, 100 + shares * (np.array([255, 120, 30]) - 100.0), atol=0.5)
+    assert picture.dtype == np.uint8 and picture[0, 0].tolist() == [100, 100, 100]
+    np.testing.assert_array_equal(viewable("volumes", np.tile(counts, (1, 2)), ground), np.tile(picture, (1, 2, 1)))
+
+
 # -- files
+
+
+def test_files_of_volumes(gl, scene, tmp_path):
+    """Exact in .npy; in .png edges are white on black, counts are spread, and volumes lie over the frame."""
+    frame = with_layers(scene, "stencil", "silhouettes", "volumes", algorithm={SUN: "shadow_volume"})
+    for layer in ("stencil", "silhouettes", "volumes"):
+        for suffix in SUFFIXES[layer]:
+            write_layer(scene, frame, layer, tmp_path / f"{layer}{suffix}")
+        np.testing.assert_array_equal(np.load(tmp_path / f"{layer}.npy"), frame.layers[layer][SUN])
+    pictures = {layer: np.asarray(Image.open(tmp_path / f"{layer}.png")) for layer in ("stencil", "silhouettes", "volumes")}
+    np.testing.assert_array_equal(pictures["silhouettes"], frame.layers["silhouettes"][SUN])
+    stencil = frame.layers["stencil"][SUN]
+    np.testing.assert_array_equal(pictures["stencil"], stencil * np.uint8(255 // stencil.max()))
+    clear = frame.layers["volumes"][SUN] == 0
+    np.testing.assert_array_equal((pictures["volumes"] == frame.color).all(axis=-1), clear)
+    assert 0.05 < clear.mean() < 0.99
+
+
+def test_volumes_of_two_algorithms_stand_beside_one_another(gl, scene, tmp_path):
+    choice = {SUN: {"relief": "shadow_volume", "meshes": "hybrid"}, "spot": "none", "omni": "none"}
+    frame = with_layers(scene, "volumes", algorithm=choice)
+    write_layer(scene, frame, "volumes", tmp_path / "two.png")
+    picture = np.asarray(Image.open(tmp_path / "two.png"))
+    rows, cols = frame.there.shape
+    assert picture.shape == (rows, 2 * cols, 3)
+    np.testing.assert_array_equal(picture[:, :cols], frame.color)  # a level floor has no volume
+    assert (picture[:, cols:] != frame.color).any()
 
 
 def test_files_of_layers(gl, scene, tmp_path):
@@ -166,14 +252,14 @@ def test_files_of_layers(gl, scene, tmp_path):
     gray = np.asarray(Image.open(tmp_path / "stencil.png"))
     np.testing.assert_array_equal(gray, stencil * 127)
     assert set(np.unique(stencil)) == {0, 1, 2}
-    assert viewable("shadow-map", np.array([[np.nan, 1.0, 0.0]], np.float32)).tolist() == [[0, 0, 65535]]
-    assert viewable("stencil", np.zeros((1, 2), np.uint8)).tolist() == [[0, 0]]
+    assert viewable("shadow-map", np.array([[np.nan, 1.0, 0.0]], np.float32), frame.color).tolist() == [[0, 0, 65535]]
+    assert viewable("stencil", np.zeros((1, 2), np.uint8), frame.color).tolist() == [[0, 0]]
 
 
 def test_every_layer_has_a_file_and_every_layer_of_an_algorithm_is_known():
     assert set(LAYERS) == set(SUFFIXES)
     left = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
-    assert left <= PASS_LAYERS and {"shadow-map", "stencil"} <= left
+    assert left == PASS_LAYERS
 
 
 # -- refusals
@@ -182,9 +268,12 @@ def test_every_layer_has_a_file_and_every_layer_of_an_algorithm_is_known():
 @pytest.mark.parametrize(
     ("algorithm", "layer", "words"),
     [
-        ("none", "shadow-map", "with is none; what has this layer: shadow_map"),
-        ("shadow_map", "stencil", "with is shadow_map; what has this layer: planar"),
+        ("none", "shadow-map", "with is none; what has this layer: shadow_map, perspective_shadow_map, hybrid"),
+        ("shadow_map", "stencil", "with is shadow_map; what has this layer: shadow_volume, hybrid, planar"),
         ("planar", "shadow-map", "with is planar; what has this layer: shadow_map"),
+        ("planar", "silhouettes", "with is planar; what has this layer: shadow_volume, hybrid"),
+        ("shadow_map", "volumes", "with is shadow_map; what has this layer: shadow_volume, hybrid"),
+        ("shadow_volume", "shadow-map", "with is shadow_volume; what has this layer: shadow_map, perspective_shadow_map, hybrid"),
     ],
 )
 def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):

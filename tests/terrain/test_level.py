@@ -51,6 +51,9 @@ def test_bundled_levels_load():
         (GOOD + "sun: {azimuth: 100}\n", "sun", "100", "time, or azimuth and altitude"),
         (GOOD + "shadows: {algorithm: magic}\n", "shadows.algorithm", "magic", "shadow_map"),
         (GOOD + "shadows: {map_size: 10}\n", "shadows.map_size", "10", "64"),
+        (GOOD + "shadows: {stencil: three_pass}\n", "shadows.stencil", "three_pass", "'one_pass' or 'two_pass'"),
+        (GOOD + "shadows: {counting: z_pass}\n", "shadows.counting", "z_pass", "'auto' or 'z_fail'"),
+        (GOOD + "shadows: {mask: paper}\n", "shadows.mask", "paper", "'conservative' or 'original'"),
         (GOOD + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
         (GOOD + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
         (GOOD + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "nothing", "required"),
@@ -97,7 +100,7 @@ def test_overrides_are_spelt_out():
         assert spelt(parse_algorithm(text)) == text
     with pytest.raises(PydanticCustomError, match="relief"):
         algorithm_choice(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
-    with pytest.raises(InputError, match="shadow_map, planar, sweep, truth, none, auto"):
+    with pytest.raises(InputError, match=", ".join([*get_args(AlgorithmName), "auto"])):
         parse_algorithm("sweeep")
 
 

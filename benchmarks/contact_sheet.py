@@ -1,0 +1,188 @@
+"""Shadow algorithms beside one another: what each draws in some views, and where it is wrong, on one sheet.
+
+    python benchmarks/contact_sheet.py [-o docs/images/algorithms.webp] [--width 400] [--most 1500] [--repeats 3]
+                                       [--columns boxgrid rocks ...] [--rows shadow_map hybrid ...] [--json FILE] [--markdown FILE]
+
+A row an algorithm, a column a view: the picture, and beside it its errors against ray-traced truth, false shadow red, missed shadow
+blue. Pictures are drawn as wide as they are shown, ``width`` pixels. Below each stand ``wrong_cast``, the 95th percentile of how
+far shadow edges are off, and the median milliseconds of the shadow's own work with everything redrawn. What an algorithm
+refuses, it says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from PIL import Image, ImageDraw, ImageFont
+
+from api.catalogue import find_level
+from selector.compare import false_colours, measure
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.camera import PerspectiveView, look_at
+from terrain.descriptor import describe
+from terrain.errors import UnsupportedError
+from terrain.gl import device
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+SHEET = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
+ASPECT = 5 / 4
+
+ALGORITHMS: dict[str, dict[str, Any]] = {
+    "shadow_map 1024": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
+    "perspective_shadow_map 1024": {"algorithm": "perspective_shadow_map", "map_size": 1024},
+    "shadow_volume": {"algorithm": "shadow_volume"},
+    "hybrid": {"algorithm": "hybrid"},
+    "hybrid original": {"algorithm": "hybrid", "mask": "original"},
+}
+"""Rows: what is asked for."""
+
+VIEWS = {
+    "boxgrid": ("thesis_boxgrid_sun", "close"),
+    "rocks": ("thesis_rocks_sun", "main"),
+    "street": ("thesis_street_sun", "main"),
+    "room": ("thesis_room_sun", "main"),
+    "water_tower": ("thesis_water_tower_sun", "main"),
+    "ridges": ("jacksboro", "ridges"),
+    "map": ("jacksboro", "map"),
+}
+"""Columns: level and view."""
+
+FAULT = (740_000.0, 4_052_800.0, 748_000.0, 4_059_200.0)
+"""West, south, east and north, metres in UTM zone 16, of what the map of Jacksboro shows: the fault's ridge and hills west of it."""
+
+RIDGES = (-84.16, 36.50, 120.0), (-84.20, 36.54, 0.0), 45.0
+"""Eye, target and field of view, degrees, of a look over the ridges and valleys of the Jacksboro fault."""
+
+FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
+
+GAP_PX, TEXT_PX = 12, 17
+HEAD_PX, FOOT_PX = 30, 28
+PAPER, INK, FAINT = (255, 255, 255), (24, 24, 24), (238, 238, 238)
+QUALITIES = range(90, 9, -5)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An algorithm in a view: its picture and its errors, none where it refuses, figures, and what is to be said of it."""
+
+    pictures: tuple[Image.Image, Image.Image] | None
+    figures: dict[str, float]
+    text: str
+
+
+def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
+    """A view of a level, or one of the two of Jacksboro."""
+    if name == "map":
+        return scene.view(name, bounds=FAULT, size=size)
+    if name != "ridges":
+        return scene.view(name, size=size)
+    eye, up = scene.place.above_ground(RIDGES[0], "eye")
+    target, _ = scene.place.above_ground(RIDGES[1], "target")
+    return look_at(eye, target, up, RIDGES[2], size[1], size[0])
+
+
+def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[Cell]:
+    """The cells of a view, one for each algorithm."""
+    scene = build_scene(load_level(find_level(level)))
+    view = view_of(scene, name, size)
+    descriptor = describe(scene, view, "map" if name == "map" else "main")
+    bare = render_frame(scene, view, choose(descriptor, scene.loaded.level, {"algorithm": "none"})).color.mean(axis=2)
+    for key in asked:
+        try:
+            plan = choose(descriptor, scene.loaded.level, ALGORITHMS[key])
+        except UnsupportedError as error:
+            yield Cell(None, {}, str(error))
+            continue
+        color = render_frame(scene, view, plan).color  # compiles and allocates, too
+        row = measure(scene, view, plan, repeats=repeats)
+        pictures = Image.fromarray(color).convert("RGB"), Image.fromarray(false_colours(bare, row))
+        figures = {name: row.figures[name] for name in FIGURES}
+        text = f"wrong {100 * figures['wrong_cast']:.2f} % of cast shadow; edge p95 {figures['edge_p95']:.1f} px"
+        yield Cell(pictures, figures, f"{text}; {figures['ms_median']:.0f} ms")
+
+
+def sheet(cells: dict[tuple[str, str], Cell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
+    """All cells, by row and column, under their names."""
+    height = round(width / ASPECT)
+    step_x, step_y = 2 * width + GAP_PX, HEAD_PX + height + FOOT_PX + GAP_PX
+    page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
+    for across, name in enumerate(columns):
+        for down, key in enumerate(rows):
+            x, y, cell = GAP_PX + across * step_x, GAP_PX + down * step_y, cells[key, name]
+            top = y + HEAD_PX
+            draw.text((x, y + HEAD_PX // 2), f"{key}: {' '.join(VIEWS[name])}", INK, font, anchor="lm")
+            if cell.pictures is None:
+                draw.rectangle((x, top, x + 2 * width - 1, top + height - 1), FAINT)
+                lines = "\n".join(wrap(cell.text, 2 * width * 2 // TEXT_PX - 6))
+                draw.multiline_text((x + width, top + height // 2), lines, INK, font, anchor="mm", align="center")
+                continue
+            for number, picture in enumerate(cell.pictures):
+                page.paste(picture, (x + number * width, top))
+            draw.text((x, top + height + FOOT_PX // 2), cell.text, INK, font, anchor="lm")
+    return page
+
+
+def encoded(page: Image.Image, suffix: str, most_bytes: int) -> bytes:
+    """The page as PNG, or as WebP in the best quality that keeps it within a size; in the least one if none does."""
+    for quality in QUALITIES:
+        buffer = BytesIO()
+        page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
+        if buffer.tell() <= most_bytes or suffix == ".png":
+            break
+    return buffer.getvalue()
+
+
+def table(cells: dict[tuple[str, str], Cell]) -> str:
+    """``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line a view, a column an algorithm."""
+    rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
+    lines = [["view", *rows], ["---"] * (1 + len(rows))]
+    for name in columns:
+        found = [cells[key, name].figures for key in rows]
+        entries = [f"{100 * each['wrong_cast']:.2f} / {each['edge_p95']:.1f}" if each else "refused" for each in found]
+        lines.append([" ".join(VIEWS[name]), *entries])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the .webp or .png file to write")
+    parser.add_argument("--rows", nargs="+", choices=tuple(ALGORITHMS), default=tuple(ALGORITHMS))
+    parser.add_argument("--columns", nargs="+", choices=tuple(VIEWS), default=tuple(VIEWS))
+    parser.add_argument("--width", type=int, default=400, help="pixels of a picture")
+    parser.add_argument("--most", type=int, default=1500, help="kilobytes that the file may have")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    given = parser.parse_args()
+    size = given.width, round(given.width / ASPECT)
+    cells = {}
+    for name in given.columns:
+        for key, cell in zip(given.rows, column(*VIEWS[name], given.rows, size, given.repeats), strict=True):
+            cells[key, name] = cell
+            print(f"{key} {name}: {cell.text}", flush=True)
+    page = sheet(cells, given.rows, given.columns, given.width)
+    given.output.write_bytes(encoded(page, given.output.suffix, 1000 * given.most))
+    if given.markdown:
+        what = "wrong pixels in % of cast shadow / 95th percentile of the displacement of shadow edges, pixels"
+        text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {what}\n\n{table(cells)}"
+        given.markdown.write_text(text, encoding="utf-8")
+    if given.json:
+        rows = [{"algorithm": key, "view": VIEWS[name], "text": cell.text, **cell.figures} for (key, name), cell in cells.items()]
+        given.json.write_text(
+            json.dumps({"renderer": device().renderer, "size": size, "rows": rows}, indent=2) + "\n", encoding="utf-8"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Perspective shadow maps beside shadow maps of the same size: errors against truth, and times as ratios within one run.
+
+    python benchmarks/perspective_maps.py errors [LEVEL ...] [--size 640 512] [--map-size 1024] [--filter 3] [--json FILE]
+    python benchmarks/perspective_maps.py times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
+
+The levels are those of the thesis unless named, with all their perspective views. `errors`: one map each, the shadow map fitted
+``tight`` and ``stable``. `times`: the map drawn anew and looked up, the two taking turns; ratios of medians, bytes beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from api.catalogue import find_level
+from selector.compare import measure
+from selector.rules import choose
+from shadows.passes import PassLog
+from shadows.plan import Plan
+from shadows.render import FILLS
+from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.gl import device
+from terrain.level import load_level
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+
+LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
+
+FITS = ("tight", "stable")
+"""Of the shadow map."""
+
+Row = dict[str, Any]
+
+
+def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
+    """The perspective views of levels."""
+    for name in levels:
+        scene = build_scene(load_level(find_level(name)))
+        for view_name, spec in scene.loaded.level.views.items():
+            if spec.kind == "perspective":
+                yield name, scene, view_name, scene.view(view_name, size=size)
+
+
+def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
+    """The plans to compare: all with one map of a size and the same taps and depths."""
+    descriptor, level = describe(scene, view, name), scene.loaded.level
+    asked = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
+    maps = {fit: choose(descriptor, level, {**asked, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
+    return {**maps, "perspective": choose(descriptor, level, {**asked, "algorithm": "perspective_shadow_map"})}
+
+
+def errors(given: argparse.Namespace) -> list[Row]:
+    keys = ("edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts")
+    rows = []
+    for level, scene, name, view in views(given.levels, tuple(given.size)):
+        for map_name, plan in plans(scene, view, name, given.map_size, given.filter).items():
+            figures = measure(scene, view, plan).figures
+            rows.append({"view": f"{level} {name}", "map": map_name, **{key: figures[key] for key in keys}})
+            print(*rows[-1].values(), flush=True)
+    return rows
+
+
+def times(given: argparse.Namespace) -> list[Row]:
+    rows = []
+    for level, scene, name, view in views(given.levels, tuple(given.size)):
+        buffer = geometry_of(scene, view)
+        casters = casters_of(scene, buffer)
+        taken: dict[str, list[float]] = {}
+        held, notes = {}, {}
+        todo = plans(scene, view, name, given.map_size, given.filter)
+        for number in range(given.repeats + 2):
+            for map_name in [*todo][:: 1 if number % 2 else -1]:
+                device().depth_targets.forget()
+                log, start = PassLog(), time.perf_counter()
+                for step in todo[map_name].steps:
+                    if step.algorithm in FILLS:
+                        FILLS[step.algorithm](buffer, scene, step.light, step.kinds, casters, step.settings, log)
+                if number >= 2:  # the first ones compile and allocate
+                    taken.setdefault(map_name, []).append(time.perf_counter() - start)
+                held[map_name] = max(record.bytes for record in log.records.values())
+                notes[map_name] = " ".join(record.note for record in log.records.values()).strip()
+        medians = {map_name: float(np.median(some)) for map_name, some in taken.items()}
+        row = {"view": f"{level} {name}", "ms": 1000.0 * medians["perspective"]}
+        row |= {f"over {fit}": medians["perspective"] / medians[fit] for fit in FITS}
+        row |= {f"MiB {map_name}": count / 2**20 for map_name, count in held.items()}
+        rows.append({**row, "note": notes["perspective"]})
+        print(*rows[-1].values(), flush=True)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("errors", "times"))
+    parser.add_argument("levels", nargs="*", default=LEVELS)
+    parser.add_argument("--size", type=int, nargs=2)
+    parser.add_argument("--map-size", type=int, default=1024)
+    parser.add_argument("--filter", type=int, default=3)
+    parser.add_argument("--repeats", type=int, default=40)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    given.size = given.size or {"errors": (640, 512), "times": (1280, 1024)}[given.what]
+    rows = {"errors": errors, "times": times}[given.what](given)
+    keys = list(rows[0])
+    table = [keys, ["---"] * len(keys), *([f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows)]
+    print(device().renderer, "", *(f"| {' | '.join(line)} |" for line in table), sep="\n")
+    if given.json:
+        given.json.write_text(json.dumps({"renderer": device().renderer, "rows": rows}, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,228 @@
+"""Perspective shadow maps as drawn: against truth from all sides, without acne, and finer near the eye than a shadow map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+import trimesh
+
+from selector.compare import measure
+from shadows import perspective_shadow_map
+from shadows.attached import attached
+from shadows.metrics import errors_of
+from shadows.passes import PassLog
+from shadows.plan import PerspectiveMapSettings
+from shadows.post_perspective import CONE_DEG
+from shadows.truth import coverage_truth, truth_of
+from terrain.descriptor import describe
+from terrain.errors import UnsupportedError
+from terrain.geometry import GeometryBuffer
+from terrain.level import load_level
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene, build_scene
+from tests.conftest import ENGINEERING
+from tests.render import plan_of, render
+from tests.shadows.boxes import box, level_of
+
+NAME = "perspective_shadow_map"
+
+EYE = {"kind": "perspective", "eye": [2, -18, 5], "target": [0, 10, 1], "fov": 60, "size": [240, 180]}
+SPOT = {"kind": "spot", "position": [20, -12, 20], "target": [0, 0, 0], "cutoff": 40}
+
+
+def fill(
+    buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple = ("relief", "meshes", "forest"), **how
+) -> tuple[np.ndarray, PassLog]:
+    """Visibility of a light, attached shadow included, NaN where there is no surface; and the log."""
+    settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **how})
+    log = PassLog()
+    seen = perspective_shadow_map.fill(buffer, scene, light, kinds, casters_of(scene, buffer), settings, log)
+    seen[attached(buffer, scene, light)] = 0.0
+    seen[~buffer.there] = np.nan
+    return seen, log
+
+
+def plane(write_raster, slope_deg: float, towards_deg: float) -> Path:
+    """A plane of 960 m that rises by a slope away from the azimuth it faces."""
+    axis = (np.arange(96) - 47.5) * 10.0
+    east, north = np.meshgrid(axis, -axis)
+    facing = np.radians(towards_deg)
+    rise = -np.tan(np.radians(slope_deg)) * (east * np.sin(facing) + north * np.cos(facing))
+    return write_raster(rise.astype(np.float32), ENGINEERING, -480, 480, 10.0, name="plane.tif")
+
+
+# -- no surface shades itself
+
+
+@pytest.mark.parametrize("bits", [16, 24, 32])
+@pytest.mark.parametrize(("slope", "towards"), [(0, 0), (30, 203), (70, 290)])
+def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope, towards, bits):
+    """Under the sun from high to grazing, before, behind and beside the camera, and under a lamp; with all numbers of taps."""
+    raster = plane(write_raster, slope, towards)
+    for altitude, aside in ((75.0, 0.0), (25.0, -60.0), (6.0, 70.0), (4.0, 0.0)):
+        views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
+        lamp = {"kind": "spot", "position": [-20, 10, 9], "target": [0, 0, 0], "cutoff": 80}
+        scene = make_scene(raster, towards + aside, altitude, views=views, lights={"lamp": lamp})
+        buffer = geometry_of(scene, scene.view("eye"))
+        for light in ("sun", "lamp"):
+            for taps in (1, 2, 3, 5) if bits == 24 else (3,):
+                seen, _ = fill(buffer, scene, light, filter=taps, depth_bits=bits, map_size=256)
+                receivers = buffer.there & ~attached(buffer, scene, light)
+                assert (seen[receivers] == 1.0).all(), (light, altitude, aside, taps)
+
+
+def test_a_plane_that_faces_the_sun_has_no_depth_and_no_acne(gl, write_raster, make_scene):
+    """All receivers at one distance from the sun: what float32 makes of it is no shadow."""
+    raster = plane(write_raster, 40, 180)
+    views = {"eye": {"kind": "perspective", "eye": [100, -200, 12], "target": [-100, 30, 3], "fov": 50, "size": [120, 90]}}
+    scene = make_scene(raster, 180, 50, views=views)
+    buffer = geometry_of(scene, scene.view("eye"))
+    for bits in (16, 24, 32):
+        assert (fill(buffer, scene, "sun", depth_bits=bits)[0][buffer.there] == 1.0).all()
+
+
+def test_without_bias_there_is_acne(gl, write_raster, make_scene):
+    raster = plane(write_raster, 40, 203)
+    views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
+    scene = make_scene(raster, 260, 20, views=views)
+    buffer = geometry_of(scene, scene.view("eye"))
+    assert (fill(buffer, scene, "sun", bias_scale=0.0)[0] < 1.0).mean() > 0.02
+
+
+# -- against truth
+
+
+def surroundings(folder: Path, azimuth: float, altitude: float, **keys) -> Scene:
+    """Towers all round the eye and boxes before it: most of what shades the view lies behind the eye or beside it."""
+    towers = [box((3, 3, 14), 0, (24 * np.sin(t), -18 + 24 * np.cos(t))) for t in np.radians(np.arange(15, 375, 45))]
+    near = [box((2, 2, 2), 0, (-3, -8)), box((4, 3, 5), 0, (5, 4)), box((5, 5, 0.3), 6, (-8, 6)), box((30, 1, 4), 0, (0, 40))]
+    return level_of(folder, [trimesh.util.concatenate([*towers, *near])], azimuth, altitude, views={"eye": EYE}, **keys)
+
+
+def check_against_truth(scene: Scene, light: str) -> None:
+    view = scene.view("eye")
+    buffer = geometry_of(scene, view)
+    seen, log = fill(buffer, scene, light, map_size=2048)
+    real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
+    found = errors_of(seen, real, describe(scene, view, "eye").pixel_m)
+    assert (real.there & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
+    assert found.interior <= 0.001 and found.interior_parts == 0, (light, found, log.records)
+    assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02
+
+
+@pytest.mark.parametrize("azimuth", [0, 50, 90, 140, 183, 240, 270, 310])
+@pytest.mark.parametrize("altitude", [18, 50])
+def test_suns_from_all_sides_agree_with_truth(gl, tmp_path, azimuth, altitude):
+    """The camera looks north: before it, behind it, across."""
+    check_against_truth(surroundings(tmp_path, azimuth, altitude), "sun")
+
+
+@pytest.mark.parametrize(
+    ("place", "target"),
+    [
+        ((4, 45, 25), (0, 5, 0)), ((-35, -20, 25), (0, 5, 0)), ((35, 10, 18), (0, 5, 0)), ((1, -40, 30), (0, 5, 0)),
+        ((1, 6, 12), (2, 2, 0)),
+    ],
+)  # fmt: skip
+def test_lamps_from_all_sides_agree_with_truth(gl, tmp_path, place, target):
+    """Before the camera, beside it, behind it, and in the middle of what it sees."""
+    lamp = {"kind": "spot", "position": place, "target": target, "cutoff": 40}
+    check_against_truth(surroundings(tmp_path, 90, 30, lights={"lamp": lamp}), "lamp")
+
+
+def test_a_tower_behind_the_eye_throws_its_shadow_into_the_view(gl, tmp_path):
+    """Of half its width and all its length: the sun in the south at 45 degrees, its foot 5 m behind the eye, 30 m high."""
+    eye = {"kind": "perspective", "eye": [0, -20, 3], "target": [0, 0, 0], "fov": 60, "size": [240, 180]}
+    scene = level_of(tmp_path, [box((4, 2, 30), 0, (0, -26))], 180, 45, views={"eye": eye})
+    buffer = geometry_of(scene, scene.view("eye"))
+    dark = fill(buffer, scene, "sun", map_size=2048)[0] < 0.5
+    x, y = (buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m)[..., :2].transpose(2, 0, 1)
+    inside = (np.abs(x) < 1.9) & (y < 4.9)  # its roof's far edge lies at -25, and 30 m on
+    outside = (np.abs(x) > 2.1) | (y > 5.1)
+    assert inside[buffer.there].sum() > 500 and dark[inside & buffer.there].all() and not dark[outside & buffer.there].any()
+
+
+def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_path):
+    raster = write_raster(np.zeros((60, 60), np.float32), ENGINEERING, -60.0, 60.0, 2.0)
+    rng = np.random.default_rng(11)
+    points = np.array([shapely.Point(*p) for p in rng.uniform(-25, 25, (40, 2))], object)
+    heights = rng.uniform(4, 9, len(points))
+    pyogrio.raw.write(
+        tmp_path / "trees.gpkg", shapely.to_wkb(points), [heights], ["height"], geometry_type="Point", crs=ENGINEERING
+    )
+    views = {"eye": {"kind": "perspective", "eye": [-5, -30, 22], "target": [0, 0, 0], "fov": 55, "size": [192, 160]}}
+    forest = [{"source": "trees.gpkg", "height": "height"}]
+    scene = make_scene(raster, 120, 35, forest=forest, views=views, lights={"lamp": SPOT})
+    buffer = geometry_of(scene, scene.view("eye"))
+    for light in ("sun", "lamp"):
+        seen, _ = fill(buffer, scene, light, filter=3)
+        shares = coverage_truth(buffer, scene, casters_of(scene, buffer), 16, light=light)
+        shade = np.nan_to_num(1.0 - seen, nan=0.0).reshape(10, 16, 12, 16).mean(axis=(1, 3))
+        whole = buffer.there.reshape(10, 16, 12, 16).all(axis=(1, 3))
+        assert np.abs(shade - shares)[whole].mean() < 0.04 and 0.1 < shares[whole].mean() < 0.9
+
+
+@pytest.mark.parametrize("level", ["thesis_rocks", "thesis_rocks_sun"])
+def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
+    scene = build_scene(load_level(f"configs/{level}.yaml"))
+    view = scene.view("close", size=(320, 256))
+    asked = {"map_size": 512, "filter": 3}
+    found = {
+        name: measure(scene, view, plan_of(scene, view, algorithm=name, **asked, **more)).figures
+        for name, more in (("shadow_map", {"cascades": 1, "fit": "tight"}), (NAME, {}))
+    }
+    assert found[NAME]["edge_p95"] < found["shadow_map"]["edge_p95"]
+    assert found[NAME]["wrong_cast"] < 0.5 * found["shadow_map"]["wrong_cast"]
+
+
+# -- maps and plans
+
+
+def test_a_map_is_kept_while_nothing_changes(gl, tmp_path):
+    gl.depth_targets.forget()
+    scene = surroundings(tmp_path, 120, 30)
+    buffer = geometry_of(scene, scene.view("eye"))
+    (first, drawn), (again, found) = fill(buffer, scene, "sun"), fill(buffer, scene, "sun")
+    records = [next(iter(log.records.values())) for log in (drawn, found)]
+    assert [record.kept for record in records] == [0, 1] and records[0].draws > 0 and records[1].draws == 0
+    np.testing.assert_array_equal(first, again)
+    assert next(iter(fill(buffer, scene, "sun", map_size=512)[1].records.values())).kept == 0
+
+
+def test_a_sun_in_the_views_axis_gets_a_uniform_map_and_says_so(gl, tmp_path):
+    eye = {"kind": "perspective", "eye": [0, -20, 10], "target": [0, 0, 0], "fov": 50, "size": [120, 90]}
+    down_deg = float(np.degrees(np.arctan2(10, 20)))
+    for azimuth, altitude in ((180, down_deg), (180, down_deg + 2 * CONE_DEG)):
+        scene = level_of(tmp_path, [box((2, 2, 3))], azimuth, altitude, views={"eye": eye})
+        note = next(iter(fill(geometry_of(scene, scene.view("eye")), scene, "sun")[1].records.values())).note
+        assert note.startswith("a uniform map") == (altitude == down_deg)
+
+
+def test_what_no_light_reaches_needs_no_map(gl, tmp_path):
+    lamp = {"kind": "spot", "position": [90, 90, 5], "target": [95, 95, 0], "cutoff": 5}
+    scene = level_of(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": lamp})
+    frame = render(scene, scene.view("eye"), algorithm=NAME)
+    assert (frame.visibilities["lamp"] == 0.0)[frame.there].all()
+    assert [record.name for record in frame.passes] == frame.plan.passes
+
+
+def test_plans_say_what_was_chosen_and_what_is_left_out(tmp_path):
+    scene = level_of(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": SPOT})
+    view = scene.view("eye")
+    plan = plan_of(scene, view, algorithm=NAME)
+    assert [plan.settings[light]["meshes"].depth_bits for light in ("sun", "lamp")] == [24, 32]
+    assert plan.settings["sun"]["meshes"].map_size == 1024 and plan.settings["sun"]["meshes"].filter == 3
+    assert {"map_size 1024", "depth_bits 24", "filter 3", "lamp: depth_bits 32"} <= {reason.name for reason in plan.reasons}
+    plan = plan_of(scene, view, algorithm=NAME, cascades=4, fit="stable", culling="front", bias="normal_offset", map_size=700)
+    left_out = {reason.name for reason in plan.reasons if reason.reason.startswith("left out")}
+    assert {"cascades 4", "fit stable", "culling front", "bias normal_offset"} <= left_out
+    assert plan.settings["lamp"]["meshes"].map_size == 700
+    with pytest.raises(UnsupportedError, match="filter.*sun"):
+        plan_of(scene, view, algorithm=NAME, filter="sun")
+    with pytest.raises(UnsupportedError, match="a map has no perspective"):
+        plan_of(scene, scene.view(), algorithm=NAME)

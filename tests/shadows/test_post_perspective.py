@@ -1,0 +1,261 @@
+"""The matrices of perspective shadow maps: what they promise of every caster, over many suns, spots and cameras."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shadows.post_perspective import (
+    CONE_DEG,
+    SLIDES,
+    Camera,
+    Light,
+    PostPerspective,
+    camera_matrix,
+    fitted,
+    horizon_m,
+    kind_of,
+    light_matrix,
+    post_perspectives,
+    projected,
+)
+
+INNER = 0.97
+
+SET_UPS = 500
+"""Of suns, and as many of lamps."""
+
+finite = st.floats(-3.0, 3.0)
+vectors = st.tuples(finite, finite, finite).map(np.array)
+
+
+def looking(eye: np.ndarray, turn_deg: float, tilt_deg: float) -> Camera:
+    """A camera that looks along an azimuth from north and an altitude."""
+    turn, tilt = np.radians([turn_deg, tilt_deg])
+    forward = np.array([np.sin(turn) * np.cos(tilt), np.cos(turn) * np.cos(tilt), np.sin(tilt)])
+    right = np.array([np.cos(turn), -np.sin(turn), 0.0])
+    return Camera(np.asarray(eye, float), np.array([right, np.cross(forward, right), forward]))
+
+
+def sun(direction: np.ndarray) -> Light:
+    return Light(np.array([*(direction / np.linalg.norm(direction)), 0.0]), np.zeros(3))
+
+
+def through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) in clip space (n, 4)."""
+    return points @ matrix[:, :3].T + matrix[:, 3]
+
+
+# -- matrices
+
+
+@given(vectors, st.one_of(finite, st.just(0.0)), vectors)
+def test_a_light_of_any_kind_goes_to_one_point(place, fourth, middle):
+    """Whether it is a point, a sink or parallel: to (0, 0, -1, 0); and the middle to the middle."""
+    if np.linalg.norm(place - fourth * middle) < 1e-2:
+        return
+    matrix = light_matrix(np.array([*place, fourth]), middle)
+    np.testing.assert_allclose(matrix @ [*place, fourth], [0, 0, -1, 0], atol=1e-6)
+    np.testing.assert_allclose(matrix @ [*middle, 1.0], [0, 0, 0, 1], atol=1e-6)
+
+
+def test_the_camera_takes_its_planes_to_the_cube():
+    camera = looking([3, -2, 5], 30, -10)
+    points = np.array([camera.eye_m + camera.axis * away for away in (2.0, 50.0)])
+    for slide in (0.0, 7.0):
+        matrix = camera_matrix(camera, 0.5, 2.0, 50.0, slide)
+        np.testing.assert_allclose(projected(matrix, points)[:, 2], [-1, 1], atol=1e-9)
+    corner = camera.eye_m + 10.0 * (camera.axis + 0.5 * camera.camera_from_frame[0] - 0.5 * camera.camera_from_frame[1])
+    np.testing.assert_allclose(projected(camera_matrix(camera, 0.5, 2.0, 50.0, 0.0), corner[None])[0, :2], [1, -1], atol=1e-9)
+
+
+@pytest.mark.parametrize(("near", "far", "slide"), [(0.0, 5.0, 0.0), (5.0, 5.0, 1.0), (-3.0, 5.0, 2.0)])
+def test_planes_that_are_none_are_refused(near, far, slide):
+    with pytest.raises(ValueError, match="no planes before a camera"):
+        camera_matrix(looking([0, 0, 0], 0, 0), 0.5, near, far, slide)
+
+
+@pytest.mark.parametrize(
+    ("direction", "kind"), [([0, 1, 0.5], "point"), ([0, -1, 0.5], "sink"), ([1, 0, 0.5], "parallel"), ([0, 0, 1], "parallel")]
+)
+def test_suns_are_told_apart_by_where_they_stand(direction, kind):
+    """Before a camera that looks north, behind it, and across its axis."""
+    matrix = camera_matrix(looking([0, 0, 2], 0, 0), 0.5, 1.0, 100.0, 3.0)
+    assert kind_of(matrix @ [*direction, 0.0]) == kind
+
+
+def test_a_lamp_changes_its_kind_with_the_slide_back():
+    """Two metres behind the eye it is a sink; from three metres on, a point in front."""
+    camera = looking([0, 0, 2], 0, 0)
+    kinds = [kind_of(camera_matrix(camera, 0.5, 1.0, 100.0, slide) @ [5, -2, 4, 1]) for slide in (0.0, 1.9, 2.0, 3.0)]
+    assert kinds == ["sink", "sink", "parallel", "point"]
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_depths_are_those_of_a_perspective_through_infinity_but_for_scale_and_shift(behind):
+    """Behind the camera, depth e / z between near = -e and far = +e (Kozlov's); before it, between two planes as always."""
+    camera = looking([0, 0, 2], 0, 0)
+    view = camera_matrix(camera, 1.0, 1.0, 60.0, 2.0)
+    light = view @ np.array([0.3, -0.8 if behind else 0.8, 0.5, 0.0])
+    place, middle = light[:3] / light[3], np.array([0.0, 0.1, 0.4])
+    matrix = light_matrix(light, middle)
+    forward = (middle - place) / np.linalg.norm(middle - place)
+    near, far = (-0.3, 0.3) if behind else (0.1, 50.0)
+    rng = np.random.default_rng(0)
+    points = projected(view, camera.eye_m + rng.uniform([-5, 4, -3], [5, 50, 3], (200, 3)))
+    ahead = (points - place) @ forward
+    assert (ahead > 0).all()
+    theirs = (far + near) / (far - near) - 2.0 * far * near / (far - near) / ahead
+    ours = projected(matrix, points)
+    # On a ray both rise together: what is left of theirs is a stretch and a shift that the place in the map decides alone.
+    stretch = np.polyfit(ours[:, 2], theirs, 1)
+    np.testing.assert_allclose(np.polyval(stretch, ours[:, 2]), theirs, atol=1e-9)
+    assert stretch[0] > 0
+
+
+def test_bounds_are_fitted():
+    rng = np.random.default_rng(1)
+    matrix = light_matrix(np.array([0.2, 0.4, 0.8, 0.0]), np.array([1.0, 2.0, 3.0]))
+    points = rng.uniform(-5, 9, (100, 3))
+    seen = projected(matrix, points)
+    clip = projected(fitted(matrix, seen.min(axis=0), seen.max(axis=0), 0.9, 0.25), points)
+    np.testing.assert_allclose(clip.min(axis=0), [-0.9, -0.9, -0.5], atol=1e-9)
+    np.testing.assert_allclose(clip.max(axis=0), [0.9, 0.9, 1.0], atol=1e-9)
+
+
+# -- many set-ups
+
+
+def set_up(rng: np.random.Generator, lamp: bool) -> tuple[Camera, Light, np.ndarray]:
+    """A camera over level ground, a light anywhere, and receivers on the ground and floating over it, in view and in the light."""
+    camera = looking(rng.uniform([-500, -500, 1], [500, 500, 60]), rng.uniform(0, 360), rng.uniform(-70, 25))
+    reach_m, wide = 10.0 ** rng.uniform(1.5, 4.3), rng.uniform(0.2, 1.2)
+    rays = np.column_stack([rng.uniform(-wide, wide, (600, 2)), np.ones(600)]) @ camera.camera_from_frame
+    with np.errstate(divide="ignore"):
+        ground = -camera.eye_m[2] / rays[:, 2]
+    floating = 10.0 ** rng.uniform(0.0, np.log10(reach_m), 600)
+    away = np.where((ground > 0.0) & (ground < reach_m) & (rng.random(600) < 0.8), ground, floating)
+    points = camera.eye_m + rays * away[:, None]
+    if not lamp:
+        direction = rng.normal(size=3)
+        direction[2] = abs(direction[2])
+        return camera, sun(direction), points
+    place = camera.eye_m + rng.normal(size=3) * reach_m * 10.0 ** rng.uniform(-2.0, 0.0)
+    target = points[rng.integers(len(points))]
+    axis = (target - place) / np.linalg.norm(target - place)
+    way = points - place
+    lit = way @ axis > np.cos(np.radians(rng.uniform(10, 85))) * np.linalg.norm(way, axis=1)
+    return camera, Light(np.array([*place, 1.0]), target), points[lit]
+
+
+def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspective, np.ndarray]:
+    """The map for receivers, and its matrix as it is uploaded."""
+    found = post_perspectives(camera, light, points, INNER)[0]
+    seen = projected(found.clip_from_frame, points)
+    return found, fitted(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
+
+
+@pytest.mark.parametrize("lamp", [False, True])
+def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
+    """Casters all along the way from each receiver to the light, behind the eye and beside the view among them, are drawn where the
+    receiver is, before it, and one before the other; receivers are within the unit cube in float32 as well.
+    """
+    rng = np.random.default_rng(20 + lamp)
+    kinds: Counter = Counter()
+    behind = 0
+    for _ in range(SET_UPS):
+        camera, light, points = set_up(rng, lamp)
+        if len(points) < 3:
+            continue
+        found, clip = map_of(camera, light, points)
+        kinds[found.kind] += 1
+        assert np.isfinite(clip).all() and bool(found.note) == (found.kind is None)
+        corners = through(clip.astype(np.float32), points.astype(np.float32))
+        assert corners.dtype == np.float32 and (corners[:, 3] > 0).all()
+        seen = corners[:, :3] / corners[:, 3:]
+        assert np.abs(seen).max() <= 1.0 + 1e-4
+        some = points[:: max(len(points) // 60, 1)]
+        if lamp:
+            share = np.array([0.0, 0.1, 0.5, 0.9, 0.99])[:, None, None]
+            casters = some + share * (light.homogeneous[:3] - some)
+        else:
+            casters = some + np.array([0.0, 1.0, 30.0, 1e3, 1e5])[:, None, None] * light.homogeneous[:3]
+        behind += int((camera.seen(casters[1:])[..., 2] < 0).sum())
+        drawn = through(clip, casters.reshape(-1, 3)).reshape(*casters.shape[:2], 4)
+        assert np.isfinite(drawn).all() and (drawn[..., 3] > 0).all()
+        at = drawn[..., :3] / drawn[..., 3:]
+        assert np.abs(at[..., :2] - at[0, :, :2]).max() < 1e-5, "the same place in the map"
+        assert (np.diff(at[..., 2], axis=0) < 0).all(), "nearer to the light, less deep"
+        assert np.abs(at[..., :2]).max() <= INNER + 1e-5
+    assert behind > 10_000
+    assert kinds["point"] > 100 and kinds["sink"] > 100
+    assert kinds[None] < 0.05 * kinds.total()
+
+
+@pytest.mark.parametrize("lamp", [False, True])
+def test_no_map_is_much_coarser_than_a_uniform_one(lamp):
+    rng = np.random.default_rng(30 + lamp)
+    gain = []
+    for _ in range(150):
+        camera, light, points = set_up(rng, lamp)
+        if len(points) < 3:
+            continue
+        found = post_perspectives(camera, light, points, INNER)
+        gain.append(found[0].texel / found[-1].texel)
+        assert [each.texel for each in found[:-1]] == sorted(each.texel for each in found[:-1])
+    assert max(gain) < (1.6 if lamp else 1.05) and np.median(gain) < 0.5
+
+
+# -- singular directions
+
+
+@pytest.mark.parametrize("away", [1.0, -1.0])
+def test_round_the_views_axis_the_map_is_uniform_and_says_so(away):
+    rng = np.random.default_rng(5)
+    camera = looking([0, 0, 20], 0, -30)
+    points = camera.eye_m + (np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)]) * 30.0) @ camera.camera_from_frame
+    for off_deg in (0.0, 0.9 * CONE_DEG, 1.1 * CONE_DEG, 30.0):
+        turned = looking([0, 0, 20], 0, -30 + off_deg)
+        found = post_perspectives(camera, sun(away * turned.axis), points, INNER)
+        if off_deg < CONE_DEG:
+            assert len(found) == 1 and found[0].kind is None
+            assert f"{off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}" in found[0].note
+            w = horizon_m(found[0].clip_from_frame, points)
+            np.testing.assert_allclose(w, w[0])
+        else:
+            assert found[0].kind == ("point" if away > 0 else "sink") and not found[0].note
+
+
+def test_a_lamp_amid_what_it_shines_at_gets_a_uniform_map_that_says_so():
+    """A spot just above wide ground, straight down, with a cone of 88 degrees."""
+    rng = np.random.default_rng(6)
+    camera = looking([0, -40, 30], 0, -35)
+    points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
+    light = Light(np.array([0.0, 0.0, 0.6, 1.0]), np.zeros(3))
+    found = post_perspectives(camera, light, points, INNER)
+    assert (horizon_m(found[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in found[-1].note
+    for each in found[:-1]:
+        assert (horizon_m(each.clip_from_frame, points) > 0).all()
+
+
+def test_a_sun_that_crosses_the_axis_changes_the_map_steadily():
+    """From before the camera by way of across it to behind it: the kinds follow one another, the texels hardly change."""
+    rng = np.random.default_rng(7)
+    camera = looking([0, 0, 12], 0, -15)
+    rays = np.column_stack([rng.uniform(-0.6, 0.6, (800, 2)), np.ones(800)]) @ camera.camera_from_frame
+    rays = rays[rays[:, 2] < -0.03]
+    points = camera.eye_m + rays * (-camera.eye_m[2] / rays[:, 2])[:, None]
+    angles = np.radians(90 - 15 + np.array([-1e-2, -1e-6, 0.0, 1e-6, 1e-2]))
+    found = [post_perspectives(camera, sun(np.array([0, np.cos(a), np.sin(a)])), points, INNER)[0] for a in angles]
+    kinds = [each.kind for each in found]
+    assert kinds[:2] == ["point", "point"] and kinds[3:] == ["sink", "sink"]
+    sizes = np.array([each.texel for each in found])
+    assert sizes.max() < 1.01 * sizes.min()
+
+
+def test_slide_backs_go_from_none_to_far():
+    assert SLIDES[0] == 0.0 and max(SLIDES) >= 64 and list(SLIDES) == sorted(SLIDES)

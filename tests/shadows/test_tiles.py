@@ -1,0 +1,177 @@
+"""Rectangles of tiles, and faces that are left out: nothing is lost by either."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from shadows import volume_drawing
+from shadows.attached import attached
+from shadows.passes import PassRecord
+from shadows.plan import VolumeSettings
+from shadows.tiles import TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
+from shadows.volume_drawing import count
+from shadows.volumes import light_in_frame, volumes_of
+from tests.shadows.boxes import box, level_of
+from tests.shadows.test_shadow_volume import Look, above, eye, joined, look
+
+SIZES = st.tuples(st.integers(1, 90), st.integers(1, 90))
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def drawn_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of a picture: none, few, in heaps, or all over."""
+    rng = np.random.default_rng(seed)
+    middle, spread = rng.random((rng.integers(0, 4), 2)), rng.choice([0.0, 0.02, 0.3])
+    points = (middle[:, None] + rng.normal(0, spread, (len(middle), rng.integers(1, 60), 2))).reshape(-1, 2)
+    pixels = np.clip(points, 0.0, 1.0 - 1e-9) * size
+    return pixels[:, 0].astype(int), pixels[:, 1].astype(int)
+
+
+@given(SIZES, SEEDS)
+def test_rectangles_hold_each_marked_pixel_once(size, seed):
+    """They do not overlap, lie inside the picture, and begin at tiles; none is without a marked one."""
+    rows, cols = drawn_pixels(size, seed)
+    tiles = marked_tiles(rows, cols, size)
+    found = rectangles(tiles, size)
+    covered = np.zeros(size, int)
+    for col, row, width, height in found.tolist():
+        assert col % TILE_PX == row % TILE_PX == 0 and width > 0 and height > 0
+        assert 0 <= col and col + width <= size[1] and 0 <= row and row + height <= size[0]
+        covered[row : row + height, col : col + width] += 1
+        assert tiles[row // TILE_PX : -(-(row + height) // TILE_PX), col // TILE_PX : -(-(col + width) // TILE_PX)].any()
+    assert covered.max(initial=0) <= 1 and (covered[rows, cols] == 1).all()
+    assert len(found) == 0 if not len(rows) else len(found) > 0
+
+
+@given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
+def test_a_rectangle_less_would_hold_more(tiles):
+    """Never more tiles than in what holds them all, less what each further rectangle is worth."""
+    size = tuple(side * TILE_PX for side in tiles.shape)
+    found = rectangles(tiles, size)
+    rows, cols = np.nonzero(tiles)
+    if len(rows):
+        whole = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
+        assert (found[:, 2] * found[:, 3]).sum() // TILE_PX**2 + 8 * (len(found) - 1) <= whole
+
+
+@given(SIZES, SEEDS)
+def test_bounds_of_depth_are_those_of_the_pixels(size, seed):
+    rows, cols = drawn_pixels(size, seed)
+    depth = np.random.default_rng(seed).random(len(rows))
+    parts = rectangles(marked_tiles(rows, cols, size), size)
+    for (col, row, width, height), (low, high) in zip(parts, depth_bounds(rows, cols, depth, parts, size), strict=True):
+        inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
+        assert inside.any() and low == depth[inside].min() and high == depth[inside].max()
+
+
+# -- which faces matter
+
+
+def exact(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where pixels (n,) are covered by a triangle (3, 4) of homogeneous x, y, z, w, its depth there, and how it turns (+1, -1, 0).
+
+    By the plane through the corners and the eye: with M the matrix of their (x, y, w), the weights are M^-T (x, y, 1).
+    """
+    matrix = points[:, [0, 1, 3]]
+    turn = np.sign(np.linalg.det(matrix)) if matrix[:, 2].any() else 0.0
+    if turn == 0:
+        return np.zeros(len(x), bool), np.zeros(len(x)), turn
+    weights = np.linalg.solve(matrix.T, np.stack([x, y, np.ones(len(x))]))
+    return (weights > 0).all(axis=0), weights.T @ points[:, 2], turn
+
+
+@given(SEEDS, st.booleans())
+def test_what_is_left_out_adds_the_same_everywhere(seed, behind):
+    """Triangles before, behind and beside the eye, with corners at infinity: in each pixel of a rectangle, whatever its depth is
+    within the bounds, the faces that are kept and the constant make the whole count.
+    """
+    rng = np.random.default_rng(seed)
+    size = 40, 56
+    clip = rng.normal(0, 1, (24, 4)) * [2, 2, 1, 1]
+    clip[:8, 3] *= 0.0  # infinitely far away
+    clip[8:16, :2] *= 20.0
+    faces = np.array([rng.choice(len(clip), 3, replace=False) for _ in range(30)], np.int32)
+    rows, cols = drawn_pixels(size, seed)
+    depth = rng.uniform(0.1, 2.0, len(rows))
+    parts = rectangles(marked_tiles(rows, cols, size), size)
+    some = culled(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size)
+    x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
+    counts = np.zeros((len(faces), len(rows)), int)
+    for number, face in enumerate(faces):
+        covers, at, turn = exact(clip[face], x, y)
+        counts[number] = covers * (at <= depth if behind else at > depth) * (turn if behind else -turn)
+    for number, (col, row, width, height) in enumerate(parts.tolist()):
+        inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
+        kept = some.faces[some.starts[number] : some.starts[number + 1]]
+        assert len(np.unique(kept)) == len(kept)
+        np.testing.assert_array_equal(counts[kept][:, inside].sum(axis=0) + some.added[number], counts[:, inside].sum(axis=0))
+
+
+def everything(
+    clip: np.ndarray, faces: np.ndarray, behind: bool, parts: np.ndarray, depths: np.ndarray, size: tuple[int, int]
+) -> Culled:
+    """All faces in every rectangle."""
+    k, m = len(parts), len(faces)
+    return Culled(np.tile(np.arange(m, dtype=np.int32), k), np.arange(k + 1) * m, np.zeros(k, np.int64))
+
+
+def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") -> np.ndarray:
+    light = light_in_frame(at.buffer, at.scene, at.light)
+    volumes, _ = volumes_of(at.buffer, at.scene, light, at.scene.population.kinds, at.casters)
+    return count(at.buffer, at.scene, light, volumes, VolumeSettings(counting=counting), wanted, marked, PassRecord("stencil"))
+
+
+def things(rng: np.random.Generator) -> trimesh.Trimesh:
+    """Boxes, wires, holed spheres and loose triangles, and a pebble on the ground."""
+    parts = [box((0.1, 0.1, 0.1), at_m=(25, 25))]
+    for _ in range(rng.integers(1, 6)):
+        east, north = rng.uniform(-8, 8, 2)
+        ball = trimesh.creation.icosphere(1, rng.uniform(0.5, 3))
+        ball.apply_translation([east, north, 3.5])
+        holed = trimesh.Trimesh(ball.vertices, ball.faces[rng.random(len(ball.faces)) < 0.8], process=False)
+        loose = trimesh.Trimesh(rng.uniform(-4, 4, (9, 3)) + [east, north, 4.5], np.arange(9).reshape(-1, 3), process=False)
+        boxes = [box(tuple(rng.uniform(0.2, 6, 3)), at_m=(east, north)), box((0.02, 0.02, 6.0), at_m=(east, north))]
+        parts.append([*boxes, holed, loose][rng.integers(0, 4)])
+    return joined(*parts)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
+    """Random volumes, lights and eyes: drawing all faces everywhere gives the same number in every pixel."""
+    rng = np.random.default_rng(seed)
+    kind = ("sun", "spot", "omni")[seed % 3]
+    place = [*rng.uniform(-10, 10, 2), rng.uniform(12, 25)]
+    lamp = {"kind": kind, "position": place} | ({"target": [0, 0, 1], "cutoff": 60} if kind == "spot" else {})
+    keys = {} if kind == "sun" else {"sun": "none", "lights": {"lamp": lamp}}
+    start, target = (*rng.uniform(-14, 14, 2), rng.uniform(0.2, 10)), (*rng.uniform(-6, 6, 2), rng.uniform(0, 4))
+    views = eye(start, target, fov=rng.uniform(30, 100))
+    scene = level_of(tmp_path, [things(rng)], rng.uniform(0, 360), rng.choice([2.0, 35.0, 80.0]), **views, **keys)
+    for at in (look(scene), look(scene, above(scene, 12.0, 70))):
+        lit = at.buffer.there & ~attached(at.buffer, scene, at.light)
+        sparse = lit & (rng.random(lit.shape) < 0.01)
+        for wanted, marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
+            with monkeypatch.context() as patched:
+                found = counted(at, wanted, marked, counting)
+                patched.setattr(volume_drawing, "culled", everything)
+                whole = counted(at, wanted, marked, counting)
+            np.testing.assert_array_equal(found[wanted], whole[wanted])
+            assert (found[~wanted] == 0).all()
+
+
+# What is nearer than the near plane is not drawn in z-pass, but is added to the count where it is left out.
+@pytest.mark.xfail(strict=True, reason="faces between the eye and the near plane count where they are left out")
+def test_faces_before_the_near_plane_count_for_nothing(gl, tmp_path, monkeypatch):
+    lamp = {"kind": "omni", "position": [-6, -12, 18]}
+    body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
+    at = look(level_of(tmp_path, [body], 0, 0, **eye((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp}))
+    lit = at.buffer.there & ~attached(at.buffer, at.scene, at.light)
+    found = counted(at, lit, False)
+    monkeypatch.setattr(volume_drawing, "culled", everything)
+    np.testing.assert_array_equal(found, counted(at, lit, False))

@@ -1,0 +1,118 @@
+"""Clip coordinates of cameras and of maps: points lie in the pixels that show them, to a stated share of a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terrain.clip_space import PART_PX, bend_px, camera_clip, map_clip, parts_of
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.picture import frame_of, geometry_of
+from terrain.scene import Scene, build_scene
+from tests.render import block_at
+from tests.shadows.boxes import View, box, level_of
+
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 120]}
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory) -> Scene:
+    return level_of(tmp_path_factory.mktemp("flat"), [box((8, 6, 5))], 200, 35, views={"eye": EYE})
+
+
+@pytest.fixture(scope="module")
+def globe() -> Scene:
+    return build_scene(load_level("configs/jacksboro.yaml"))
+
+
+def pixels(clip: np.ndarray, points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and depths of points (n, 3) from the origin."""
+    x, y, z, w = clip @ np.column_stack([points, np.ones(len(points))]).T
+    return (y / w + 1.0) * view.rows / 2 - 0.5, (x / w + 1.0) * view.cols / 2 - 0.5, z / w
+
+
+@pytest.mark.parametrize("cut", [None, (20, 31, 70, 90), (70, -20, 70, 90)])
+@pytest.mark.parametrize("fine", [1, 2])
+def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
+    """Whole, cut off-centre, and finer; depth is the near distance over the one along the axis."""
+    view = flat.view("eye") if cut is None else flat.view("eye").part(*cut)
+    view = view.finer(fine)
+    buffer = geometry_of(flat, view)
+    there, origin = np.nonzero(buffer.there), np.array([3.0, -7.0, 1.0])
+    points = buffer.position_frame_m[there]
+    row, col, depth = pixels(camera_clip(view, buffer.frame, origin, 0.5), points - origin, view)
+    # points are held inside their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
+    assert len(row) > 1000
+    np.testing.assert_allclose(row, there[0], rtol=0, atol=1 / 256)
+    np.testing.assert_allclose(col, there[1], rtol=0, atol=1 / 256)
+    eye, camera_from_frame = view.in_frame(buffer.frame)
+    np.testing.assert_allclose(depth, 0.5 / ((points - eye) @ camera_from_frame[2]), rtol=1e-12)
+
+
+def test_what_is_infinitely_far_away_has_depth_0_and_the_near_plane_1(flat):
+    view = flat.view("eye")
+    frame = frame_of(flat, view)
+    eye, camera_from_frame = view.in_frame(frame)
+    clip = camera_clip(view, frame, eye, 0.3)
+    for direction in (camera_from_frame[2], camera_from_frame[2] + 0.1 * camera_from_frame[0]):
+        _, _, z, w = clip @ np.append(direction, 0.0)
+        assert z == 0.0 and w == pytest.approx(1.0)
+    x, y, z, w = clip @ np.append(0.3 * camera_from_frame[2], 1.0)
+    assert z / w == pytest.approx(1.0) and abs(x) < 1e-12 and abs(y) < 1e-12
+
+
+def test_a_flat_map_is_a_camera(gl, flat):
+    """Pixels and heights are exact: depth 0 at the lower height, 1 at the higher one."""
+    view = flat.view(bounds=(-40, -30, 40, 30), size=(160, 120)).part(13, 7, 90, 101)
+    buffer = geometry_of(flat, view)
+    origin = np.array([5.0, 2.0, 1.0])
+    clip = map_clip(flat.world, buffer.frame, view, origin, (-2.0, 8.0))
+    row, col, depth = pixels(clip, buffer.position_frame_m.reshape(-1, 3) - origin, view)
+    expected = np.indices(buffer.there.shape).reshape(2, -1)
+    np.testing.assert_allclose(np.stack([row, col]), expected, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(depth, (buffer.position_frame_m[..., 2].ravel() + 2.0) / 10.0, atol=1e-12)
+    assert bend_px(flat, view.grid, 1.0, 1.0) == 0.0
+    _, _, z, w = clip @ [0.0, 0.0, -1.0, 0.0]
+    assert z < 0.0 and w == 0.0  # infinitely far below
+
+
+@pytest.mark.parametrize("zoom", [9, 11, 13])
+def test_parts_of_a_globe_s_map_lie_off_it_by_what_is_stated(gl, globe, zoom):
+    """By no more than the bend of the level's parts, a little more where ground rises above the fitted heights."""
+    block = block_at(-84.25, 36.58, zoom)
+    buffer = geometry_of(globe, block)
+    stated, worst = bend_px(globe, block.grid, block.row_step, block.col_step), 0.0
+    for part, top, left in parts_of(globe.world, block):
+        inside = np.s_[top : top + part.rows, left : left + part.cols]
+        at = np.nonzero(buffer.there[inside])
+        if not len(at[0]):
+            continue
+        points = buffer.position_frame_m[inside][at]
+        origin = points.mean(axis=0)
+        clip = map_clip(globe.world, buffer.frame, part, origin, (points[:, 2].min() - 1.0, points[:, 2].max() + 1.0))
+        row, col, depth = pixels(clip, points - origin, part)
+        worst = max(worst, float(np.hypot(row - at[0], col - at[1]).max()))
+        assert 0.0 <= depth.min() and depth.max() <= 1.0
+    assert 0.0 < worst <= 1.5 * stated
+    assert stated < (0.25 if zoom >= 11 else 20.0)
+
+
+def test_coarser_maps_bend_more(globe):
+    bends = [bend_px(globe, block_at(-84.25, 36.58, zoom).grid, 1.0, 1.0) for zoom in (13, 11, 9, 7)]
+    assert bends == sorted(bends) and bends[-1] > 0.25
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (PART_PX, PART_PX), (PART_PX + 1, 3), (700, 513)])
+def test_parts_cover_a_view_once(globe, flat, rows, cols):
+    block = block_at(-84.25, 36.58, 12)
+    view = MapView(block.grid, block.row0 + 5, block.col0 + 9, 1.0, 1.0, rows, cols)
+    covered = np.zeros((rows, cols), int)
+    for part, top, left in parts_of(globe.world, view):
+        assert 0 < part.rows <= PART_PX and 0 < part.cols <= PART_PX
+        assert (part.row0, part.col0) == (view.row0 + top, view.col0 + left)
+        covered[top : top + part.rows, left : left + part.cols] += 1
+    assert (covered == 1).all()
+    assert parts_of(flat.world, view) == [(view, 0, 0)]
+    eye = flat.view("eye")
+    assert parts_of(globe.world, eye) == [(eye, 0, 0)]

@@ -1,0 +1,176 @@
+"""Counting in the stencil: what adds and what takes, wrap-around, marks, and that no pass leaves its state behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from terrain.stencil import MARK
+
+VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
+FRAGMENT = "#version 430\nvoid main() {}\n"
+SIZE = 8
+
+TOWARDS, AWAY = 1, -1
+"""Faces that face the eye go round clockwise on the screen, whose rows go down; the others counter-clockwise."""
+
+
+def square(depth: float, way: int = TOWARDS, left: float = -1.0, right: float = 1.0) -> np.ndarray:
+    """Two triangles (6, 3) over all rows from ``left`` to ``right``; depth from 0, infinitely far away, to 1."""
+    corners = np.array([[left, -1, depth], [left, 1, depth], [right, 1, depth], [right, -1, depth]])
+    order = [0, 1, 2, 0, 2, 3] if way == TOWARDS else [0, 2, 1, 0, 3, 2]
+    return corners[order]
+
+
+def draw(gl, squares: Iterable[np.ndarray]) -> None:
+    points = np.concatenate(list(squares)).astype(np.float32)
+    gl.draw_triangles(gl.program(VERTEX, FRAGMENT), points, np.arange(len(points), dtype=np.int32).reshape(-1, 3))
+
+
+@pytest.fixture
+def target(gl):
+    """A stencil over a surface at depth 0.5."""
+    target = gl.stencil.target(SIZE, SIZE)
+    with gl.stencil.depth_pass(target):
+        draw(gl, [square(0.5)])
+    return target
+
+
+def counts(gl, target, counting: str, squares: list[np.ndarray], **how) -> int:
+    """What counting squares over the whole picture leaves in every pixel."""
+    with gl.stencil.count_pass(target, counting, **how):
+        draw(gl, squares)
+    found = np.unique(gl.stencil.read(target))
+    assert len(found) == 1
+    return int(found[0])
+
+
+@pytest.mark.parametrize(
+    ("counting", "depth", "way", "left"),
+    [
+        ("z_pass", 0.6, TOWARDS, 1), ("z_pass", 0.6, AWAY, 255), ("z_pass", 0.4, TOWARDS, 0), ("z_pass", 0.4, AWAY, 0),
+        ("z_fail", 0.6, TOWARDS, 0), ("z_fail", 0.6, AWAY, 0), ("z_fail", 0.4, TOWARDS, 255), ("z_fail", 0.4, AWAY, 1),
+        ("faces", 0.6, TOWARDS, 1), ("faces", 0.6, AWAY, 1), ("faces", 0.4, AWAY, 0),
+        ("seen", 0.6, TOWARDS, 255), ("seen", 0.4, TOWARDS, 0),
+    ],
+)  # fmt: skip
+def test_faces_add_and_take(gl, target, counting, depth, way, left):
+    assert counts(gl, target, counting, [square(depth, way)]) == left
+
+
+@pytest.mark.parametrize(("counting", "way", "left"), [("z_pass", TOWARDS, 0), ("z_fail", AWAY, 1), ("z_fail", TOWARDS, 255)])
+def test_a_face_in_the_surface_lies_behind_it(gl, target, counting, way, left):
+    """The very same triangles: a near cap and the surface that it lies on."""
+    assert counts(gl, target, counting, [square(0.5, way)]) == left
+
+
+@pytest.mark.parametrize(("side", "left"), [("both", 1), ("front", 3), ("back", 254)])
+def test_sides_are_drawn_apart(gl, target, side, left):
+    faces = [square(0.6, TOWARDS)] * 3 + [square(0.7, AWAY)] * 2
+    assert counts(gl, target, "z_pass", faces, side=side) == left
+
+
+@pytest.mark.parametrize("number", [127, 128, 255, 256, 257, 600])
+def test_counts_go_round(gl, target, number):
+    """Of 256 without marks, and what is taken comes back; ``faces`` stays at 255."""
+    faces = [square(0.6)] * number
+    assert counts(gl, target, "z_pass", faces) == number % 256
+    assert counts(gl, target, "z_pass", [square(0.6, AWAY)] * number) == 0
+    assert counts(gl, target, "faces", faces) == min(number, 255)
+
+
+@pytest.mark.parametrize("number", [1, 127, 128, 129, 300])
+def test_only_what_is_marked_counts(gl, target, number):
+    """Round 128, up and down, the mark untouched; and clearing the count leaves it, too."""
+    with gl.stencil.mark_pass(target):
+        draw(gl, [square(0.0, right=0.0)])
+    left = np.arange(SIZE) < SIZE // 2
+    for way, held in ((TOWARDS, number % 128), (AWAY, 0), (AWAY, -number % 128)):
+        with gl.stencil.count_pass(target, "z_pass", marked=True):
+            draw(gl, [square(0.6, way)] * number)
+        found = gl.stencil.read(target)
+        assert (found[:, left] == MARK + held).all() and (found[:, ~left] == 0).all()
+    gl.stencil.clear(target, ~MARK & 0xFF)
+    assert (gl.stencil.read(target) == np.where(left, MARK, 0)).all()
+    gl.stencil.clear(target)
+    assert (gl.stencil.read(target) == 0).all()
+
+
+def test_each_pixel_counts_once(gl, target):
+    """What holds the number asked for holds one more, whatever the depth and however often it is drawn."""
+    for held, left in ((1, 0), (0, 1), (0, 1), (1, 2)):
+        with gl.stencil.once_pass(target, held):
+            draw(gl, [square(0.1), square(0.9, AWAY), square(0.1)])
+        assert (gl.stencil.read(target) == left).all()
+
+
+def test_the_nearest_depth_wins_or_the_last(gl, target):
+    with gl.stencil.depth_pass(target):
+        draw(gl, [square(0.8), square(0.7)])
+    assert counts(gl, target, "z_pass", [square(0.75)]) == 0
+    with gl.stencil.depth_pass(target, always=True):
+        draw(gl, [square(0.7)])
+    assert counts(gl, target, "z_pass", [square(0.75)]) == 1
+    with gl.stencil.count_pass(target, "z_pass"):
+        draw(gl, [square(0.9)])  # leaves no depth behind
+    assert counts(gl, target, "z_pass", [square(0.75)]) == 3
+
+
+def test_row_0_is_the_first(gl, target):
+    with gl.stencil.mark_pass(target):
+        draw(gl, [np.array([[-1, -1, 0], [1, -1, 0], [1, -0.75, 0], [-1, -1, 0], [1, -0.75, 0], [-1, -0.75, 0]])])
+    found = gl.stencil.read(target)
+    assert (found[0] == MARK).all() and (found[1:] == 0).all()
+
+
+@pytest.mark.parametrize("size", [(8, 8), (5, 3), (16, 4)])
+def test_a_target_begins_empty(gl, size):
+    """Of whatever size, and when it is asked for again: nothing counted, nothing before infinity."""
+    for _ in range(2):
+        target = gl.stencil.target(*size)
+        assert gl.stencil.read(target).shape == size[::-1] and not gl.stencil.read(target).any()
+        with gl.stencil.count_pass(target, "z_pass"):
+            draw(gl, [square(1e-6)])
+        assert (gl.stencil.read(target) == 1).all()
+
+
+def ordinary(gl) -> list[np.ndarray]:
+    """Depths of a shadow map's target: usual clip space, nearest wins, nothing culled, no offset, clamped before the near plane."""
+    out = []
+    for squares in ([square(0.25), square(-0.5, AWAY)], [square(0.1, AWAY), square(0.3, left=0.0)], [square(-3.0)]):
+        target = gl.depth_target(SIZE, SIZE, 32)
+        with gl.depth_pass(target):
+            draw(gl, squares)
+        out.append(gl.read(target, attachment=-1))
+    return out
+
+
+PASSES = [
+    ("depth_pass", {}), ("depth_pass", {"always": True}), ("mark_pass", {}), ("once_pass", {"held": 0, "clip_distances": 2}),
+    *(("count_pass", {"counting": way, "side": side, "marked": marked})
+      for way in ("z_pass", "z_fail", "faces", "seen") for side in ("both", "front", "back") for marked in (False, True)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_no_pass_leaves_its_state_behind(gl, fails):
+    """Not even one that fails: what is drawn next is what it was before."""
+    before = ordinary(gl)
+    assert (before[0] == np.float32(0.25)).all() and (before[2] == 0.0).all() and np.ptp(before[1]) == 0.0
+    for name, how in PASSES:
+        target = gl.stencil.target(SIZE, SIZE)
+        try:
+            with getattr(gl.stencil, name)(target, **how):
+                if fails:
+                    raise KeyError(name)
+                draw(gl, [square(0.5), square(0.7, AWAY)])
+        except KeyError:
+            pass
+        for was, now in zip(before, ordinary(gl), strict=True):
+            np.testing.assert_array_equal(now, was, err_msg=f"{name} {how}")
+        target = gl.stencil.target(SIZE, SIZE)
+        with gl.stencil.depth_pass(target):
+            draw(gl, [square(0.5)])
+        assert counts(gl, target, "z_pass", [square(0.6, AWAY)]) == 255
