@@ -58,7 +58,7 @@ VIEWS = {
 """Columns: level and view."""
 
 FAULT = (740_000.0, 4_052_800.0, 748_000.0, 4_059_200.0)
-"""West, south, east and north, metres in UTM zone 16, of what the map of Jacksboro shows: the fault's ridge and hills west of it."""
+"""West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""
 
 RIDGES = (-84.16, 36.50, 120.0), (-84.20, 36.54, 0.0), 45.0
 """Eye, target and field of view, degrees, of a look over the ridges and valleys of the Jacksboro fault."""
