@@ -21,7 +21,7 @@ from shadows.conservative_map import (
 from shadows.kept_layers import beside_one_another
 from shadows.map_windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
-from shadows.volumes import Volumes
+from shadows.volumes import Volumes, light_in_frame
 from terrain.geometry import GeometryBuffer
 from terrain.level import SUN, CasterKind
 from terrain.resolve import MESHES
@@ -89,7 +89,7 @@ def decided(
     log: PassLog,
 ) -> np.ndarray:
     """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
-    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, kinds).ravel()
+    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
     with log.run(passes[1]), log.run(passes[2]):
         pass
     for window in _windows(buffer, scene, light, map_size, wanted):
@@ -104,14 +104,19 @@ def decided(
     return verdict
 
 
-def _on_casters(buffer: GeometryBuffer, scene: Scene, kinds: tuple[CasterKind, ...]) -> np.ndarray:
-    """Where a buffer's points lie on triangles that cast if they face the light, bool (rows, cols): on meshes, where nothing else
-    stands in for them. Ground casts by triangles that are turned away.
+def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...], wanted: np.ndarray) -> np.ndarray:
+    """Where a buffer's points, flat, lie on triangles that certainly cast, bool (n,): on meshes that nothing stands in for, on faces
+    turned to the light. (Backs that are seen have the normal of a face; ground casts by triangles that are turned away.)
     """
-    solids = scene.population.solids
+    solids, out = scene.population.solids, np.zeros(wanted.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
-        return np.zeros(buffer.there.shape, bool)
-    return buffer.kind == MESHES
+        return out
+    at = np.flatnonzero(wanted & (buffer.kind == MESHES))
+    if len(at) and buffer.corners_frame_m is not None:
+        a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[at].astype(np.float64).transpose(1, 0, 2)
+        source = light_in_frame(buffer, scene, light)
+        out[at] = (np.cross(b - a, c - a) * (source[:3] - source[3] * a)).sum(axis=1) > 0.0
+    return out
 
 
 def pictures(

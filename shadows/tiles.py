@@ -69,14 +69,21 @@ class Culled:
 
 
 def culled(
-    clip: np.ndarray, faces: np.ndarray, counts_behind: bool, rectangles: np.ndarray, depths: np.ndarray, size: tuple[int, int]
+    clip: np.ndarray,
+    faces: np.ndarray,
+    counts_behind: bool,
+    rectangles: np.ndarray,
+    depths: np.ndarray,
+    size: tuple[int, int],
+    clamped: bool = False,
 ) -> Culled:
     """The faces (m, 3) that matter in each of some rectangles whose pixels' depths lie between bounds (k, 2), greater ones nearer.
 
     ``clip`` (n, 4) are homogeneous clip coordinates; ``counts_behind`` says whether faces behind the pixels' points count (z-fail) or
     those before them (z-pass). Left out are faces beside a rectangle, and those that lie wholly on the side that does not count;
     those that cover all of it and lie wholly on the other add the same everywhere (T. Aila and T. Akenine-Moller, A Hierarchical
-    Shadow Volume Algorithm, 2004).
+    Shadow Volume Algorithm, 2004). What lies before the near plane, at depths above 1, is not drawn and adds nothing, unless depths
+    are ``clamped``.
 
     A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight; the weights
     are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M. Olano and
@@ -85,7 +92,8 @@ def culled(
     """
     px = np.array([size[1], size[0]]) / 2.0
     points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
-    return Culled(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths))
+    near_plane = np.inf if clamped else 1.0
+    return Culled(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
 
 
 @compiled
@@ -160,7 +168,7 @@ def _tile_bounds(rows, cols, depth, down, across):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _culled(points, triangles, counts_behind, rectangles, depths):  # type: ignore[no-untyped-def]
+def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):  # type: ignore[no-untyped-def]
     m, k = len(triangles), len(rectangles)
     lines, sign = _lines(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
@@ -191,9 +199,10 @@ def _culled(points, triangles, counts_behind, rectangles, depths):  # type: igno
                     continue
                 low, high = _range(lines[t, 3], left, top, right, bottom)
                 behind, before = high < farthest, low > nearest
-                if before if counts_behind else behind:
+                if before if counts_behind else behind or low > near_plane:
                     continue
-                if place == COVERS and (behind if counts_behind else before):
+                cut = high > near_plane * (1.0 - DEPTH_MARGIN)
+                if place == COVERS and (behind if counts_behind else before and not cut):
                     added[number] += sign[t] if counts_behind else -sign[t]
                     continue
                 found[count] = t

@@ -5,7 +5,7 @@ A surface is held to lie before its near cap: it counts as behind the point, and
 Each caster's volume has a sum of its own in every pixel, either of its faces before the point (z-pass), which is right while
 the near plane lies outside of it, or of those behind (z-fail), which is right always but takes near and far caps. So both go
 into one stencil. Which it is says whether the caster's bounds reach into what the light would have to pass to shade the near
-plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass.
+plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass, and under a lamp the volumes that hold even that place count in every pixel.
 
 Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there (``shadows.tiles``).
 """
@@ -102,6 +102,7 @@ def _counted(
 ) -> np.ndarray:
     """The counts (n,) uint8 of some points."""
     gl, size = device(), points.size
+    clamped = points.near_frame_m is None and light[3] != 0.0
     parts = rectangles(marked_tiles(points.row, points.col, size), size)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.at), np.uint8)
@@ -109,15 +110,16 @@ def _counted(
         for number, each in enumerate(volumes):
             if number:
                 gl.stencil.clear(target, COUNT if marked else 0xFF)
-            clip, added = points.clip_of(each.vertices.astype(np.float64)), np.zeros(len(parts), np.int64)
+            clip = points.clip_of(each.vertices.astype(np.float64))
+            added = np.full(len(parts), _layers_round_the_viewer(each, points, light) if clamped else 0)
             for counting, faces in _ways(each, points, light, settings):
-                some = culled(clip, faces, counting == "z_fail", parts, depths, size)
+                some = culled(clip, faces, counting == "z_fail", parts, depths, size, clamped)
                 added += some.added
                 if not len(some.faces):
                     continue
                 with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
                     for side in ("both",) if settings.stencil == "one_pass" else ("front", "back"):
-                        with gl.stencil.count_pass(target, counting, side, marked):
+                        with gl.stencil.count_pass(target, counting, side, marked, clamped):
                             record.draws += _render(target, array, parts, some.starts)
                         record.triangles += len(some.faces)
                 record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])
@@ -127,6 +129,24 @@ def _counted(
             total = np.maximum(total, counts[points.row, points.col] & COUNT)
     gl.check("counting shadow volumes")
     return total
+
+
+def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndarray) -> int:
+    """How many volumes under a lamp hold the viewer of a map, infinitely far away: casting triangles on the way there from the lamp.
+
+    By the intersection of T. Moller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
+    """
+    clip = points.clip_from_frame
+    towards = np.cross(clip[0, :3], clip[1, :3])
+    towards *= np.sign(towards @ clip[2, :3])
+    a, b, c = volumes.vertices[volumes.caps, :3].astype(np.float64).transpose(1, 0, 2)
+    side, other, way = b - a, c - a, lamp[:3] - a
+    across = np.cross(towards, other)
+    volume = (side * across).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, turned = (way * across).sum(axis=1) / volume, np.cross(way, side)
+        v, away = (turned @ towards) / volume, (turned * other).sum(axis=1) / volume
+        return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 0.0)).sum())
 
 
 def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: VolumeSettings) -> list[tuple[Counting, np.ndarray]]:

@@ -2,7 +2,7 @@
 
 Meshes, near caps and sides go through one program, so that a near cap has the very depth of the surface that it lies on. Points of
 ground and trees bring their own depths: no near cap lies on a lit one. (The ground of a map that bends is drawn as well: what lies
-beside it by a share of a pixel may be on the wrong side of a volume that grazes it.)
+beside it by a share of a pixel may be on the wrong side of a volume that grazes it. So is ground with gaps, all of which casts.)
 
 In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
 off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from moderngl import Framebuffer, Program
 
+from shadows.volumes import ground_has_gaps
 from terrain.antialias import finer_view
 from terrain.camera import PerspectiveView
 from terrain.clip_space import camera_clip, map_clip, parts_of
@@ -47,9 +48,9 @@ class SeenPoints:
     depth
         float64 (n,).
     drawn
-        bool (n,), where drawing what is seen gives the depth: on meshes, and on ground that bends in a map.
+        bool (n,), where drawing what is seen gives the depth: on meshes, on ground that bends in a map, and on ground with gaps.
     nodes_frame_m
-        (rows, cols, 3), the nodes of such ground.
+        (rows, cols, 3), the nodes of such ground in a map.
     clip_from_frame, origin_frame_m
         Clip coordinates (4, 4) of homogeneous frame points, metres from an origin.
     near_frame_m
@@ -112,6 +113,8 @@ def receiving(
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.population.solids.triangles)
             if points.nodes_frame_m is not None:
                 gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
+            elif buffer.ground is not None and ground_has_gaps(buffer, scene):
+                gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
     seen = np.full(points.size, np.nan, np.float32)
     seen[points.row, points.col] = np.where(points.drawn, -1.0, points.depth)
     texture = gl.texture(seen)
@@ -160,10 +163,11 @@ def _seen(
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
-    nodes = None if scene.world.flat or isinstance(view, PerspectiveView) else _nodes_of(buffer, view)
+    draws_ground = ground_has_gaps(buffer, scene) or not (scene.world.flat or isinstance(view, PerspectiveView))
+    nodes = _nodes_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     z, w = clip[2:, :3] @ (points - origin).T + clip[2:, 3:]
     drawn = buffer.kind.ravel()[at] == MESHES
-    if nodes is not None:
+    if draws_ground:
         drawn |= buffer.kind.ravel()[at] == RELIEF
     return SeenPoints((view.rows, view.cols), row, col, at, z / w, drawn, nodes, clip, origin, near)
 

@@ -8,7 +8,7 @@ Volumes for Hardware-Accelerated Rendering, 2002):
 - The sun at L (a direction) sends every point to (-L, 0). A side is one triangle, and there is no far cap.
 - A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
 
-**What casts.** Of a closed body the triangles that face the light. Of the ground, above which everything is that is seen, those
+**What casts.** Of a closed body with its faces outwards the triangles that face the light. Of the ground, above which everything is that is seen, those
 that do not: its near caps lie on what is dark anyway. Of everything else, open or not manifold, all triangles; and so of a body
 that a lamp stands in, and of ground with gaps.
 
@@ -24,16 +24,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from shadows.attached import lamp_in_frame
-from shadows.edges import Edges, closed_parts, edges_of
+from shadows.edges import Edges, closed_parts, edges_of, parts_of
 from shadows.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from shadows.volume_layers import batches
 from terrain.casting import Mesh, caster_sheets, caster_solids
 from terrain.geometry import GeometryBuffer
+from terrain.ground_mesh import ground_nodes
 from terrain.level import SUN, CasterKind
 from terrain.reach import Casters
 from terrain.same import Same
@@ -41,6 +41,9 @@ from terrain.scene import Scene
 
 MOST_LAYERS = 127
 """Layers that a stencil with one bit for marks can count."""
+
+TOUCH_M = 1e-3
+"""A lamp so near to a body's bounds counts as in it, and so near to a face's plane as on it."""
 
 KEPT = 8
 """So many volumes are kept, the ones used last."""
@@ -112,22 +115,45 @@ def volumes_of(
     kept = 0
     for sheet in caster_sheets(scene, buffer, casters, kinds):
         found += _of_sheet(sheet, light_frame)
-    meshes: list[tuple[Mesh, bool]] = []
+    meshes: list[tuple[Mesh, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
-        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), True))
+        rule = ALL if ground_has_gaps(buffer, scene) else TURNED_AWAY
+        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), rule))
     if "meshes" in kinds and scene.population.solids is not None:
-        meshes.append((caster_solids(scene.population, buffer.frame), False))
-    for mesh, is_ground in meshes:
-        key = (*(Same(array) for array in mesh), tuple(light_frame), is_ground)
+        meshes.append((caster_solids(scene.population, buffer.frame), None))
+    for mesh, rule in meshes:
+        key = (*(Same(array) for array in mesh), tuple(light_frame), rule)
         if key in _kept:
             _kept.move_to_end(key)
             kept += len(_kept[key])
         else:
-            _kept[key] = _of_mesh(*mesh, light_frame, is_ground)
+            _kept[key] = _of_mesh(*mesh, light_frame, rule)
             while len(_kept) > KEPT:
                 _kept.popitem(last=False)
         found += _kept[key]
     return found, kept
+
+
+def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
+    """Whether a ray may go into a buffer's ground where there is none, and come out of it from below."""
+    if buffer.surface is not None:
+        return has_gaps(np.isfinite(buffer.surface.position_frame_m[..., 2]))
+    return _has_gaps(Same(ground_nodes(scene).height_m))
+
+
+@lru_cache(maxsize=4)
+def _has_gaps(height_m: Same) -> bool:
+    return has_gaps(np.isfinite(height_m()))
+
+
+def has_gaps(there: np.ndarray) -> bool:
+    """Whether any row or column of nodes (rows, cols) that are ``there`` is interrupted."""
+    if there.all():
+        return False
+    return any(
+        bool((np.diff(np.pad(there.T if turned else there, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1)
+        for turned in (False, True)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +168,13 @@ class _Structure:
 
 
 @lru_cache(maxsize=4)
-def _structure(vertices: Same, triangles: Same, is_ground: bool) -> _Structure:
+def _structure(vertices: Same, triangles: Same, ground_rule: int | None) -> _Structure:
     edges, count = edges_of(vertices(), triangles()), len(vertices())
-    if is_ground:
-        return _Structure(edges, np.full(len(triangles()), TURNED_AWAY, np.int8), np.zeros(count, np.int32))
-    rule = np.where(closed_parts(edges), FACING, ALL).astype(np.int8)
+    if ground_rule is not None:
+        return _Structure(edges, np.full(len(triangles()), ground_rule, np.int8), np.zeros(count, np.int32))
+    part, corners = parts_of(edges), vertices()[triangles()] - vertices().mean(axis=0)
+    volume_m3 = np.bincount(part, np.linalg.det(corners) / 6.0)
+    rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING, ALL).astype(np.int8)
     first, has_edge = triangles()[:, :1], edges.of_triangle >= 0
     welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
     others = np.concatenate([triangles()[:, 1:], welded.reshape(-1, 6)], axis=1)
@@ -155,15 +183,16 @@ def _structure(vertices: Same, triangles: Same, is_ground: bool) -> _Structure:
     return _Structure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
 
 
-def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, is_ground: bool) -> list[Volumes]:
-    structure = _structure(Same(vertices), Same(triangles), is_ground)
+def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
+    structure = _structure(Same(vertices), Same(triangles), ground_rule)
     edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.minimum, np.maximum))
-    if light[3] != 0.0 and not is_ground:  # what a lamp stands in casts by its inside
-        holds = ((low < light[:3]) & (light[:3] < high)).all(axis=1)
-        rule = np.where(holds[part[triangles[:, 0]]], np.int8(ALL), rule)
+    if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
+        holds = ((low - TOUCH_M < light[:3]) & (light[:3] < high + TOUCH_M)).all(axis=1)[part[triangles[:, 0]]]
+        rule = np.where(holds, np.int8(ALL), rule)
+        rule[holds] = np.where(_heights_m(vertices, triangles[holds], light) < TOUCH_M, np.int8(0), rule[holds])
     turns = turns_of(facing(vertices, triangles, light), rule)
     if not turns.any():
         return []
@@ -173,13 +202,19 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, is_
     ]
 
 
+def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
+    """How far a lamp (4,) lies off the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+
+
 def _of_sheet(position: np.ndarray, light: np.ndarray) -> list[Volumes]:
     there = np.isfinite(position[..., 2])
     if not there.any():
         return []
     known = position[there]
-    has_gaps = not there.all() and bool((binary_fill_holes(there) != there).any())
-    found = sheet_silhouette(position, light, "all" if has_gaps else "turned_away")  # a ray may go into the ground by a gap
+    found = sheet_silhouette(position, light, "all" if has_gaps(there) else "turned_away")
     if not len(found.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))

@@ -15,7 +15,7 @@ from typing import Literal
 import moderngl
 import numpy as np
 
-_CLIP_DISTANCE0 = 0x3000
+_CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
 MARK = 0x80
@@ -131,11 +131,11 @@ class Stencil:
 
     @contextmanager
     def count_pass(
-        self, target: moderngl.Framebuffer, counting: Counting, side: Side = "both", marked: bool = False
+        self, target: moderngl.Framebuffer, counting: Counting, side: Side = "both", marked: bool = False, clamped: bool = False
     ) -> Iterator[None]:
         """Count faces against the depths that are there, which stay as they are; those that face the eye go round clockwise.
 
-        With ``marked`` only what is marked counts.
+        With ``marked`` only what is marked counts; with ``clamped`` nothing is cut off at the near and far planes.
         """
         with self._testing(target, depth=True):
             from OpenGL import GL
@@ -160,9 +160,12 @@ class Stencil:
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"
                 self._ctx.enable(moderngl.CULL_FACE)
+            if clamped:
+                self._ctx.enable_direct(_DEPTH_CLAMP)
             try:
                 yield
             finally:
+                self._ctx.disable_direct(_DEPTH_CLAMP)
                 self._ctx.disable(moderngl.CULL_FACE)
                 self._ctx.polygon_offset = 0.0, 0.0
                 self._ctx.front_face, self._ctx.cull_face = "ccw", "back"

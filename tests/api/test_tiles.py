@@ -16,7 +16,6 @@ from api.tiles import encode
 from terrain.level import load_level
 from terrain.scene import build_scene
 from tests.api.conftest import CORNER, ZOOM, Client
-from tests.api.test_problems import check_problem
 from tests.render import render
 
 X, Y = CORNER
@@ -98,18 +97,6 @@ def test_another_matrix_set(client: Client):
     tile = matrix_set.tile((west + east) / 2, (south + north) / 2, zooms["maxzoom"] - 2)
     answer = client.get(f"/levels/hills/tiles/WGS1984Quad/{tile.z}/{tile.x}/{tile.y}.png")
     assert (pixels(answer)[..., 3] == 255).any()
-
-
-def test_volumes_are_for_the_zooms_whose_maps_do_not_bend(client: Client):
-    matrix_set = matrix_sets.get("WebMercatorQuad")
-    zooms = client.get("/levels/hills").json()["tile_matrix_sets"]["WebMercatorQuad"]
-    far, near = (matrix_set.tile(8.4375, 47.517, zoom) for zoom in (zooms["minzoom"], ZOOM))
-    problem = check_problem(
-        client.get(f"{TILES}/{far.z}/{far.x}/{far.y}.png?algorithm=shadow_volume"), 422, "unsupported", "algorithm"
-    )
-    assert "at this scale the map bends" in problem["detail"] and problem["detail"].endswith("what can: shadow_map, sweep")
-    drawn = client.get(f"{TILES}/{near.z}/{near.x}/{near.y}.png?algorithm=shadow_volume&layer=mask")
-    assert drawn.headers["x-skugga-algorithm"] == "shadow_volume" and 0.01 < (pixels(drawn) == 0).mean() < 0.99
 
 
 def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):

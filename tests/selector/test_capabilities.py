@@ -291,7 +291,7 @@ def test_the_command_line_says_it_in_one_line(level_file, monkeypatch, capsys, t
 
 def test_http_says_it_as_a_problem(level_file):
     """422, ``application/problem+json``, the parameter named; what it can do is drawn."""
-    with running(create_app(Settings(workers=1), [level_file("level"), level_file("uneven")])) as client:
+    with running(create_app(Settings(workers=1), [level_file(ground) for ground in ("level", "uneven", "earth")])) as client:
         for name, ground, sentence in REFUSED:
             answer = client.get(f"/levels/{ground}/snapshot.png", params={"view": "map", "algorithm": f"forest={name}"})
             assert answer.status_code == 422 and answer.headers["content-type"].startswith("application/problem+json")
@@ -299,3 +299,7 @@ def test_http_says_it_as_a_problem(level_file):
             assert problem["code"] == "unsupported" and problem["parameter"] == "algorithm" and sentence in problem["detail"]
         drawn = client.get("/levels/level/snapshot.png", params={"view": "perspective", "algorithm": "planar"})
         assert drawn.status_code == 200 and "planar" in drawn.headers["x-skugga-algorithm"]
+        tiles, query = "/levels/earth/tiles/WebMercatorQuad", "algorithm=relief%3Dshadow_volume"
+        bent, straight = (client.get(f"{tiles}/{zxy}.png?{query}") for zxy in ("9/136/199", "12/1089/1599"))
+        assert bent.status_code == 422 and "at this scale the map bends" in bent.json()["detail"]
+        assert straight.status_code == 200 and "relief=shadow_volume" in straight.headers["x-skugga-algorithm"]

@@ -81,7 +81,7 @@ def test_a_texel_on_level_ground_is_what_steps_on_it_say(entries, point):
 
 
 def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
-    """In the picture they are more even, and smaller at their largest, than those of one uniform map; twice as many are half as large."""
+    """In the picture they are more even than one uniform map's, and smaller at their largest; twice as many are half as large."""
     view = scene.view("eye")
     buffer: GeometryBuffer = geometry_of(scene, view)
     floor = buffer.there & (buffer.height_m == 0.0)
