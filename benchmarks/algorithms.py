@@ -20,7 +20,7 @@ those of the shadow alone, which is what lies between casters and shading; ratio
 CPU time of all threads, for machines that have other work to do. `stencil` does the same with ways of counting volumes, and with
 the hybrids where the eye is in the shadow; ratios are those to ``shadow_volume``. ``MiB`` is the most that a pass holds, ``marked``
 and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its volumes, ``differs`` is the
-share of pixels whose shadow is not that of ``shadow_volume``. Below them stand the figures that were asked for.
+share of pixels whose shadow is not that of ``shadow_volume``. Below them stand the targets.
 
 The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
@@ -298,7 +298,7 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
-    """The figures that were asked for, met or not, as far as rows hold them. What is redrawn counts; kept stands beside it."""
+    """The targets, met or not, as far as rows hold them. What is redrawn counts; kept stands beside it."""
     at = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     found = []
     for scene, view, one, other, word, most in TARGETS:

@@ -19,7 +19,6 @@ from terrain.effects.cast_shadows import of_sun
 from terrain.errors import InputError, UnsupportedError
 from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override, spelt
 
-
 MOST_BEND_PX = 0.25
 """How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
 

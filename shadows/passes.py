@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
-"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette edges
-(uint8, 255 where one is seen; of a hybrid, the pixels that it leaves to its volumes), shadow volumes (uint8, how many of their faces
-lie before the point), the height in metres above which the sun is seen (float32)."""
+"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette
+edges (uint8, 255 where one is seen; of a hybrid, the pixels that it leaves to its volumes), shadow volumes (uint8, how many of
+their faces lie before the point), the height in metres above which the sun is seen (float32)."""
 
 OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
 """Those that hold a value for each pixel of the picture; the others are of a size of their own."""

@@ -50,7 +50,7 @@ ALGORITHMS: dict[AlgorithmName, Algorithm] = {
         "shadow_map", shadow_map.PASSES, "depth map from the light, which follows what is looked at", layers=("shadow-map",),
     ),
     "perspective_shadow_map": Algorithm(
-        "perspective_shadow_map", perspective_shadow_map.PASSES, "depth map in the camera's post-perspective space: fine near the eye",
+        "perspective_shadow_map", perspective_shadow_map.PASSES, "a map in the space of the picture: fine near the eye",
         {
             "map": "a map has no perspective that it could follow",
             "omni": "what shines all round has no one map in post-perspective space",

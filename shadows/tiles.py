@@ -34,8 +34,8 @@ def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> n
 
 
 def rectangles(tiles: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Rectangles of tiles that hold all marked ones, int32 (k, 4): first column, first row, columns and rows, pixels. Neighbours follow
-    one another.
+    """Rectangles of tiles that hold all marked ones, int32 (k, 4): first column, first row, columns and rows, pixels.
+    Neighbours follow one another.
 
     What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs.
     """
@@ -79,16 +79,16 @@ def culled(
 ) -> Culled:
     """The faces (m, 3) that matter in each of some rectangles whose pixels' depths lie between bounds (k, 2), greater ones nearer.
 
-    ``clip`` (n, 4) are homogeneous clip coordinates; ``counts_behind`` says whether faces behind the pixels' points count (z-fail) or
-    those before them (z-pass). Left out are faces beside a rectangle, and those that lie wholly on the side that does not count;
-    those that cover all of it and lie wholly on the other add the same everywhere (T. Aila and T. Akenine-Moller, A Hierarchical
-    Shadow Volume Algorithm, 2004). What lies before the near plane, at depths above 1, is not drawn and adds nothing, unless depths
-    are ``clamped``.
+    ``clip`` (n, 4) are homogeneous clip coordinates; ``counts_behind`` says whether faces behind the pixels' points count
+    (z-fail) or those before them (z-pass). Left out are faces beside a rectangle, and those that lie wholly on the side that
+    does not count; those that cover all of it and lie wholly on the other add the same everywhere (T. Aila and T.
+    Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). What lies before the near plane, at depths above 1, is not
+    drawn and adds nothing, unless depths are ``clamped``.
 
-    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight; the weights
-    are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M. Olano and
-    T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). So nothing need be clipped, before the eye or at
-    infinity; and depth, being the same sum of the corners' z, is linear over the picture.
+    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight; the
+    weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant
+    (M. Olano and T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). So nothing need be clipped, before
+    the eye or at infinity; and depth, being the same sum of the corners' z, is linear over the picture.
     """
     px = np.array([size[1], size[0]]) / 2.0
     points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
@@ -227,7 +227,7 @@ def _place(lines, left, top, right, bottom):  # type: ignore[no-untyped-def]
 
 @compiled
 def _lines(points, triangles):  # type: ignore[no-untyped-def]
-    """Of each triangle the three weights and the depth as linear functions of a pixel (m, 4, 3), and the determinant's sign (m,)."""
+    """Of each triangle the three weights and the depth as linear functions of a pixel (m, 4, 3), and its determinant's sign (m,)."""
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
     for t in range(m):

@@ -5,7 +5,8 @@ A surface is held to lie before its near cap: it counts as behind the point, and
 Each caster's volume has a sum of its own in every pixel, either of its faces before the point (z-pass), which is right while
 the near plane lies outside of it, or of those behind (z-fail), which is right always but takes near and far caps. So both go
 into one stencil. Which it is says whether the caster's bounds reach into what the light would have to pass to shade the near
-plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass, and under a lamp the volumes that hold even that place count in every pixel.
+plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass, and under a lamp the volumes that
+hold even that place count in every pixel.
 
 Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there (``shadows.tiles``).
 """
@@ -132,7 +133,8 @@ def _counted(
 
 
 def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndarray) -> int:
-    """How many volumes under a lamp hold the viewer of a map, infinitely far away: casting triangles on the way there from the lamp.
+    """How many volumes under a lamp hold the viewer of a map, infinitely far away: casting triangles on the way there from the
+    lamp.
 
     By the intersection of T. Moller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
     """

@@ -8,9 +8,9 @@ Volumes for Hardware-Accelerated Rendering, 2002):
 - The sun at L (a direction) sends every point to (-L, 0). A side is one triangle, and there is no far cap.
 - A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
 
-**What casts.** Of a closed body with its faces outwards the triangles that face the light. Of the ground, above which everything is that is seen, those
-that do not: its near caps lie on what is dark anyway. Of everything else, open or not manifold, all triangles; and so of a body
-that a lamp stands in, and of ground with gaps.
+**What casts.** Of a closed body with its faces outwards the triangles that face the light. Of the ground, above which
+everything is that is seen, those that do not: its near caps lie on what is dark anyway. Of everything else, open or not
+manifold, all triangles; and so of a body that a lamp stands in, and of ground with gaps.
 
 **Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
 (``shadows.volume_layers``).

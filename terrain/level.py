@@ -19,9 +19,7 @@ from ruamel.yaml.error import YAMLError
 from terrain.errors import InputError, LevelError
 from terrain.level_parts import ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
 
-AlgorithmName = Literal[
-    "shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"
-]
+AlgorithmName = Literal["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
 EffectName = Literal["cast_shadows"]

@@ -62,10 +62,6 @@ def same(at: Look, real: Truth | None = None, **settings: Any) -> float:
 # -- conservative
 
 
-RIMS = {"thesis_street", "thesis_street_sun"}
-"""Where a pixel on the rim of a wall shows the wall's back."""
-
-
 @pytest.mark.parametrize(
     ("name", "view"),
     [
@@ -96,7 +92,7 @@ def test_wherever_the_eye_is(gl, tmp_path, where, light):
     same(look(level_of(tmp_path, [box((8, 6, 5))], 200, 35, **EYES[where], **LIGHTS[light])))
 
 
-# All that is seen are backs of a closed body's faces: each point is held to be the one layer of the roof that shades it.
+# All that is seen are backs of a closed body's faces: none of them casts.
 @pytest.mark.parametrize("light", LIGHTS)
 def test_an_eye_in_a_body_sees_it_dark(gl, tmp_path, light):
     same(look(level_of(tmp_path, [box((8, 6, 5))], 200, 35, **EYES[INSIDE], **LIGHTS[light])))

@@ -87,10 +87,11 @@ def exact(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
     return (weights > 0).all(axis=0), weights.T @ points[:, 2], turn
 
 
-@given(SEEDS, st.booleans())
-def test_what_is_left_out_adds_the_same_everywhere(seed, behind):
+@given(SEEDS, st.booleans(), st.booleans())
+def test_what_is_left_out_adds_the_same_everywhere(seed, behind, clamped):
     """Triangles before, behind and beside the eye, with corners at infinity: in each pixel of a rectangle, whatever its depth is
-    within the bounds, the faces that are kept and the constant make the whole count.
+    within the bounds, the faces that are kept and the constant make the whole count. Before the near plane, at depth 1, none is
+    drawn, unless depths are clamped.
     """
     rng = np.random.default_rng(seed)
     size = 40, 56
@@ -99,14 +100,15 @@ def test_what_is_left_out_adds_the_same_everywhere(seed, behind):
     clip[8:16, :2] *= 20.0
     faces = np.array([rng.choice(len(clip), 3, replace=False) for _ in range(30)], np.int32)
     rows, cols = drawn_pixels(size, seed)
-    depth = rng.uniform(0.1, 2.0, len(rows))
+    near = np.inf if clamped else 1.0
+    depth = rng.uniform(0.1, 2.0 if clamped else 0.95, len(rows))
     parts = rectangles(marked_tiles(rows, cols, size), size)
-    some = culled(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size)
+    some = culled(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
     x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
     counts = np.zeros((len(faces), len(rows)), int)
     for number, face in enumerate(faces):
         covers, at, turn = exact(clip[face], x, y)
-        counts[number] = covers * (at <= depth if behind else at > depth) * (turn if behind else -turn)
+        counts[number] = covers * (at <= depth if behind else (at > depth) & (at <= near)) * (turn if behind else -turn)
     for number, (col, row, width, height) in enumerate(parts.tolist()):
         inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
         kept = some.faces[some.starts[number] : some.starts[number + 1]]
@@ -115,7 +117,13 @@ def test_what_is_left_out_adds_the_same_everywhere(seed, behind):
 
 
 def everything(
-    clip: np.ndarray, faces: np.ndarray, behind: bool, parts: np.ndarray, depths: np.ndarray, size: tuple[int, int]
+    clip: np.ndarray,
+    faces: np.ndarray,
+    behind: bool,
+    parts: np.ndarray,
+    depths: np.ndarray,
+    size: tuple[int, int],
+    clamped: bool,
 ) -> Culled:
     """All faces in every rectangle."""
     k, m = len(parts), len(faces)
@@ -165,7 +173,6 @@ def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
             assert (found[~wanted] == 0).all()
 
 
-# What is nearer than the near plane is not drawn in z-pass, but is added to the count where it is left out.
 def test_faces_before_the_near_plane_count_for_nothing(gl, tmp_path, monkeypatch):
     lamp = {"kind": "omni", "position": [-6, -12, 18]}
     body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
