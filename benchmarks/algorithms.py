@@ -14,7 +14,7 @@ step that it never takes twice, so that nothing that depends on a sun is at hand
 from a summit over houses and 20 km of mountains: shadow edges near and far.
 
 `thesis` lets the algorithms that stand in J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7, take turns in the
-main views of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 512. Times are
+main views of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 768. Times are
 those of the shadow alone, which is what lies between casters and shading; ratios are those of medians to ``shadow_map``.
 ``redrawn`` pays all that a light costs when it moves, ``kept`` what is left while light and casters rest. With `--cpu` they are the
 CPU time of all threads, for machines that have other work to do. `stencil` does the same with ways of counting volumes, and with

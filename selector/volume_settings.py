@@ -7,7 +7,7 @@ from shadows.plan import HybridSettings, Reasoned, VolumeSettings
 from terrain.descriptor import Descriptor
 from terrain.level import SUN, Shadows
 
-HYBRID_TEXELS = 512
+HYBRID_TEXELS = 768
 """Texels a side of a hybrid's map, unless the level says otherwise: it need not be fine, since volumes decide at edges."""
 
 

@@ -22,6 +22,7 @@ from shadows.kept_layers import beside_one_another
 from shadows.map_windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
 from shadows.volumes import Volumes, light_in_frame
+from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.level import SUN, CasterKind
 from terrain.resolve import MESHES
@@ -46,14 +47,14 @@ KEPT = 8
 @dataclass(frozen=True, eq=False)
 class _Window:
     """A face of a light's map: the points that are its (flat indices) with their texel coordinates and depths (n,), how much depth
-    may be off (n,), and what takes frame points to the light's axes and these to texels: ``(at - first) / texel``.
+    may be off, and what takes frame points to the light's axes and these to texels: ``(at - first) / texel``.
     """
 
     pixels: np.ndarray
     u: np.ndarray
     v: np.ndarray
     depth: np.ndarray
-    slack: np.ndarray
+    slack: np.ndarray | float
     rotation: np.ndarray
     translation: np.ndarray
     lamp: bool
@@ -91,12 +92,11 @@ def decided(
     """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
     verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
     with log.run(passes[1]), log.run(passes[2]):
-        pass
-    for window in _windows(buffer, scene, light, map_size, wanted):
+        windows = [*_windows(buffer, scene, light, map_size, wanted)]
+    for window in windows:
         with log.run(passes[1]) as record:
-            kept = len(_kept)
-            drawn = _map(window, volumes)
-            record.kept += kept == len(_kept)
+            drawn, was_kept = _map(window, volumes)
+            record.kept += was_kept
             record.map_texels += drawn.nearest.size
             record.bytes = max(record.bytes, 3 * drawn.nearest.nbytes)
         with log.run(passes[2]):
@@ -125,7 +125,7 @@ def pictures(
     """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), side by side; the light's up is at the top."""
     found = []
     for window in _windows(buffer, scene, light, map_size, wanted):
-        nearest = _map(window, volumes).nearest
+        nearest = _map(window, volumes)[0].nearest
         there = np.isfinite(nearest)
         low, high = min(nearest[there].min(initial=np.inf), window.depth.min()), window.depth.max()
         share = np.where(there, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
@@ -133,9 +133,11 @@ def pictures(
     return beside_one_another(found) if found else np.ones((1, 1), np.float32)
 
 
-def _map(window: _Window, volumes: list[Volumes]) -> ConservativeMap:
+def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
+    """The map of a window, and whether it was kept from before."""
     key = (window.key, *(Same(each) for each in volumes))
-    if key not in _kept:
+    was_kept = key in _kept
+    if not was_kept:
         corners = [_in_texels(window, each.vertices[each.caps], clipped_triangles) for each in volumes]
         edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
         none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
@@ -143,7 +145,7 @@ def _map(window: _Window, volumes: list[Volumes]) -> ConservativeMap:
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
     _kept.move_to_end(key)
-    return _kept[key]
+    return _kept[key], was_kept
 
 
 def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:  # type: ignore[no-untyped-def]
@@ -161,47 +163,65 @@ def _projected(at: np.ndarray) -> np.ndarray:
 
 def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wanted: np.ndarray) -> Iterator[_Window]:
     """The faces of a light's map that see any of the points."""
-    pixels = np.flatnonzero(wanted)
-    points = buffer.position_frame_m.reshape(-1, 3)[pixels]
-    error_m = POSITION_ERROR * float(np.abs(points).max(initial=1.0))
+    pixels, points = np.flatnonzero(wanted), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
         assert scene.light is not None
         rotation, translation = scene.light.from_frame(buffer.frame)
-        faces = [(rotation, translation, np.arange(len(pixels)))]
+        faces = [(rotation, translation, pixels)]
     else:
         lamp = scene.lamps[light]
         turn = lamp.earth_from_lamp.T @ buffer.frame.frame_from_earth.T
         place = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-        turns = [turn] if lamp.kind == "spot" else [face @ turn for face in CUBE]
-        ahead = np.stack([(points - place) @ each[2] for each in turns])
-        nearest = ahead.argmax(axis=0)
-        faces = [(each, -each @ place, np.flatnonzero(nearest == number)) for number, each in enumerate(turns)]
+        if lamp.kind == "spot":
+            faces = [(turn, -turn @ place, pixels)]
+        else:
+            turns = [face @ turn for face in CUBE]
+            nearest = np.stack([(points[pixels] - place) @ each[2] for each in turns]).argmax(axis=0)
+            faces = [(each, -each @ place, pixels[nearest == number]) for number, each in enumerate(turns)]
     for rotation, translation, chosen in faces:
         if not len(chosen):
             continue
-        at = points[chosen] @ rotation.T + translation
-        near_m, slack, error = 0.0, np.full(len(at), 4.0 * error_m), np.full(2, error_m)
+        u, v, depth, low, high, largest_m = _in_light(points, chosen, rotation, translation, light != SUN)
+        error_m = POSITION_ERROR * max(largest_m, 1.0)
+        near_m, slack, error = 0.0, np.float64(4.0 * error_m), np.full(2, error_m)
         if light != SUN:
-            least_m = float(at[:, 2].min())
-            near_m, slack = NEAR_SHARE * least_m, 4.0 * error_m / at[:, 2] ** 2
-            error = error_m / least_m * (1.0 + np.abs(at[:, :2] / at[:, 2:]).max(axis=0))
-            at = _projected(at)
-        low, high = at[:, :2].min(axis=0), at[:, :2].max(axis=0)
+            least_m = -1.0 / low[2]
+            near_m, slack = NEAR_SHARE * least_m, 4.0 * error_m * depth**2
+            error = error_m / least_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
+        low, high = low[:2], high[:2]
         texel = np.maximum((high - low) / max(map_size - 2 * BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
         first = low - BORDER_TEXELS * texel
         size = tuple(int(n) for n in np.ceil((high - first) / texel) + BORDER_TEXELS)
-        u, v = ((at[:, :2] - first) / texel).T
+        _to_texels(u, first[0], texel[0])
+        _to_texels(v, first[1], texel[1])
         yield _Window(
-            pixels[chosen],
-            u,
-            v,
-            at[:, 2],
-            slack,
-            rotation,
-            translation,
-            light != SUN,
-            near_m,
-            first,
-            texel,
-            size,  # type: ignore[arg-type]
-        )
+            chosen, u, v, depth, slack, rotation, translation, light != SUN, near_m, first, texel, size,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+@compiled
+def _in_light(points, pixels, rotation, translation, lamp):  # type: ignore[no-untyped-def]
+    """Some of points (m, 3) in a light's axes, a lamp's projected: x, y and depth (n,), their bounds (3,), and the largest
+    coordinate of the points themselves.
+    """
+    n = len(pixels)
+    x, y, depth = np.empty(n), np.empty(n), np.empty(n)
+    low, high, largest = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    at = np.empty(3)
+    for k in range(n):
+        p = points[pixels[k]]
+        for axis in range(3):
+            largest = max(largest, abs(p[axis]))
+            at[axis] = rotation[axis, 0] * p[0] + rotation[axis, 1] * p[1] + rotation[axis, 2] * p[2] + translation[axis]
+        if lamp:
+            at[0], at[1], at[2] = at[0] / at[2], at[1] / at[2], -1.0 / at[2]
+        for axis in range(3):
+            low[axis], high[axis] = min(low[axis], at[axis]), max(high[axis], at[axis])
+        x[k], y[k], depth[k] = at
+    return x, y, depth, low, high, largest
+
+
+@compiled
+def _to_texels(at, first, texel):  # type: ignore[no-untyped-def]
+    for k in range(len(at)):
+        at[k] = (at[k] - first) / texel

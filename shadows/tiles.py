@@ -13,8 +13,11 @@ from terrain.compiled import compiled
 TILE_PX = 8
 """Side of the tiles that rectangles are put together from."""
 
-RECTANGLE_TILES = 8
-"""What a further rectangle costs, in tiles."""
+RECTANGLE_FACES = 4e4
+"""What a further rectangle costs, in tiles times faces: with few faces many tiles are drawn in no time."""
+
+LEAST_TILES = 8
+"""What it costs at least, in tiles."""
 
 GROUP = 16
 """So many rectangles after one another have the faces beside all of them sorted out together."""
@@ -28,18 +31,17 @@ DEPTH_MARGIN = 1e-4
 
 def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Which tiles of a picture of some rows and columns hold one of the pixels (n,): bool."""
-    tiles = np.zeros(tuple(-(-side // TILE_PX) for side in size), bool)
-    tiles[rows // TILE_PX, cols // TILE_PX] = True
-    return tiles
+    return _marked(rows, cols, *(-(-side // TILE_PX) for side in size))
 
 
-def rectangles(tiles: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
     """Rectangles of tiles that hold all marked ones, int32 (k, 4): first column, first row, columns and rows, pixels.
-    Neighbours follow one another.
+    Neighbours follow one another. So many ``faces`` are to be drawn in them.
 
-    What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs.
+    What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs, and while a side is
+    longer than twice as many tiles: within small rectangles depths vary little, and few faces matter.
     """
-    found = _rectangles(tiles, RECTANGLE_TILES) * TILE_PX
+    found = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * TILE_PX
     found[:, 2:] = np.minimum(found[:, 2:], np.array([size[1], size[0]]) - found[:, :2])
     return found.astype(np.int32)
 
@@ -49,7 +51,7 @@ def depth_bounds(
 ) -> np.ndarray:
     """Least and greatest depth (k, 2) of those of some pixels (n,) that lie in each rectangle; (inf, -inf) where none does."""
     tiles = tuple(-(-side // TILE_PX) for side in size)
-    of_tile = _tile_bounds(rows // TILE_PX, cols // TILE_PX, depth, *tiles)
+    of_tile = _tile_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
     for number, (col, row, width, height) in enumerate(rectangles.tolist()):
         part = of_tile[row // TILE_PX : -(-(row + height) // TILE_PX), col // TILE_PX : -(-(col + width) // TILE_PX)]
@@ -115,7 +117,14 @@ def _rectangles(tiles, cost):  # type: ignore[no-untyped-def]
         part = tiles[top:bottom, left:right]
         saved_rows, at_row = _best_cut(part)
         saved_cols, at_col = _best_cut(part.T)
-        if max(saved_rows, saved_cols) <= cost:
+        if max(saved_rows, saved_cols) <= cost and max(bottom - top, right - left) > 2.0 * cost:
+            if bottom - top > right - left:
+                waiting.append(((top + bottom) // 2, bottom, left, right))
+                waiting.append((top, (top + bottom) // 2, left, right))
+            else:
+                waiting.append((top, bottom, (left + right) // 2, right))
+                waiting.append((top, bottom, left, (left + right) // 2))
+        elif max(saved_rows, saved_cols) <= cost:
             found.append((left, top, right - left, bottom - top))
         elif saved_rows >= saved_cols:
             waiting.append((top + at_row, bottom, left, right))
@@ -158,11 +167,19 @@ def _best_cut(part):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _marked(rows, cols, down, across):  # type: ignore[no-untyped-def]
+    out = np.zeros((down, across), np.bool_)
+    for n in range(len(rows)):
+        out[rows[n] // TILE_PX, cols[n] // TILE_PX] = True
+    return out
+
+
+@compiled
 def _tile_bounds(rows, cols, depth, down, across):  # type: ignore[no-untyped-def]
     out = np.empty((down, across, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
-        bounds = out[rows[n], cols[n]]
+        bounds = out[rows[n] // TILE_PX, cols[n] // TILE_PX]
         bounds[0], bounds[1] = min(bounds[0], depth[n]), max(bounds[1], depth[n])
     return out
 
@@ -227,7 +244,7 @@ def _place(lines, left, top, right, bottom):  # type: ignore[no-untyped-def]
 
 @compiled
 def _lines(points, triangles):  # type: ignore[no-untyped-def]
-    """Of each triangle the three weights and the depth as linear functions of a pixel (m, 4, 3), and its determinant's sign (m,)."""
+    """Each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
     for t in range(m):

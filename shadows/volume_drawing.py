@@ -21,7 +21,7 @@ from shadows.passes import PassRecord
 from shadows.plan import VolumeSettings
 from shadows.tiles import culled, depth_bounds, marked_tiles, rectangles
 from shadows.volume_layers import may_shade_near
-from shadows.volume_views import SeenPoints, own_points, receiving, sample_points
+from shadows.volume_views import SeenPoints, near_plane_m, own_points, receiving, sample_points
 from shadows.volumes import Volumes
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
@@ -50,9 +50,10 @@ def count(
     With ``marked`` a bit of the stencil rejects all other pixels of the view; those that are no samples always are.
     """
     counts = np.zeros(wanted.shape, np.uint8)
-    for points in own_points(buffer, scene, wanted):
+    near_m = near_plane_m(buffer)
+    for points in own_points(buffer, scene, wanted, near_m):
         counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, marked, record)
-    for points in sample_points(buffer, scene, wanted):
+    for points in sample_points(buffer, scene, wanted, near_m):
         counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, True, record)
     return counts
 
@@ -70,7 +71,7 @@ def silhouettes_seen(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes
 def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: Counting) -> np.ndarray:
     gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
     lines = counting == "seen"
-    for points in own_points(buffer, scene, buffer.there):
+    for points in own_points(buffer, scene, buffer.there, near_plane_m(buffer)):
         whole = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiving(gl, buffer, scene, points, whole, False) as (target, program):
             if lines:
@@ -104,7 +105,8 @@ def _counted(
     """The counts (n,) uint8 of some points."""
     gl, size = device(), points.size
     clamped = points.near_frame_m is None and light[3] != 0.0
-    parts = rectangles(marked_tiles(points.row, points.col, size), size)
+    faces = max((len(each.faces) for each in volumes), default=0)
+    parts = rectangles(marked_tiles(points.row, points.col, size), size, faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.at), np.uint8)
     with receiving(gl, buffer, scene, points, parts, marked) as (target, program):

@@ -24,6 +24,7 @@ from shadows.volumes import ground_has_gaps
 from terrain.antialias import finer_view
 from terrain.camera import PerspectiveView
 from terrain.clip_space import camera_clip, map_clip, parts_of
+from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device
 from terrain.grid import MapView
@@ -73,16 +74,16 @@ class SeenPoints:
         return np.column_stack([points[:, :3] - points[:, 3:] * self.origin_frame_m, points[:, 3]]) @ self.clip_from_frame.T
 
 
-def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray) -> Iterator[SeenPoints]:
-    """Those of a view's own points that are wanted, part by part."""
-    near_m, view = _near_m(buffer), buffer.view
+def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+    """Those of a view's own points that are wanted, part by part; ``near_m`` is how far away the near plane is."""
+    view = buffer.view
     for part, top, left in parts_of(scene.world, view):
         row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
         if len(row):
             yield _seen(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
 
 
-def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray) -> Iterator[SeenPoints]:
+def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
     """Those of a view's samples that are wanted, if it has any."""
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
@@ -91,7 +92,7 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray) -> I
     if len(below[0]):
         row, col = (index[below] for index in buffer.sample_pixels)
         at = (below[0] + view.rows) * view.cols + below[1]
-        yield _seen(buffer, scene, finer_view(view), _near_m(buffer), row, col, at)
+        yield _seen(buffer, scene, finer_view(view), near_m, row, col, at)
 
 
 @contextmanager
@@ -115,9 +116,7 @@ def receiving(
                 gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-    seen = np.full(points.size, np.nan, np.float32)
-    seen[points.row, points.col] = np.where(points.drawn, -1.0, points.depth)
-    texture = gl.texture(seen)
+    texture = gl.texture(_picture(points.row, points.col, points.drawn, points.depth, parts, rows, cols))
     texture.use(0)
     for marking in (False, True) if marked else (False,):
         fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/seen_depth.frag"), {"marking": marking})
@@ -147,7 +146,7 @@ def _seen(
     col: np.ndarray,
     at: np.ndarray,
 ) -> SeenPoints:
-    points, frame = buffer.position_frame_m.reshape(-1, 3)[at], buffer.frame
+    points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
         origin, camera_from_frame = view.in_frame(frame)
         clip = camera_clip(view, frame, origin, near_m)
@@ -158,18 +157,44 @@ def _seen(
         corners = np.array([[left, top, 1.0], [right, top, 1.0], [right, bottom, 1.0], [left, bottom, 1.0]])
         near = origin + near_m * corners @ camera_from_frame
     else:
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = points[at].min(axis=0), points[at].max(axis=0)
         top_m = max(float(high[2]), scene.height_range_m[1] + scene.population.tallest_m)  # above all that casts
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
     draws_ground = ground_has_gaps(buffer, scene) or not (scene.world.flat or isinstance(view, PerspectiveView))
     nodes = _nodes_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
-    z, w = clip[2:, :3] @ (points - origin).T + clip[2:, 3:]
+    depth = _depths(points, at, clip[2:], origin)
     drawn = buffer.kind.ravel()[at] == MESHES
     if draws_ground:
         drawn |= buffer.kind.ravel()[at] == RELIEF
-    return SeenPoints((view.rows, view.cols), row, col, at, z / w, drawn, nodes, clip, origin, near)
+    return SeenPoints((view.rows, view.cols), row, col, at, depth, drawn, nodes, clip, origin, near)
+
+
+@compiled
+def _depths(points, at, rows, origin):  # type: ignore[no-untyped-def]
+    """Depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
+    out = np.empty(len(at))
+    for n in range(len(at)):
+        x, y, z = points[at[n], 0] - origin[0], points[at[n], 1] - origin[1], points[at[n], 2] - origin[2]
+        out[n] = (rows[0, 0] * x + rows[0, 1] * y + rows[0, 2] * z + rows[0, 3]) / (
+            rows[1, 0] * x + rows[1, 1] * y + rows[1, 2] * z + rows[1, 3]
+        )
+    return out
+
+
+@compiled
+def _picture(row, col, drawn, depth, parts, rows, cols):  # type: ignore[no-untyped-def]
+    """Depths at their pixels, float32 (rows, cols): -1 where drawing gives them, NaN elsewhere in some parts (k, 4), anything else
+    beside them.
+    """
+    out = np.empty((rows, cols), np.float32)
+    for k in range(len(parts)):
+        left, top = parts[k, 0], parts[k, 1]
+        out[top : top + parts[k, 3], left : left + parts[k, 2]] = np.nan
+    for n in range(len(row)):
+        out[row[n], col[n]] = -1.0 if drawn[n] else depth[n]
+    return out
 
 
 def _nodes_of(buffer: GeometryBuffer, part: MapView) -> np.ndarray:
@@ -186,7 +211,7 @@ def _nodes_of(buffer: GeometryBuffer, part: MapView) -> np.ndarray:
     return surface.position_frame_m[rows, cols]
 
 
-def _near_m(buffer: GeometryBuffer) -> float:
+def near_plane_m(buffer: GeometryBuffer) -> float:
     """A distance along the view's axis that all that is seen lies beyond; 0 in a map."""
     if isinstance(buffer.view, MapView):
         return 0.0

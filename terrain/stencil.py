@@ -8,6 +8,7 @@ Depths of these passes go from 0, infinitely far away, to 1, and the nearer one 
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
@@ -17,6 +18,9 @@ import numpy as np
 
 _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
+
+KEPT = 2
+"""So many framebuffers are kept: that of a view and that of its samples."""
 
 MARK = 0x80
 """The bit that marks pixels; what is marked counts to 127, everything else to 255."""
@@ -43,16 +47,16 @@ class Stencil:
         self, ctx: moderngl.Context, require_current: Callable[[], None], check: Callable[[str], None], park: Callable[[], None]
     ) -> None:
         self._ctx, self._require_current, self._check, self._park = ctx, require_current, check, park
-        self._target: tuple[moderngl.Framebuffer, int] | None = None
+        self._targets: OrderedDict[tuple[int, int], tuple[moderngl.Framebuffer, int]] = OrderedDict()
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A framebuffer of an eight-bit stencil beside float depths; the last one is kept. It holds 0, infinitely far away."""
+        """A framebuffer of an eight-bit stencil beside float depths; the last ones are kept. It holds 0, infinitely far away."""
         from OpenGL import GL
 
         self._require_current()
-        if self._target is None or self._target[0].size != (width, height):
-            if self._target is not None:
-                old, storage = self._target
+        if (width, height) not in self._targets:
+            if len(self._targets) >= KEPT:
+                _, (old, storage) = self._targets.popitem(last=False)
                 self._park()  # moderngl would bind a released framebuffer again if it was the current one
                 for item in (old, *old.color_attachments):
                     item.release()
@@ -66,8 +70,9 @@ class Stencil:
             target.use()
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, storage)
             self._check("the stencil's target")
-            self._target = target, storage
-        target = self._target[0]
+            self._targets[width, height] = target, storage
+        self._targets.move_to_end((width, height))
+        target = self._targets[width, height][0]
         target.use()
         GL.glStencilMask(0xFF)
         GL.glClearBufferfi(GL.GL_DEPTH_STENCIL, 0, 0.0, 0)

@@ -42,18 +42,18 @@ def compared(scene) -> Comparison:
 def test_rows_have_names_of_their_own(gl, compared):
     names = [row_name(row.figures) for row in compared.rows]
     assert len(set(names)) == len(names)
-    assert {"shadow_map-512-1-16", "perspective_shadow_map-1024-3-24", "shadow_volume", "hybrid-512-conservative",
-            "hybrid-512-original", "planar", "none"} <= set(names)  # fmt: skip
+    assert {"shadow_map-512-1-16", "perspective_shadow_map-1024-3-24", "shadow_volume", "hybrid-768-conservative",
+            "hybrid-768-original", "planar", "none"} <= set(names)  # fmt: skip
 
 
 def test_counters_are_those_of_the_passes(gl, compared):
     rows = {row_name(row.figures): row.figures for row in compared.rows}
     assert all(tuple(figures["counters"]) == COUNTERS for figures in rows.values())
-    volumes, hybrid = rows["shadow_volume"]["counters"], rows["hybrid-512-conservative"]["counters"]
+    volumes, hybrid = rows["shadow_volume"]["counters"], rows["hybrid-768-conservative"]["counters"]
     assert volumes["edges"] == hybrid["edges"] > 0 == volumes["marked"] == volumes["map_texels"]
     assert 0 < hybrid["tiles"] <= hybrid["marked"] < 80 * 64 and hybrid["map_texels"] > 0
     assert rows["perspective_shadow_map-512-1-24"]["counters"]["map_texels"] == 512**2
-    assert rows["shadow_volume"]["wrong_cast"] < 0.01 > rows["hybrid-512-conservative"]["wrong_cast"]
+    assert rows["shadow_volume"]["wrong_cast"] < 0.01 > rows["hybrid-768-conservative"]["wrong_cast"]
 
 
 def test_what_takes_long_is_measured_less_often(gl, scene, monkeypatch):

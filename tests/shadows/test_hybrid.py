@@ -37,7 +37,7 @@ from tests.shadows.test_shadow_volume import (
 )  # fmt: skip
 
 MOST_MARKED = 0.3
-"""Share of the pixels of a small picture that a map of 512 texels leaves to volumes, at most: most are crowded with edges."""
+"""Share of the pixels of a small picture that a map leaves to volumes, at most: most are crowded with edges."""
 
 
 def stencil_record(log: PassLog) -> PassRecord:

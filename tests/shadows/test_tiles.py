@@ -39,7 +39,7 @@ def test_rectangles_hold_each_marked_pixel_once(size, seed):
     """They do not overlap, lie inside the picture, and begin at tiles; none is without a marked one."""
     rows, cols = drawn_pixels(size, seed)
     tiles = marked_tiles(rows, cols, size)
-    found = rectangles(tiles, size)
+    found = rectangles(tiles, size, 10_000)
     covered = np.zeros(size, int)
     for col, row, width, height in found.tolist():
         assert col % TILE_PX == row % TILE_PX == 0 and width > 0 and height > 0
@@ -54,7 +54,7 @@ def test_rectangles_hold_each_marked_pixel_once(size, seed):
 def test_a_rectangle_less_would_hold_more(tiles):
     """Never more tiles than in what holds them all, less what each further rectangle is worth."""
     size = tuple(side * TILE_PX for side in tiles.shape)
-    found = rectangles(tiles, size)
+    found = rectangles(tiles, size, 10_000)
     rows, cols = np.nonzero(tiles)
     if len(rows):
         whole = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
@@ -65,7 +65,7 @@ def test_a_rectangle_less_would_hold_more(tiles):
 def test_bounds_of_depth_are_those_of_the_pixels(size, seed):
     rows, cols = drawn_pixels(size, seed)
     depth = np.random.default_rng(seed).random(len(rows))
-    parts = rectangles(marked_tiles(rows, cols, size), size)
+    parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
     for (col, row, width, height), (low, high) in zip(parts, depth_bounds(rows, cols, depth, parts, size), strict=True):
         inside = (row <= rows) & (rows < row + height) & (col <= cols) & (cols < col + width)
         assert inside.any() and low == depth[inside].min() and high == depth[inside].max()
@@ -102,7 +102,7 @@ def test_what_is_left_out_adds_the_same_everywhere(seed, behind, clamped):
     rows, cols = drawn_pixels(size, seed)
     near = np.inf if clamped else 1.0
     depth = rng.uniform(0.1, 2.0 if clamped else 0.95, len(rows))
-    parts = rectangles(marked_tiles(rows, cols, size), size)
+    parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
     some = culled(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
     x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
     counts = np.zeros((len(faces), len(rows)), int)
