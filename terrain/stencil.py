@@ -25,10 +25,10 @@ KEPT = 2
 MARK = 0x80
 """The bit that marks pixels; what is marked counts to 127, everything else to 255."""
 
-GRID_STEPS = 2.0
+GRID_STEPS = 1.0
 """Faces are drawn farther away by what so many steps of the rasteriser's grid (1/256 pixel) make of their slope, so that a face
 that begins at a surface and grazes it is not taken to lie before it. A corner is rounded by half a step along either axis,
-which moves the plane at a pixel by at most a step of its steeper slope: one for the face, one for the surface.
+which moves the plane at a pixel by at most a step of its steeper slope.
 """
 
 Counting = Literal["z_pass", "z_fail", "faces", "seen"]
