@@ -49,10 +49,7 @@ def fill(
     passes = log.named(light, kinds, PASSES)
     at = light_in_frame(buffer, scene, light)
     with log.run(passes[0]) as record:
-        volumes, kept = volumes_of(buffer, scene, at, kinds, casters)
-        record.kept += kept
-        record.edges += sum(len(each.edges) for each in volumes)
-        record.bytes = max(record.bytes, sum(each.nbytes for each in volumes))
+        volumes = volumes_of(buffer, scene, at, kinds, casters, record)
     wanted = buffer.there & ~attached(buffer, scene, light)
     if settings.mask == "original":
         verdict = _compared(buffer, scene, light, kinds, casters, settings, wanted, passes, log)

@@ -36,10 +36,7 @@ def fill(
     silhouettes_pass, stencil_pass = log.named(light, kinds, PASSES)
     at = light_in_frame(buffer, scene, light)
     with log.run(silhouettes_pass) as record:
-        volumes, kept = volumes_of(buffer, scene, at, kinds, casters)
-        record.kept += kept
-        record.edges += sum(len(each.edges) for each in volumes)
-        record.bytes = max(record.bytes, sum(each.nbytes for each in volumes))
+        volumes = volumes_of(buffer, scene, at, kinds, casters, record)
     log.keep("silhouettes", light, silhouettes_seen, buffer, scene, volumes)
     log.keep("volumes", light, faces_before, buffer, scene, volumes)
     with log.run(stencil_pass) as record:

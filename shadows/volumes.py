@@ -29,6 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from shadows.attached import lamp_in_frame
 from shadows.edges import Edges, closed_parts, edges_of, parts_of
+from shadows.passes import PassRecord
 from shadows.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from shadows.volume_layers import batches
 from terrain.casting import Mesh, caster_sheets, caster_solids
@@ -105,14 +106,18 @@ def forget() -> None:
 
 
 def volumes_of(
-    buffer: GeometryBuffer, scene: Scene, light_frame: np.ndarray, kinds: tuple[CasterKind, ...], casters: Casters
-) -> tuple[list[Volumes], int]:
-    """The volumes of all that casts on a buffer's points under a light (4,), and how many of them were kept from before.
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light_frame: np.ndarray,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    record: PassRecord,
+) -> list[Volumes]:
+    """The volumes of all that casts on a buffer's points under a light (4,); put on record, with how many were kept from before.
 
     A map's ground is never the same arrays twice: its blocks' pictures are kept instead.
     """
     found: list[Volumes] = []
-    kept = 0
     for sheet in caster_sheets(scene, buffer, casters, kinds):
         found += _of_sheet(sheet, light_frame)
     meshes: list[tuple[Mesh, int | None]] = []
@@ -125,13 +130,15 @@ def volumes_of(
         key = (*(Same(array) for array in mesh), tuple(light_frame), rule)
         if key in _kept:
             _kept.move_to_end(key)
-            kept += len(_kept[key])
+            record.kept += len(_kept[key])
         else:
             _kept[key] = _of_mesh(*mesh, light_frame, rule)
             while len(_kept) > KEPT:
                 _kept.popitem(last=False)
         found += _kept[key]
-    return found, kept
+    record.edges += sum(len(each.edges) for each in found)
+    record.bytes = max(record.bytes, sum(each.nbytes for each in found))
+    return found
 
 
 def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
