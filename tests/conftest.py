@@ -9,20 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
-from affine import Affine
 from hypothesis import settings
 
 from terrain.level import load_level
 from terrain.scene import Scene, build_scene
+from tests.rasters import write_geotiff
+
+pytest_plugins = ["tests.hard_cases.table"]
 
 # No deadline: the first example of a property may compile a loop. On a build server the same examples each time.
 settings.register_profile("skugga", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("skugga")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-
-ENGINEERING = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -71,16 +70,7 @@ def write_raster(tmp_path: Path) -> Callable[..., Path]:
         name: str = "dem.tif",
         **options,
     ) -> Path:
-        dx, dy = cell if isinstance(cell, tuple) else (cell, cell)
-        path = tmp_path / name
-        transform = options.pop("transform", Affine(dx, 0, x0, 0, -dy, y0))
-        bands = heights if heights.ndim == 3 else heights[None]
-        with rasterio.open(
-            path, "w", driver="GTiff", height=bands.shape[1], width=bands.shape[2], count=bands.shape[0], dtype=bands.dtype,
-            crs=crs, transform=transform, **options,
-        ) as dataset:  # fmt: skip
-            dataset.write(bands)
-        return path
+        return write_geotiff(tmp_path / name, heights, crs, x0, y0, cell, **options)
 
     return write
 

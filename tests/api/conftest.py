@@ -22,7 +22,7 @@ from api.app import LOG_CONFIG, Server, create_app
 from api.service import Service
 from api.settings import Settings
 from api.worker_process import WorkerTarget
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 ZOOM = 12
 CORNER = 2144, 1432

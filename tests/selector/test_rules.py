@@ -55,7 +55,7 @@ def test_overrides_win_and_are_named(scene):
 def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_scene):
     import numpy as np
 
-    from tests.conftest import ENGINEERING
+    from tests.rasters import ENGINEERING
 
     heights = np.zeros((64, 64), np.float32)
     heights[30:34] = 200.0

@@ -24,7 +24,7 @@ from terrain.descriptor import describe
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
 Build = Callable[..., Scene]

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from terrain.grid import MapView
 from terrain.reach import longest_shadow_m
 from terrain.scene import Scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of, render, shadow
 
 BLOCK_M = 100.0

@@ -18,7 +18,7 @@ from terrain.descriptor import describe
 from terrain.picture import geometry_of
 from terrain.reach import casters_of
 from terrain.scene import Scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 PX = 170

@@ -14,7 +14,7 @@ from terrain.geometry import GeometryBuffer
 from terrain.picture import geometry_of
 from terrain.reach import casters_of
 from terrain.resolve import MESHES, RELIEF
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of
 from tests.shadows.boxes import box, level_of, visibility
 

@@ -16,7 +16,7 @@ from terrain.rays import RayScene
 from terrain.reach import casters_of
 from terrain.scene import Scene
 from terrain.surface import sheet_triangles
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 CELL_M = 8.0
 SIDE = 24

@@ -16,7 +16,7 @@ from terrain.picture import geometry_of
 from terrain.reach import casters_of
 from terrain.resolve import MESHES
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render
 from tests.shadows.boxes import View, box, level_of, visibility
 from tests.shadows.test_map_bias import EYE, plane, shaded

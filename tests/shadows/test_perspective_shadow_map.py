@@ -25,7 +25,7 @@ from terrain.level import load_level
 from terrain.picture import geometry_of
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 from tests.shadows.boxes import box, level_of
 

@@ -30,7 +30,7 @@ from terrain.picture import geometry_of
 from terrain.reach import casters_of
 from terrain.resolve import FOREST, MESHES, RELIEF
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
 Build = Callable[..., Scene]

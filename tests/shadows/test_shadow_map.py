@@ -15,7 +15,7 @@ from terrain.level_parts import SunSpec
 from terrain.reach import casters_of
 from terrain.scene import Scene, build_scene
 from terrain.world import FRAME_PITCH_DEG, LocalFrame, geocentric
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render, shadow
 
 

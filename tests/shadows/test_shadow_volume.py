@@ -29,7 +29,7 @@ from terrain.picture import geometry_of
 from terrain.reach import NO_CASTERS, Casters, casters_of
 from terrain.resolve import RELIEF
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at
 from tests.shadows.boxes import View, box, level_of
 

@@ -23,7 +23,7 @@ from terrain.picture import geometry_of
 from terrain.reach import Casters, casters_of
 from terrain.resolve import RELIEF
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 
 SUNS = [(22.0, 10.0), (67.0, 3.0), (113.0, 10.0), (158.0, 20.0), (202.0, 15.0), (247.0, 5.0), (293.0, 10.0), (338.0, 8.0)]

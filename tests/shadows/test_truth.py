@@ -17,7 +17,7 @@ from terrain.level import load_level
 from terrain.level_parts import SunSpec
 from terrain.reach import Casters, casters_of
 from terrain.scene import Scene, build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render, shadow
 
 ALTITUDE = 10.0

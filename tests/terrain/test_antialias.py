@@ -17,7 +17,7 @@ from terrain.picture import geometry_of
 from terrain.resolve import MESHES, NOTHING, RELIEF
 from terrain.scene import Scene
 from terrain.shading import encoded, shade
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 

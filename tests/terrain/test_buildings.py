@@ -20,7 +20,7 @@ from terrain.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.errors import LevelError, SourceError
 from terrain.level import load_level
 from terrain.scene import build_scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
 SQUARE = shapely.box(500100, 5000100, 500120, 5000110)

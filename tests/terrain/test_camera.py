@@ -11,7 +11,7 @@ from pyproj import CRS
 from terrain.camera import PerspectiveView, look_at
 from terrain.errors import InputError
 from terrain.world import World, geocentric
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UP = np.array([0.0, 0.0, 1.0])
 FLAT = World(CRS.from_user_input(ENGINEERING), True, 0.0, 0.0)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from terrain import canopy as module
 from terrain.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, WINDOW_M, Canopy, CellWindow, room_m
 from terrain.errors import SourceError
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)
 CELL = 0.5

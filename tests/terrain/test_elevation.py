@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from terrain import elevation as module
 from terrain.elevation import FILL_CELLS, Elevation
 from terrain.errors import SourceError
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
 

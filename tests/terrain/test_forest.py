@@ -19,7 +19,7 @@ from terrain.foliage import LOOKS
 from terrain.forest import CROWN_SPREAD, Site, plant
 from terrain.scatter import LEAST_SPACING, joined, keys, point_keys, scatter, shares
 from terrain.trees import Trees
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32632"
 X0, Y0 = 500000.0, 5202000.0

@@ -14,7 +14,7 @@ from terrain.camera import PerspectiveView
 from terrain.ground_mesh import GroundMesh, ground_mesh
 from terrain.picture import geometry_of
 from terrain.scene import Scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 UTM = "EPSG:32633"

@@ -17,7 +17,7 @@ from terrain.picture import geometry_of
 from terrain.resolve import RELIEF
 from terrain.scene import Scene
 from terrain.shading import LEVEL_ALBEDO
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 UTM = "EPSG:32633"

@@ -20,7 +20,7 @@ from terrain.picture import geometry_of
 from terrain.scene import Scene
 from terrain.shading import LAMP_ROOM_LIGHT, LEVEL_ALBEDO, LEVEL_GROUND, NIGHT_SKY, SKY_SHARE, SKYLIGHT, shade
 from terrain.world import geocentric
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
 UTM = "EPSG:32633"

@@ -15,7 +15,7 @@ from terrain.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
 from terrain.level import load_level
 from terrain.scene import build_scene
 from terrain.world import World
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import block_at, render
 
 WORLD = World(CRS.from_epsg(4326), False, 15.0, 47.0, 15.0, 47.0)

@@ -17,7 +17,7 @@ from terrain.geometry import GeometryBuffer
 from terrain.picture import geometry_of
 from terrain.resolve import FOREST, MESHES, NOTHING, RELIEF
 from terrain.scene import Scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
 UTM = "EPSG:32633"

@@ -19,7 +19,7 @@ from terrain.rays import RayScene
 from terrain.resolve import MESHES, RELIEF
 from terrain.scene import Scene
 from terrain.shading import SKY_HORIZON, SKY_ZENITH, encoded
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
 FLOOR_M = 200.0

@@ -9,7 +9,7 @@ from terrain.geometry import map_geometry
 from terrain.level_parts import SunSpec
 from terrain.reach import casters_of, longest_shadow_m
 from terrain.scene import Scene
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 

@@ -24,7 +24,7 @@ from terrain.reach import casters_of
 from terrain.resolve import FOREST, RELIEF
 from terrain.scene import Scene
 from terrain.stand import Stand, stand_in_map, stand_in_perspective
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 from tests.render import render
 
 UTM = "EPSG:32633"

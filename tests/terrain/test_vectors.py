@@ -13,7 +13,7 @@ from pyproj import CRS, Transformer
 
 from terrain.errors import SourceError
 from terrain.vectors import LONGEST_EDGE, attribute_names, numbers, read_features
-from tests.conftest import ENGINEERING
+from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)
 SITE = CRS.from_wkt(ENGINEERING)

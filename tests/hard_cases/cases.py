@@ -1,0 +1,215 @@
+"""The catalogue of hard cases: what is set up, what must hold, and by how much it may be missed.
+
+A case is a function of a ``Trial``: it makes its level, has an algorithm fill the visibility of what it looks at, and returns
+the figures that its bounds are for. ``hard_case`` registers it and turns it into tests, one for each algorithm: a quick one on
+small pictures, and a thorough one among the long tests. What an algorithm cannot serve must be refused, in the very words of
+its capabilities: that is recorded as a refusal. Every figure goes into the table at the end of a run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from selector.compare import texel_footprint_px
+from selector.rules import choose
+from shadows.attached import attached
+from shadows.metrics import Errors, errors_of
+from shadows.passes import PassLog
+from shadows.plan import Plan
+from shadows.registry import ALGORITHMS
+from shadows.render import FILLS
+from shadows.truth import Truth, truth_of
+from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.errors import UnsupportedError
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.picture import geometry_of
+from terrain.reach import Casters, casters_of
+from terrain.scene import Scene, build_scene
+from tests.rasters import write_geotiff
+
+SHADOWING = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
+"""The algorithms that throw shadows, but for the reference."""
+
+ENGINE = "engine"
+"""In the place of an algorithm: for what holds or fails whatever the algorithm."""
+
+RECORD = "hard_case"
+"""Key under which a test reports its figures."""
+
+View = MapView | PerspectiveView
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What an algorithm makes of a view under one light: points, their visibility, and truth beside it.
+
+    ``visibility`` (rows, cols) float32 in [0, 1], attached shadow included, NaN off the surface. It is of the pixels' own points:
+    no samples for smooth edges.
+    """
+
+    scene: Scene
+    view: View
+    plan: Plan
+    light: str
+    buffer: GeometryBuffer
+    casters: Casters
+    visibility: np.ndarray
+    log: PassLog
+
+    @property
+    def dark(self) -> np.ndarray:
+        """The class of each pixel: shadow on a surface."""
+        return np.nan_to_num(self.visibility, nan=1.0) < 0.5
+
+    @cached_property
+    def truth(self) -> Truth:
+        return truth_of(self.buffer, self.scene, self.casters, light=self.light)
+
+    @cached_property
+    def errors(self) -> Errors:
+        """Every figure of ``shadows.metrics`` against truth."""
+        pixel_m = describe(self.scene, self.view).pixel_m
+        steps = [step for step in self.plan.steps if step.light == self.light and step.algorithm in FILLS]
+        texels = [texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]]
+        return errors_of(self.visibility, self.truth, pixel_m, np.max(texels, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One run of a case: by which algorithm, how thoroughly, and a folder of its own for files."""
+
+    algorithm: str
+    thorough: bool
+    folder: Path
+
+    def scene(
+        self,
+        terrain: Mapping[str, Any] | Path | str,
+        sun: tuple[float, float] | str = "none",
+        meshes: list[trimesh.Trimesh | Mapping[str, Any]] | None = None,
+        name: str = "level",
+        **keys: Any,
+    ) -> Scene:
+        """The scene of a level; ``terrain`` is a raster's path or the key's value, ``sun`` (azimuth, altitude) in degrees.
+
+        Meshes may be bodies, whose heights count from the ground at (0, 0) below them.
+        """
+        specs: list[Any] = []
+        for number, mesh in enumerate(meshes or []):
+            if isinstance(mesh, trimesh.Trimesh):
+                mesh.export(self.folder / f"{name}_{number}.ply")
+                specs.append({"source": f"{name}_{number}.ply", "at": [0, 0]})
+            else:
+                specs.append(dict(mesh))
+        level = {
+            "version": 1,
+            "terrain": {"source": str(terrain)} if isinstance(terrain, Path | str) else dict(terrain),
+            "sun": sun if isinstance(sun, str) else {"azimuth": sun[0], "altitude": sun[1]},
+            **({"meshes": specs} if specs else {}),
+            **keys,
+        }
+        path = self.folder / f"{name}.yaml"
+        path.write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
+        return build_scene(load_level(path))
+
+    def raster(self, heights: np.ndarray, crs: str, x0: float, y0: float, cell: Any, name: str = "dem", **options: Any) -> Path:
+        """A GeoTIFF of heights whose north-west corner is (x0, y0)."""
+        return write_geotiff(self.folder / f"{name}.tif", heights, crs, x0, y0, cell, **options)
+
+    def see(self, scene: Scene, view: View | None = None, light: str | None = None, **asked: Any) -> Seen:
+        """A view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
+
+        Raises ``UnsupportedError`` where the algorithm cannot serve it.
+        """
+        view = view or scene.view()
+        plan = choose(describe(scene, view), scene.loaded.level, {"algorithm": self.algorithm, **asked})
+        light = light or scene.light_names[0]
+        buffer = geometry_of(scene, view)
+        casters, log = casters_of(scene, buffer), PassLog()
+        visibility = np.ones(buffer.there.shape, np.float32)
+        for step in plan.steps:
+            if step.light == light and step.algorithm in FILLS:
+                visibility *= FILLS[step.algorithm](buffer, scene, light, step.kinds, casters, step.settings, log)
+        visibility[attached(buffer, scene, light)] = 0.0
+        visibility[~buffer.there] = np.nan
+        return Seen(scene, view, plan, light, buffer, casters, visibility, log)
+
+
+Measure = Callable[[Trial], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A hard case: ``bounds`` says for each figure that is measured how large it may be."""
+
+    id: str
+    title: str
+    set_up: str
+    bounds: Mapping[str, float]
+    measure: Measure = field(repr=False)
+
+    def run(self, algorithm: str, thorough: bool, folder: Path) -> dict[str, Any]:
+        """The record of a trial: ``figures`` by name, or the reason of a ``refusal``."""
+        record: dict[str, Any] = {
+            "id": self.id, "title": self.title, "set_up": self.set_up, "bounds": dict(self.bounds), "algorithm": algorithm,
+            "thorough": thorough,
+        }  # fmt: skip
+        try:
+            figures = {name: float(value) for name, value in self.measure(Trial(algorithm, thorough, folder)).items()}
+        except UnsupportedError as error:
+            why = next((why for why in ALGORITHMS[algorithm].refuses.values() if why in str(error)), None)  # type: ignore[index]
+            if why is None:
+                raise
+            return {**record, "refusal": why}
+        assert figures.keys() == self.bounds.keys(), f"{self.id}: figures {list(figures)} for bounds {list(self.bounds)}"
+        return {**record, "figures": figures}
+
+
+def failures(record: Mapping[str, Any]) -> list[str]:
+    """What of a trial's record lies above its bound, in words; a figure that is no number does."""
+    found = record.get("figures", {})
+    return [f"{name} {value:.6g} over {record['bounds'][name]:g}" for name, value in found.items()
+            if not value <= record["bounds"][name]]  # fmt: skip
+
+
+def hard_case(
+    id: str,
+    title: str,
+    set_up: str,
+    bounds: Mapping[str, float],
+    algorithms: tuple[str, ...] = SHADOWING,
+    thorough: bool = True,
+) -> Callable[[Measure], Callable[..., None]]:
+    """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
+
+    With ``thorough`` false there is no long test: the quick one is all there is to do.
+    """
+
+    def register(measure: Measure) -> Callable[..., None]:
+        case = Case(id, title, set_up, bounds, measure)
+        ways = ["quick", *([pytest.param("thorough", marks=pytest.mark.long)] if thorough else [])]
+
+        @pytest.mark.parametrize("algorithm", algorithms)
+        @pytest.mark.parametrize("way", ways)
+        def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+            record = case.run(algorithm, way == "thorough", tmp_path)
+            record_property(RECORD, json.dumps(record))
+            assert not failures(record), f"{id} ({title}) by {algorithm}: {'; '.join(failures(record))}"
+
+        test.case = case  # type: ignore[attr-defined]
+        test.__doc__ = title
+        return test
+
+    return register

@@ -1,0 +1,125 @@
+"""The table at the end of a run: hard case by algorithm, the measured figure beside its bound.
+
+``pytest -m long tests/hard_cases --hard-cases-table docs/hard-cases.md`` puts it into the document, between its two marks.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, failures
+
+COLUMNS = {
+    "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
+    "planar": "planar", "sweep": "sweep", ENGINE: "engine",
+}  # fmt: skip
+"""Algorithms as the table's columns."""
+
+START, END = "<!-- table: start -->", "<!-- table: end -->"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--hard-cases-table", metavar="FILE", help="put the table of the thorough hard cases into a Markdown file")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(_Table(config), "hard cases")
+
+
+class _Table:
+    """Gathers the records of this run, from all of its processes."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.records: list[dict[str, Any]] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call":
+            self.records += [json.loads(str(value)) for key, value in report.user_properties if key == RECORD]
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        for thorough in (False, True):
+            records = [record for record in self.records if record["thorough"] == thorough]
+            if records:
+                terminalreporter.section(f"hard cases, {'thorough' if thorough else 'quick'}: figure per algorithm")
+                for line in as_text(records):
+                    terminalreporter.write_line(line)
+        target = self.config.getoption("--hard-cases-table")
+        if target and not hasattr(self.config, "workerinput"):
+            put_into(Path(target), as_markdown([record for record in self.records if record["thorough"]]))
+            terminalreporter.write_line(f"the table lies in {target}")
+
+
+def _order(case: str) -> tuple[int, str, int]:
+    """H1, H2, ... H34, then G1, ..., then the rest by letter."""
+    letters, number = re.fullmatch(r"([A-Z]+)(\d+)", case).groups()  # type: ignore[union-attr]
+    return ("HG".find(letters) if letters in "HG" else 2), letters, int(number)
+
+
+def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, dict[str, str]]]:
+    """(case, figure's name, {algorithm: cell}) in the catalogue's order. A cell is a figure, with ``!`` if over its bound, or
+    ``refused``.
+    """
+    by_case: dict[str, list[dict[str, Any]]] = {}
+    for record in records:
+        by_case.setdefault(record["id"], []).append(record)
+    out = []
+    for case in sorted(by_case, key=_order):
+        ours = by_case[case]
+        for name in ours[0]["bounds"]:
+            cells = {}
+            for record in ours:
+                broken = any(text.startswith(f"{name} ") for text in failures(record))
+                figure = "refused" if "refusal" in record else f"{record['figures'][name]:.2g}"
+                cells[record["algorithm"]] = f"{figure}!" if broken else figure
+            out.append((ours[0], name, cells))
+    return out
+
+
+def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
+    """The table for a terminal."""
+    lines = [f"{'case':5} {'figure':38} {'bound':>8}  " + " ".join(f"{title:>11}" for title in COLUMNS.values())]
+    for case, name, cells in rows(records):
+        figures = " ".join(f"{cells.get(algorithm, ''):>11}" for algorithm in COLUMNS)
+        lines.append(f"{case['id']:5} {name:38} {case['bounds'][name]:>8.2g}  {figures}".rstrip())
+    return lines
+
+
+def as_markdown(records: Iterable[dict[str, Any]]) -> str:
+    """The table for a document, with what is set up and what must hold, and the reasons of the refusals below it."""
+    records = list(records)
+    shown = [algorithm for algorithm in COLUMNS if algorithm in {record["algorithm"] for record in records}]
+    lines = ["| case | what must hold | figure | bound | " + " | ".join(COLUMNS[a] for a in shown) + " |"]
+    lines.append("| --- | --- | --- | ---: |" + " ---: |" * len(shown))
+    last = None
+    for case, name, cells in rows(records):
+        head = ("", "") if case["id"] == last else (f"**{case['id']}**", f"{case['title']}. *{case['set_up']}.*")
+        figures = " | ".join(cells.get(algorithm, "") for algorithm in shown)
+        lines.append(f"| {head[0]} | {head[1]} | {name} | {case['bounds'][name]:.2g} | {figures} |")
+        last = case["id"]
+    refusals: dict[tuple[str, str], list[str]] = {}
+    for record in sorted(records, key=lambda record: _order(record["id"])):
+        if "refusal" in record:
+            refusals.setdefault((record["algorithm"], record["refusal"]), []).append(record["id"])
+    if refusals:
+        lines += ["", "Refused:", ""]
+        order = {algorithm: number for number, algorithm in enumerate(SHADOWING)}
+        for (algorithm, why), cases in sorted(refusals.items(), key=lambda item: order[item[0][0]]):
+            lines.append(f"- `{algorithm}`, in {', '.join(dict.fromkeys(cases))}: {why}.")
+    return "\n".join(lines)
+
+
+def put_into(path: Path, table: str) -> None:
+    """Replace what lies between a document's marks. Raises ``ValueError`` for one without."""
+    text = path.read_text(encoding="utf-8")
+    head, start, rest = text.partition(START)
+    _, end, tail = rest.partition(END)
+    if not (start and end):
+        raise ValueError(f"{path} has no {START} and {END}")
+    path.write_text(f"{head}{START}\n{table}\n{END}{tail}", encoding="utf-8")
