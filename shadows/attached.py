@@ -11,12 +11,17 @@ from terrain.lights import Lamp
 from terrain.resolve import FOREST
 from terrain.scene import Scene
 
+GRAZING = 2.0**-20
+"""A light that meets a surface at no more than this sine (0.2 seconds of arc) counts as below it: unit normals in float32 cannot
+say which side it is on, and what it would give is a millionth of its light.
+"""
+
 
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
     """Where a light cannot reach, bool (rows, cols); True off the surface too.
 
-    That is where the geometric normal does not face it (n.l <= 0; leaves are lit from either side), outside of a spot's cone,
-    and everywhere while the sun is nowhere above the horizon or where there is none.
+    That is where the geometric normal does not face it (n.l is not over ``GRAZING``; leaves are lit from either side), outside
+    of a spot's cone, and everywhere while the sun is nowhere above the horizon or where there is none.
     """
     leaves = buffer.kind == FOREST
     if light == SUN:
@@ -44,7 +49,7 @@ def turned_away(normal, leaves, to_light):  # type: ignore[no-untyped-def]
         for j in range(normal.shape[1]):
             n = normal[i, j]
             facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > 0.0
+            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > GRAZING
     return out
 
 
@@ -56,6 +61,7 @@ def _beside_lamp(point, normal, leaves, position, axis, cosine):  # type: ignore
             x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
             facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
             along = -(axis[0] * x + axis[1] * y + axis[2] * z)
-            inside = along >= cosine * np.sqrt(x * x + y * y + z * z)
-            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > 0.0 and inside)
+            length = np.sqrt(x * x + y * y + z * z)
+            inside = along >= cosine * length
+            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > GRAZING * length and inside)
     return out

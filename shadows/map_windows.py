@@ -118,6 +118,9 @@ def _sun_map(
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel, border, stable)
+    if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
+        aside_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
+        low[2] -= _nearer_m(buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, here, rotation, aside_m)
     steps = steps_of(settings.depth_bits)
     before_m = 4.0 * (error_m + cascade.depth_step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
@@ -177,6 +180,32 @@ def distances(points, eye):  # type: ignore[no-untyped-def]
             p = points[i, j]
             out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
     return out
+
+
+@compiled
+def _nearer_m(normal, corners, position, here, rotation, aside_m):  # type: ignore[no-untyped-def]
+    """How much nearer to the sun than a point the map may hold the triangle that it lies on, at the texels' centres up to
+    ``aside_m`` (2,) right and up of it: at most, over the points (rows, cols) that are ``here``.
+
+    Depths before the map's first are all one: a triangle that began there could not be told from what casts on it.
+    """
+    most = 0.0
+    for i in range(here.shape[0]):
+        for j in range(here.shape[1]):
+            if not here[i, j]:
+                continue
+            n, c, p = normal[i, j], corners[i, j], position[i, j]
+            slant, corner = 0.0, 0.0
+            for k in range(2):
+                slant += aside_m[k] * abs(rotation[k, 0] * n[0] + rotation[k, 1] * n[1] + rotation[k, 2] * n[2])
+            facing = abs(rotation[2, 0] * n[0] + rotation[2, 1] * n[1] + rotation[2, 2] * n[2])
+            if slant <= most * facing:
+                continue
+            for k in range(0, 9, 3):
+                x, y, z = p[0] - c[k], p[1] - c[k + 1], p[2] - c[k + 2]
+                corner = max(corner, rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z)
+            most = max(most, min(slant / facing if facing > 0.0 else corner, corner))
+    return most
 
 
 def _extent_m(buffer: GeometryBuffer) -> float:

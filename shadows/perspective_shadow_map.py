@@ -118,6 +118,8 @@ def perspective_map(
         if is_clear(np.array([low[3], high[3]])):
             break
     high[2] = max(high[2], low[2] + _least_depth(found.clip_from_frame, source, sample))
+    narrow = np.maximum(_least_sides(found.clip_from_frame, sample, settings.map_size) - (high - low)[:2], 0.0)
+    low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
     clip = fitted(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
@@ -146,6 +148,16 @@ def _least_depth(matrix: np.ndarray, source: Light, points: np.ndarray) -> float
     away_m = np.linalg.norm(source.homogeneous[:3] - source.homogeneous[3] * points, axis=-1)
     errors = ERROR * np.abs(points).max(axis=1) / (horizon_m(matrix, points) * away_m)
     return 8.0 / BEFORE * float(errors.max())
+
+
+def _least_sides(matrix: np.ndarray, points: np.ndarray, map_size: int) -> np.ndarray:
+    """The ranges (2,) of a map's x and y of which a texel is four times the error of the positions: of a few receivers that lie
+    in one place, or of a single one, finer texels would hold nothing but rounding.
+    """
+    w = horizon_m(matrix, points)[:, None]
+    at = (points @ matrix[:2, :3].T + matrix[:2, 3]) / w
+    per_m = np.linalg.norm(matrix[None, :2, :3] - at[..., None] * matrix[3, :3], axis=-1) / w
+    return 4.0 * map_size * (ERROR * np.abs(points).max(axis=1)[:, None] * per_m).max(axis=0)
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:

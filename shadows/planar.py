@@ -63,6 +63,11 @@ class Projected:
     meshes: list[tuple[np.ndarray, np.ndarray]]
     trees: Stand | None
 
+    @property
+    def reaches_ground(self) -> bool:
+        """Whether there is anything that a light above the ground could throw there."""
+        return bool(self.light_m[2] > 0.0 and (self.meshes or (self.trees is not None and len(self.trees))))
+
 
 def fill(
     buffer: GeometryBuffer,
@@ -133,6 +138,11 @@ def _stencil(
     log: PassLog,
 ) -> np.ndarray:
     """The stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
+    if not (receivers.any() and projected.reaches_ground):
+        for name in passes:
+            with log.run(name):
+                pass
+        return np.where(receivers, np.uint8(LIT), np.uint8(NO_GROUND))
     gl = device()
     target = gl.stencil.target(view.cols, view.rows)
     with log.run(passes[0]) as record:
@@ -146,9 +156,8 @@ def _stencil(
         record.draws += 1
         record.bytes = max(record.bytes, 9 * receivers.size)
     with log.run(passes[1]) as record:
-        if projected.light_m[2] > 0.0:  # from below, no light reaches the ground
-            clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ onto_plane(projected.light_m)
-            _draw_casters(gl, target, clip_from_caster, projected, record)
+        clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ onto_plane(projected.light_m)
+        _draw_casters(gl, target, clip_from_caster, projected, record)
         return gl.stencil.read(target)
 
 

@@ -60,7 +60,7 @@ CONE_DEG = 3.0
 LEAST_SHARE = 1e-3
 """How close a receiver may come to the horizon, as a share of the farthest one's distance from it: so much of float32 is left."""
 
-SLIDES = (0.0, *(2.0 ** np.arange(-6.0, 7.0)))
+SLIDES = (0.0, *(2.0 ** np.arange(-10.0, 7.0)))
 """Slide-backs that are tried, in units of the far plane's distance."""
 
 TURNS = np.radians(np.arange(0.0, 90.0, 5.0))

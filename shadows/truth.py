@@ -144,9 +144,9 @@ def _on_other_diagonal(buffer: GeometryBuffer) -> GeometryBuffer:
     view, surface = buffer.view, buffer.surface
     i, j = np.nonzero(buffer.there & (buffer.kind == RELIEF))
     quad = buffer.triangle[i, j]
-    down, right = view.row0 + i * view.row_step - quad[:, 0], view.col0 + j * view.col_step - quad[:, 1]
+    row, col = quad[:, 0], quad[:, 1]
+    down, right = view.row0 - surface.row0 + i * view.row_step - row, view.col0 - surface.col0 + j * view.col_step - col
     in_ne = right >= down
-    row, col = quad[:, 0] - surface.row0, quad[:, 1] - surface.col0
     nw, se = surface.position_frame_m[row, col], surface.position_frame_m[row + 1, col + 1]
     third = surface.position_frame_m[row + ~in_ne, col + in_ne]
     a, b = nw - third, se - third

@@ -25,8 +25,7 @@ from terrain.elevation import UNIT_WORDS
 from terrain.errors import SourceError
 from terrain.level_parts import METRES_PER_UNIT
 from terrain.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
-from terrain.vectors import same_coordinates
-from terrain.world import transformer
+from terrain.vectors import between, same_coordinates
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
 """Canopy below is no tree, and above no canopy."""
@@ -91,7 +90,8 @@ class Canopy:
                 self._dataset = dataset = rasterio.open(source)
             self.crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
-            raise SourceError(source, str(error).replace(source, "the file"), "a raster with a CRS that GDAL reads") from None
+            reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
+            raise SourceError(source, reason or "it cannot be opened", "a raster with a CRS that GDAL reads") from None
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of canopy heights")
         if self.crs is None:
@@ -124,12 +124,12 @@ class Canopy:
         """Coordinates in ``crs`` of (fractional) cells, whole numbers at their centres; infinite where it has none."""
         gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
-        return (x, y) if same_coordinates(self.crs, crs) else transformer(self.crs, crs).transform(x, y)
+        return (x, y) if same_coordinates(self.crs, crs) else between(self.name, self.crs, crs).transform(x, y)
 
     def cell_of(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(Fractional) row and column of coordinates in ``crs``; infinite where the raster's CRS has none."""
         if not same_coordinates(self.crs, crs):
-            x, y = transformer(crs, self.crs).transform(x, y)
+            x, y = between(self.name, self.crs, crs, back=True).transform(x, y)
         gt, inverse = self._dataset.transform, ~self._dataset.transform
         if self.crs.is_geographic:
             middle = gt.c + 0.5 * (gt.a * self.cols + gt.b * self.rows)

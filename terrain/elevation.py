@@ -91,7 +91,8 @@ class Elevation:
             held = BUNDLED[source]() if source in BUNDLED else made
             self._dataset = _open(source) if held is None else held.open()
         except (RasterioError, OSError) as error:
-            reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
+            reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
+            reason = reason or "it cannot be opened"
             raise SourceError(source, reason, "a raster that GDAL reads") from None
         dataset = self._dataset
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
@@ -104,9 +105,14 @@ class Elevation:
             raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
         if self.crs.is_geocentric:
             raise SourceError(source, self.crs.name, "a projected, geographic or engineering CRS")
+        if dataset.transform.is_identity and not self.crs.is_engineering:
+            raise SourceError(source, "no word of where it lies", "a raster with a geotransform")
         if dataset.transform.determinant == 0:
             raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
         self.rows, self.cols = dataset.height, dataset.width
+        _, south, _, north = self.bounds
+        if self.crs.is_geographic and not -91.0 <= south <= north <= 91.0:  # files overshoot the poles by a cell
+            raise SourceError(source, f"latitudes from {south:g} to {north:g}", "latitudes from -90 to 90 degrees")
         self.flat = self.crs.is_engineering
         self.units: Units | None = units or self._own_units()
         self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
@@ -149,11 +155,12 @@ class Elevation:
         return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
     def cell_of(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(Fractional) row and column of coordinates in the raster's CRS."""
+        """(Fractional) row and column of coordinates in the raster's CRS; not finite where they are not."""
         gt, inverse = self._dataset.transform, self._cell_from_crs
         # From the raster's corner, so that large coordinates cancel before they are multiplied.
         x, y = np.asarray(x, np.float64) - gt.c, np.asarray(y, np.float64) - gt.f
-        return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
+        with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
+            return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
 
     def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Whether coordinates in the raster's CRS lie on it (longitudes taken round the earth)."""
@@ -314,7 +321,7 @@ class Elevation:
 
 def _open(source: str) -> rasterio.DatasetReader:
     """Open a raster; a small one without its overviews, which may have been made by averaging sentinels into heights."""
-    with warnings.catch_warnings():
+    with rasterio.Env(), warnings.catch_warnings():  # in an Env GDAL's remarks go to the log and not to standard error
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
         dataset = rasterio.open(source)
         if dataset.width * dataset.height > EXACT_HIGH_CELLS or not (dataset.count and dataset.overviews(1)):

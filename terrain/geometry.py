@@ -45,7 +45,7 @@ class GeometryBuffer:
     kind
         uint8, what is seen: ``terrain.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
     triangle
-        int32 (rows, cols, 3) of a map's ground: row and column of the quad (grid nodes), and 0 for its NW, 1 for its SE triangle.
+        int32 (rows, cols, 3) of a map's ground: row and column of the quad in ``surface``, and 0 for its NW, 1 for its SE triangle.
     surface
         Of a map: the nodes that the buffer was made from; they cast what they show. ``None`` in perspective.
     ground
@@ -96,8 +96,6 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     there, position, height, normal, shading, crease, triangle = _pixels(
         window.position_frame_m, window.height_m, window.there, faces, smooth, row - row0, col - col0
     )
-    triangle[..., 0] += row0
-    triangle[..., 1] += col0
     kind = there.astype(np.uint8)
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
 

@@ -6,7 +6,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 from pyproj import CRS
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import CRSError, ProjError
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 
@@ -36,17 +36,24 @@ class Imagery:
                 gt, across, down = dataset.transform, dataset.width / shape[1], dataset.height / shape[0]
                 self._cell_from_crs = ~Affine(gt.a * across, gt.b * down, gt.c, gt.d * across, gt.e * down, gt.f)
         except (RasterioError, CRSError, OSError) as error:
-            reason = str(error).replace(source, "the file").strip() or "it cannot be opened"
-            raise SourceError(source, reason, "an RGB raster that GDAL reads") from None
+            reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
+            raise SourceError(source, reason or "it cannot be opened", "an RGB raster that GDAL reads") from None
         self._levels = _averages(_linear(data, source), valid)
 
     def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(Fractional) rows and columns (n, 2) float32 of map coordinates (n,); NaN where they have none."""
-        if crs != self.crs:
-            if not crs.is_geographic:
-                x, y = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-            if not self.crs.is_geographic:
-                x, y = transformer(LONGITUDE_LATITUDE, self.crs).transform(x, y)
+        """(Fractional) rows and columns (n, 2) float32 of map coordinates (n,); NaN where they have none.
+
+        Raises ``SourceError`` where there is no way from the map's CRS to the imagery's.
+        """
+        try:
+            if crs != self.crs:
+                if not crs.is_geographic:
+                    x, y = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+                if not self.crs.is_geographic:
+                    x, y = transformer(LONGITUDE_LATITUDE, self.crs).transform(x, y)
+        except ProjError:
+            allowed = f"a CRS that can be transformed into '{crs.name}'"
+            raise SourceError(self.name, f"its CRS '{self.crs.name}'", allowed) from None
         inverse = self._cell_from_crs
         x, y = np.asarray(x), np.asarray(y)
         row, col = inverse.d * x + inverse.e * y + inverse.f - 0.5, inverse.a * x + inverse.b * y + inverse.c - 0.5

@@ -7,6 +7,7 @@ and what is allowed.
 from __future__ import annotations
 
 import hashlib
+import re
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -17,7 +18,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
-from terrain.level_parts import ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
+from terrain.level_parts import TIME_WORDS, ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
 
 AlgorithmName = Literal["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
@@ -72,7 +73,7 @@ class Level(Model):
     meshes: tuple[MeshSpec, ...] = ()
     sun: SunSpec | Literal["none"] = SunSpec(azimuth=315, altitude=45)
     lights: dict[LightName, LightSpec] = {}
-    seconds: float = 0.0
+    seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: Shadows = Shadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
@@ -231,7 +232,7 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         try:
             moment = datetime.fromisoformat(given)
         except ValueError:
-            raise InputError("time", time, "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00") from None
+            raise InputError("time", time, TIME_WORDS) from None
         fields: dict[str, Any] = {"time": moment, "azimuth": azimuth, "altitude": altitude}
     else:
         fields = {"azimuth": azimuth, "altitude": altitude}
@@ -284,8 +285,11 @@ def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError
     paths = [_keys(data, error["loc"]) for error in errors]
     deepest = max(paths, key=len)
     here = [error for error, keys in zip(errors, paths, strict=True) if keys == deepest]
+    if here[-1]["type"] == "missing" and isinstance(items := here[-1]["loc"][-1], int):  # a list that is too short
+        return LevelError(f"{path}: {'.'.join(deepest)}", here[-1]["input"], f"{items + 1} items")
     value = "nothing" if here[0]["type"] == "missing" else here[0]["input"]
     allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in here))
+    allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
     return LevelError(f"{path}: {'.'.join(deepest)}", value, allowed.replace("input should be ", ""))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 Units = Literal["m", "ft", "us-ft"]
@@ -16,9 +16,23 @@ MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "te
 GroundGenerator = Literal["ridges", "landscape"]
 
 Metres = Annotated[float, Field(gt=0, le=1e7)]
-Point = tuple[float, float]
-Position = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+Point = tuple[Coordinate, Coordinate]
+Position = tuple[Coordinate, Coordinate, Coordinate]
 Pixels = Annotated[int, Field(ge=1, le=16384)]
+
+
+TIME_WORDS = "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00"
+"""What a time has to be."""
+
+
+def _without_nul(name: str) -> str:
+    if "\0" in name:
+        raise PydanticCustomError("file", "a file's name, without a NUL character")
+    return name
+
+
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_without_nul)]
 
 
 class Model(BaseModel):
@@ -67,14 +81,14 @@ class Terrain(Model):
     RGB raster draped over the ground.
     """
 
-    source: str | None = Field(default=None, min_length=1)
+    source: FileName | None = None
     flat: FlatGround | None = None
     generate: GeneratedGround | None = None
     bounds: tuple[float, float, float, float] | None = None
     resolution: float | None = Field(default=None, gt=0)
     units: Units | None = None
     exaggeration: float = Field(default=1.0, gt=0, le=100)
-    imagery: str | None = Field(default=None, min_length=1)
+    imagery: FileName | None = None
 
     @field_validator("bounds")
     @classmethod
@@ -99,7 +113,7 @@ class ForestSpec(Model):
     ``crown`` the crown's diameter likewise (default: from the height). A canopy raster needs neither.
     """
 
-    source: str = Field(min_length=1)
+    source: FileName
     density: float | None = Field(default=None, gt=0, le=20000)
     height: tuple[float, float] | str | None = None
     crown: tuple[float, float] | str | None = None
@@ -117,7 +131,7 @@ class ForestSpec(Model):
 class Motion(Model):
     """How a mesh moves by the level's clock: ``spin`` in degrees per second, counter-clockwise about the up axis."""
 
-    spin: float = 0.0
+    spin: float = Field(default=0.0, ge=-1e6, le=1e6)
 
 
 class MeshSpec(Model):
@@ -128,16 +142,16 @@ class MeshSpec(Model):
     ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
     """
 
-    source: str | None = Field(default=None, min_length=1)
+    source: FileName | None = None
     generate: MeshGenerator | None = None
     height: str | Annotated[float, Field(gt=0, le=1000)] | None = None
-    surface: str | None = Field(default=None, min_length=1)
-    ground: str | None = Field(default=None, min_length=1)
+    surface: FileName | None = None
+    ground: FileName | None = None
     at: Point | list[Point] | None = None
     scale: float = Field(default=1.0, gt=0, le=1e6)
-    turn: float = 0.0
+    turn: float = Field(default=0.0, ge=-1e6, le=1e6)
     color: tuple[float, float, float] | None = None
-    caster: str | None = Field(default=None, min_length=1)
+    caster: FileName | None = None
     motion: Motion | None = None
 
     @field_validator("color")
@@ -174,13 +188,25 @@ class SunSpec(Model):
     azimuth: float | None = Field(default=None, ge=-360, le=720)
     altitude: float | None = Field(default=None, ge=-90, le=90)
 
+    @field_validator("time", mode="before")
+    @classmethod
+    def _moment(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            try:
+                return datetime.fromisoformat(value)
+            except ValueError:
+                raise PydanticCustomError("time", TIME_WORDS) from None
+        if value is not None and not isinstance(value, datetime):
+            raise PydanticCustomError("time", TIME_WORDS)
+        return value
+
     @model_validator(mode="after")
     def _one_way(self) -> SunSpec:
         angles = (self.azimuth is not None) + (self.altitude is not None)
         if (self.time is None) == (angles == 0) or angles == 1:
             raise PydanticCustomError("sun", "either time, or azimuth and altitude")
         if self.time is not None and self.time.tzinfo is None:
-            raise PydanticCustomError("sun", "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00")
+            raise PydanticCustomError("sun", TIME_WORDS)
         return self
 
 
@@ -221,6 +247,13 @@ class MapSpec(Model):
     bounds: tuple[float, float, float, float] | None = None
     crs: str | None = None
     size: tuple[Pixels, Pixels] | None = None
+
+    @field_validator("bounds")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+        if value is not None and not (value[0] < value[2] and value[1] < value[3]):
+            raise PydanticCustomError("bounds", "west < east and south < north")
+        return value
 
 
 class PerspectiveSpec(Model):

@@ -170,9 +170,14 @@ def _solid_faces(population: Population, frame: LocalFrame) -> tuple[np.ndarray,
 
 
 def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
-    """Columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3)."""
-    grid = view.grid
-    col = ((at[:, 0] - grid.x0) / grid.step - view.col0) / view.col_step + 0.5
+    """Columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3).
+
+    Longitudes are taken the way round that is nearer to the view's middle: beyond the antimeridian they go on.
+    """
+    grid, x = view.grid, at[:, 0]
+    if grid.crs.is_geographic:
+        x = x + 360.0 * np.rint((view.centre[0] - x) / 360.0)
+    col = ((x - grid.x0) / grid.step - view.col0) / view.col_step + 0.5
     row = ((grid.y0 - at[:, 1]) / grid.step - view.row0) / view.row_step + 0.5
     return np.stack([col, row, at[:, 2]], axis=-1)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyogrio
 import shapely
 from pyogrio.errors import DataLayerError, DataSourceError
-from pyproj import CRS
+from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
@@ -21,6 +21,9 @@ from terrain.world import transformer
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
 """Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in
 geographic CRS, units in others. What is left of their bend is a few centimetres."""
+
+FARTHEST = {True: 540.0, False: 1e9}
+"""Coordinates beyond this are none: degrees in geographic CRS, units in others."""
 
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
@@ -107,6 +110,14 @@ def numbers(features: Features, attribute: str) -> np.ndarray:
     return result
 
 
+def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer:
+    """The transformation from a file's own CRS to another one, or ``back``. Raises ``SourceError`` where there is none."""
+    try:
+        return transformer(crs, own) if back else transformer(own, crs)
+    except ProjError:
+        raise SourceError(source, f"its CRS '{own.name}'", f"a CRS that can be transformed into '{crs.name}'") from None
+
+
 def same_coordinates(own: CRS, crs: CRS) -> bool:
     """Whether coordinates mean the same in both, x before y: engineering CRS of one unit count from one origin."""
     if own.is_engineering and crs.is_engineering:
@@ -130,10 +141,7 @@ def _projected(source: str, geometry: np.ndarray, own: CRS, crs: CRS) -> np.ndar
     edged = shapely.get_dimensions(geometry) > 0
     geometry[edged] = shapely.segmentize(geometry[edged], LONGEST_EDGE[own.is_geographic])
     before = shapely.get_coordinates(geometry)
-    try:
-        after = np.column_stack(transformer(own, crs).transform(before[:, 0], before[:, 1]))
-    except ProjError:
-        raise SourceError(source, f"its CRS '{own.name}'", f"a CRS that can be transformed into '{crs.name}'") from None
+    after = np.column_stack(between(source, own, crs).transform(before[:, 0], before[:, 1]))
     _check_places(source, own, crs, before, after)
     if len(before) == len(geometry) and (shapely.get_type_id(geometry) == _POINT).all():
         return shapely.points(after)  # a million points in a fifth of the time
@@ -142,7 +150,8 @@ def _projected(source: str, geometry: np.ndarray, own: CRS, crs: CRS) -> np.ndar
 
 def _check_places(source: str, own: CRS, crs: CRS, before: np.ndarray, after: np.ndarray | None = None) -> None:
     """Raise ``SourceError`` where coordinates have no place in a CRS."""
-    bad = ~np.isfinite(before if after is None else after).all(axis=1)
+    known = np.abs(before) <= FARTHEST[own.is_geographic] if after is None else np.isfinite(after)
+    bad = ~known.all(axis=1)
     if bad.any():
         place = ", ".join(f"{v:.10g}" for v in before[bad][0])
         raise SourceError(source, f"the coordinates {place}", f"coordinates of '{own.name}' that have a place in '{crs.name}'")

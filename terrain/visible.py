@@ -21,7 +21,7 @@ from terrain.ground_mesh import GroundMesh
 from terrain.stand import Stand
 from terrain.world import LocalFrame
 
-NEAR_M = 0.02
+NEAR_M = 0.005
 """What is nearer to the eye than this is not seen."""
 
 GROUND_TRIANGLES = 1

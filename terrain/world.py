@@ -88,16 +88,16 @@ class World:
         bad = ~(np.isfinite(lon) & np.isfinite(lat))
         return np.where(bad, np.nan, lon), np.where(bad, np.nan, lat)
 
-    def earth_from_enu(self, point_earth: np.ndarray, up_earth: np.ndarray) -> np.ndarray:
+    def earth_from_enu(self, point_earth: np.ndarray, up_earth: np.ndarray, polar_lon_deg: float = 0.0) -> np.ndarray:
         """Rotation (3, 3) whose columns are east, north and up at a point, earth-fixed.
 
-        At a pole, where east is undefined, the Greenwich meridian's axes are taken.
+        At a pole, where east is undefined, the axes of a meridian are taken: Greenwich's, unless another one is given.
         """
         if self.flat:
             return np.eye(3)
         east = np.array([-point_earth[1], point_earth[0], 0.0])
         length = np.hypot(east[0], east[1])
-        east = east / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
+        east = east / length if length > 1e-6 else direction_east(polar_lon_deg)
         return np.column_stack([east, np.cross(up_earth, east), up_earth])
 
     @property
@@ -107,8 +107,8 @@ class World:
 
     @property
     def earth_from_anchor(self) -> np.ndarray:
-        """Rotation from the anchor's east-north-up axes to earth-fixed ones."""
-        return self.earth_from_enu(*self._anchor)
+        """Rotation from the anchor's east-north-up axes to earth-fixed ones; at a pole those of the anchor's longitude."""
+        return self.earth_from_enu(*self._anchor, self.anchor_lon_deg)
 
     @property
     def _anchor(self) -> tuple[np.ndarray, np.ndarray]:
@@ -176,6 +176,12 @@ def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
     lon = world.anchor_lon_deg + i * pitch / world._narrowing
     origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * pitch))
     return LocalFrame((i, j), origin, world.earth_from_enu(origin, up).T)
+
+
+def direction_east(lon_deg: float) -> np.ndarray:
+    """Unit vector (3,) towards the east on a meridian, earth-fixed."""
+    lon = np.radians(lon_deg)
+    return np.array([-np.sin(lon), np.cos(lon), 0.0])
 
 
 def geocentric(lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

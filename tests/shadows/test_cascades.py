@@ -14,7 +14,6 @@ from selector.map_settings import CASCADE_PX, LARGEST
 from selector.rules import choose
 from shadows import shadow_map
 from shadows.attached import attached
-from shadows.map_windows import sun_maps
 from shadows.metrics import errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan
@@ -73,15 +72,6 @@ def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(
     assert found[1].edge_p95 > 1.0
     assert found[4].edge_p95 <= 0.5 * found[1].edge_p95
     assert found[4].wrong_cast <= 0.5 * found[1].wrong_cast
-
-
-def test_every_receiver_belongs_to_one_cascade(gl, mountains):
-    buffer = geometry_of(mountains, mountains.view("main"))
-    plan = plan_for(mountains, cascades=4, map_size=256)
-    maps = sun_maps(buffer, mountains, plan.settings["sun"]["relief"], None)
-    ours = np.concatenate([each.pixels for each in maps])
-    assert len(maps) == 4 and len(np.unique(ours)) == len(ours)
-    np.testing.assert_array_equal(np.sort(ours), np.flatnonzero(buffer.there & ~attached(buffer, mountains)))
 
 
 # -- where cascades part, from descriptors alone

@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
-from selector.volume_settings import hybrid_settings
 from shadows.passes import PassLog, PassRecord
 from shadows.truth import Truth
-from terrain.descriptor import describe
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
-from terrain.resolve import RELIEF
 from terrain.scene import build_scene
 from tests.render import block_at
 from tests.shadows.boxes import box, level_of
@@ -29,9 +25,7 @@ from tests.shadows.test_shadow_volume import (
     RIDGES,
     THESIS,
     Look,
-    above,
     eye,
-    joined,
     look,
     thesis,
 )  # fmt: skip
@@ -130,30 +124,7 @@ def test_ground(gl, tmp_path, altitude):
     same(look(scene, block_at(-84.25, 36.58, 12).part(260, 300, 80, 80)))
 
 
-# -- wires
-
-
-@pytest.mark.parametrize("texels", [0.25, 4.0])
-@pytest.mark.parametrize("turn", [0.0, 0.3])
-def test_a_wire_is_caught_however_thin(gl, tmp_path, texels, turn):
-    """A rope over the floor (H21): the conservative mask leaves all of its shadow, the original one loses what lies between texels.
-
-    A share of a texel, or some texels, of the sun's map of 64 texels a side, wide.
-    """
-    bare = level_of(tmp_path, [box((0.02, 0.02, 3.02), at_m=(14, 14))], 180, 60)
-    asked = bare.loaded.level.shadows.model_copy(update={"map_size": 64})
-    settings, _ = hybrid_settings(describe(bare, above(bare, 10.0, 320)), "sun", asked)
-    texel_m = max(settings.map.cascades[0].texel_m)
-    rope = box((16.0, texel_m * texels, 0.02), 3.0)
-    rope.apply_transform(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
-    scene = level_of(tmp_path, [joined(rope, box((0.02, 0.02, 0.02), at_m=(14, 14)))], 180, 60)
-    at = look(scene, above(scene, 10.0, 320))
-    volumes, found = at.seen(), at.seen("conservative", map_size=64)
-    dark = (at.buffer.kind == RELIEF) & (volumes == 0.0)
-    assert dark.sum() > 200
-    np.testing.assert_array_equal(found, volumes)
-    missed = (at.seen("original", map_size=64)[dark] > 0.0).mean()
-    assert missed > 0.2 if texels < 1.0 else missed < 0.05, f"the original mask misses {missed:.0%}"
+# -- the original mask
 
 
 @pytest.mark.parametrize("light", LIGHTS)

@@ -1,4 +1,4 @@
-"""Shadows whose outline is known in closed form, in every kind of CRS."""
+"""Shadows whose outline is known in closed form (in every kind of CRS: ``tests.hard_cases.test_places``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import CRS, Geod, Transformer
 from scipy.spatial import ConvexHull
 
 from terrain.grid import MapView
@@ -21,13 +20,6 @@ ALTITUDE = 30.0
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 LENGTH_M = BLOCK_M / np.tan(np.radians(ALTITUDE))  # 173.2 m
 TAN = np.tan(np.radians(ALTITUDE))
-
-PLACES = {
-    # name: CRS, longitude, latitude of the block, cell in CRS units (about 10 m on the ground)
-    "geographic": ("EPSG:4326", 15.0, 45.0, 1e-4),
-    "utm 3 degrees off its meridian": ("EPSG:32633", 18.0, 57.7, 10.0),
-    "web mercator at 60 degrees": ("EPSG:3857", 15.0, 60.0, 20.0),
-}
 
 
 def block_raster(write_raster: Callable[..., Path], crs: str, x: float, y: float, cell: float, cells: int = 81) -> Path:
@@ -66,47 +58,11 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
     assert (~seen & ground & (inside < -texel_m)).sum() == 0, "light inside the outline"
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("azimuth", [180.0, 222.0, 67.0])
-def test_block_throws_its_length_towards_true_north_bearing(gl, place, azimuth, write_raster, make_scene):
-    crs, lon, lat, cell = PLACES[place]
-    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
-    scene = make_scene(block_raster(write_raster, crs, x, y, cell), azimuth, ALTITUDE)
-    span = 30 * cell
-    view = scene.view(bounds=(x - span, y - span, x + span, y + span), crs=crs, size=(700, 700))
-    local = CRS.from_proj4(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +datum=WGS84")
-    to_local = Transformer.from_crs(crs, local, always_xy=True).transform
-    check_block(scene, view, lambda dx, dy: to_local(x + dx, y + dy), cell * CORNERS, azimuth)
-
-
 @pytest.mark.parametrize("azimuth", [180.0, 222.0])
 def test_block_in_an_engineering_crs(gl, azimuth, write_raster, make_scene):
     scene = make_scene(block_raster(write_raster, ENGINEERING, 0.0, 0.0, 10.0), azimuth, ALTITUDE)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(700, 700))
     check_block(scene, view, lambda x, y: (x, y), 10.0 * CORNERS, azimuth)
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_length_of_a_block_s_shadow(gl, place, write_raster, make_scene):
-    """173.2 m from the roof's edge to the shadow's, measured with pixels of a ninth of a texel."""
-    crs, lon, lat, cell = PLACES[place]
-    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
-    scene = make_scene(block_raster(write_raster, crs, x, y, cell), 180.0, ALTITUDE)
-    geod = Geod(ellps="WGS84")
-    to_lon_lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform
-    edge = to_lon_lat(x, y + 2 * cell)  # the roof's northern edge
-    tip_lon, tip_lat, _ = geod.fwd(*edge, 0.0, LENGTH_M)
-    tip = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(tip_lon, tip_lat)
-    half = 3 * cell
-    view = scene.view(bounds=(tip[0] - half, tip[1] - half, tip[0] + half, tip[1] + half), crs=crs, size=(800, 800))
-    plan = plan_of(scene, view, filter=1, map_size=256)
-    texel_m = plan.settings["sun"]["relief"].cascades[0].texel_m[1] / np.sin(np.radians(ALTITUDE))
-    assert texel_m < 1.2
-    seen = shadow(render(scene, view, filter=1, map_size=256))
-    for col in (350, 400, 450):  # under the roof's middle
-        row = np.flatnonzero(seen[:, col])[0] - 0.5  # the northern end, between two pixels' centres
-        end = to_lon_lat(view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step))
-        assert geod.inv(*edge, *end)[2] == pytest.approx(LENGTH_M, abs=texel_m)
 
 
 @pytest.mark.parametrize(("step_m", "end_m"), [(0.0, 150.5 - 30.0 / TAN), (10.0, 150.5 - 20.0 / TAN)])
@@ -121,21 +77,6 @@ def test_wall_and_step_in_closed_form(gl, step_m, end_m, write_raster, make_scen
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     ends = np.array([x[row].min() for row in shadow(frame)])
     np.testing.assert_allclose(ends, end_m, atol=0.15)  # a texel on the ground
-
-
-@pytest.mark.parametrize("offset", [(5e6, 5e6), (6.65e6, 0.0), (6.378e6, 5e5)])
-def test_engineering_crs_may_lie_anywhere(gl, offset, write_raster, make_scene):
-    """The mask is the same wherever the DEM lies: nothing is counted from the CRS's origin."""
-    rng = np.random.default_rng(3)
-    heights = np.cumsum(np.cumsum(rng.normal(size=(120, 140)), axis=0), axis=1).astype(np.float32)
-    masks = []
-    for number, (dx, dy) in enumerate([(0.0, 0.0), offset]):
-        raster = write_raster(heights, ENGINEERING, dx, dy + 3600.0, 30.0, name=f"dem{number}.tif")
-        scene = make_scene(raster, 237.0, 17.0)
-        view = scene.view(bounds=(dx + 300, dy + 300, dx + 3900, dy + 3300), size=(480, 400))
-        masks.append(render(scene, view).visibility)
-    assert 0.02 < (masks[0] < 0.5).mean() < 0.98
-    np.testing.assert_array_equal(masks[0], masks[1])
 
 
 @pytest.mark.parametrize("pixel_m", [10.0, 2.0])

@@ -49,17 +49,6 @@ def wrong_inside(seen: np.ndarray, real: Truth, buffer: GeometryBuffer) -> np.nd
 # -- bias
 
 
-@pytest.mark.parametrize(
-    ("bias", "slope", "towards"),
-    [("receiver_plane", 45, 203), ("normal_offset", 0, 0), ("normal_offset", 45, 203), ("normal_offset", 70, 290)],
-)
-def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope, towards, bias):
-    raster = plane(write_raster, slope, towards)
-    for altitude, aside in ((60.0, 20.0), (25.0, -60.0), (5.0, 75.0)):
-        for taps in TAPS:
-            assert shaded(make_scene, raster, towards + aside, altitude, bias=bias, filter=taps) == 0.0, (altitude, aside, taps)
-
-
 @pytest.mark.parametrize("taps", TAPS)
 def test_the_normal_offset_is_no_more_than_needed(gl, write_raster, make_scene, taps):
     """At 0.8 times it a plane that the sun grazes along a diagonal of the texels shades itself."""

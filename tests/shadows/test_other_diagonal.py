@@ -107,7 +107,7 @@ def test_where_the_other_cut_has_no_triangle_the_class_hangs_on_it(scene_of):
     assert buffer.surface is not None and buffer.triangle is not None
     quad = np.array([SADDLE]) + buffer.triangle[..., :2].min(axis=(0, 1), where=buffer.there[..., None], initial=1 << 20)
     position = buffer.surface.position_frame_m.copy()
-    position[quad[0, 0] - buffer.surface.row0, quad[0, 1] - buffer.surface.col0] = np.nan
+    position[quad[0, 0], quad[0, 1]] = np.nan
     torn = replace(buffer, surface=replace(buffer.surface, position_frame_m=position))
     changed = changed_by_diagonal(torn, scene, casters_of(scene, torn), buffer.there)
     assert changed[(buffer.triangle == (*quad[0], 1)).all(axis=-1)].all()

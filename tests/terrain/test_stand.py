@@ -10,8 +10,6 @@ import pyogrio
 import pytest
 import shapely
 from pyproj import Transformer
-from scipy.ndimage import binary_dilation
-from scipy.spatial import cKDTree
 
 from shadows import truth
 from shadows.truth import ALL_KINDS
@@ -21,11 +19,10 @@ from terrain.foliage import LOOKS, THRESHOLD, foliage
 from terrain.picture import Visible, buffer_of, geometry_of
 from terrain.rays import sample_alpha
 from terrain.reach import casters_of
-from terrain.resolve import FOREST, RELIEF
+from terrain.resolve import FOREST
 from terrain.scene import Scene
 from terrain.stand import Stand, stand_in_map, stand_in_perspective
 from tests.rasters import ENGINEERING
-from tests.render import render
 
 UTM = "EPSG:32633"
 UP = np.array([0.0, 0.0, 1.0])
@@ -293,38 +290,3 @@ def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
         found.append(stand.corners() + view.frame(scene.world).origin_earth_m)
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], atol=1e-5)
-
-
-def test_a_shadow_does_not_turn_with_the_picture(gl, floor, wooded):
-    """Seen straight down, once with north and once with south at the top: the very same ground points."""
-    scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, sun=(110.0, 35.0))
-    eye = np.array([15.0, 5.0, 110.0])
-    masks, kinds, points = [], [], []
-    for top in (1.0, -1.0):
-        view = look_at(eye, eye + [0.0, top * 1e-7, -100.0], UP, 30.0, 160, 160)
-        frame, buffer = render(scene, view, map_size=2048, filter=1), geometry_of(scene, view)
-        turned = slice(None, None, int(top))
-        masks.append((frame.visibility < 0.5)[turned, turned])
-        kinds.append(buffer.kind[turned, turned])
-        points.append(frame.position_earth_m[turned, turned])
-    both = (kinds[0] == RELIEF) & (kinds[1] == RELIEF)
-    np.testing.assert_allclose(points[0][both], points[1][both], atol=1e-3)
-    assert both.mean() > 0.8 and 0.02 < masks[0][both].mean() < 0.3
-    assert (masks[0] != masks[1])[both].mean() <= 1e-3
-
-
-def test_a_shadow_does_not_turn_with_a_camera_that_goes_round(gl, floor, wooded):
-    """From two sides of a tree: ground points that both see have the same class, away from the shadow's fringe."""
-    scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, sun=(110.0, 35.0))
-    seen = []
-    for side in (1.0, -1.0):
-        view = eye_at(scene, (-6.0, side * 60.0, 70.0), (-12.0, 0.0, 0.0), 26.0, (300, 300))
-        frame, buffer = render(scene, view, map_size=4096, filter=1), geometry_of(scene, view)
-        ground, dark = buffer.kind == RELIEF, frame.visibility < 0.5
-        plain = ~binary_dilation(dark, iterations=1) | ~binary_dilation(~dark, iterations=1)
-        seen.append((frame.position_earth_m[ground], dark[ground], (plain & ground)[ground]))
-    (points, dark, plain), (others, other_dark, _) = seen
-    away, other = cKDTree(others[:, :2]).query(points[:, :2])
-    common = (away < 0.1) & plain
-    assert common.sum() > 10_000 and 0.01 < dark[common].mean() < 0.4
-    assert (dark[common] != other_dark[other[common]]).mean() <= 1e-3

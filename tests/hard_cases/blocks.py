@@ -1,0 +1,124 @@
+"""Blocks over level ground, whose shadows under the sun are polygons in closed form, and cameras at an angle to the sun."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import shapely
+import trimesh
+
+from selector.compare import texel_footprint_px
+from shadows.metrics import INTERIOR_PX, edge_distances, interior
+from shadows.render import FILLS
+from shadows.truth import Truth, sub_views
+from terrain.camera import PerspectiveView, look_at
+from terrain.descriptor import describe
+from terrain.resolve import RELIEF
+from tests.hard_cases.cases import Seen
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def block(size_m: Sequence[float], at_m: Sequence[float], bottom_m: float = 0.0, turn_deg: float = 0.0) -> trimesh.Trimesh:
+    """A closed block (east, north, up) turned counter-clockwise about its middle, which stands at (east, north)."""
+    mesh = trimesh.creation.box(extents=size_m)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(turn_deg), UP))
+    mesh.apply_translation([*at_m, bottom_m + size_m[2] / 2.0])
+    return mesh
+
+
+def towards(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+    """The unit direction (3,) of an azimuth, clockwise from north, and an altitude."""
+    azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+    return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+
+
+def shade(blocks: Sequence[trimesh.Trimesh], sun: tuple[float, float]) -> list[shapely.Polygon]:
+    """What convex blocks keep from the sun of the plane z = 0: the hulls of their corners, projected along its rays."""
+    way = towards(*sun)
+    corners = [mesh.vertices[:, :2] - mesh.vertices[:, 2:] * way[:2] / way[2] for mesh in blocks]
+    return [shapely.MultiPoint(each).convex_hull for each in corners]
+
+
+def shaded(x_m: np.ndarray, y_m: np.ndarray, hulls: Sequence[shapely.Polygon]) -> np.ndarray:
+    """Whether points (n,) of the ground lie in any of some polygons, bool (n,)."""
+    out = np.zeros(len(x_m), bool)
+    for hull in hulls:
+        west, south, east, north = hull.bounds
+        near = np.flatnonzero((x_m > west) & (x_m < east) & (y_m > south) & (y_m < north) & ~out)
+        shapely.prepare(hull)
+        out[near] = shapely.contains_xy(hull, x_m[near], y_m[near])
+    return out
+
+
+def flat(size_m: float = 200.0, cells: int = 20) -> Mapping[str, object]:
+    """A level's ground."""
+    return {"flat": {"size": [size_m, size_m], "cells": [cells, cells]}}
+
+
+def camera(eye_m: Sequence[float], axis: np.ndarray, fov_deg: float = 60.0, px: int = 256, wide: float = 1.0) -> PerspectiveView:
+    """A camera of a flat world that looks along an axis (3,); the picture is ``wide`` times as wide as high."""
+    eye = np.array(eye_m, float)
+    return look_at(eye, eye + 10.0 * axis, UP, fov_deg, px, round(px * wide))
+
+
+def axis_off(to_sun: np.ndarray, aside: np.ndarray, angle_deg: float) -> np.ndarray:
+    """The axis (3,) at an angle to the sun's direction, turned from there towards another direction.
+
+    Exact at small angles, and near 90 and 180 degrees, where the angle is taken from there.
+    """
+    across = aside - (aside @ to_sun) * to_sun
+    across /= np.linalg.norm(across)
+    quarters = round(angle_deg / 90.0)
+    c, s = np.cos(np.radians(angle_deg - 90.0 * quarters)), np.sin(np.radians(angle_deg - 90.0 * quarters))
+    along, up = [(c, s), (-s, c), (-c, -s), (s, -c)][quarters % 4]
+    return along * to_sun + up * across
+
+
+def on_ground(view: PerspectiveView, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the rays of a camera's pixels, where a mask says, meet the plane z = 0: east and north (n,), metres."""
+    row, col = np.nonzero(which)
+    across, down = (view.col0 + col * view.step) / view.focal_px, (view.row0 + row * view.step) / view.focal_px
+    ray = np.stack([across, down, np.ones(len(row))], axis=-1) @ view.earth_from_camera.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        east_north = view.eye_earth_m[:2] - ray[:, :2] * (view.eye_earth_m[2] / ray[:, 2:])
+    return east_north[:, 0], east_north[:, 1]
+
+
+def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
+    """Truth on the level ground z = 0 that a camera sees, from the polygons of its shadow; everything else is left out.
+
+    As in ``shadows.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
+    """
+    view = seen.view
+    assert isinstance(view, PerspectiveView)
+    there = seen.buffer.there & (seen.buffer.kind == RELIEF)
+    dark, decidable = np.zeros(there.shape, bool), there.copy()
+    dark[there] = shaded(*on_ground(view, there), hulls)
+    for each in sub_views(view, 4):
+        decidable[there] &= shaded(*on_ground(each, there), hulls) == dark[there]  # type: ignore[arg-type]
+    return Truth(there & ~dark, np.zeros(there.shape, bool), decidable, there)
+
+
+def figures_on_ground(seen: Seen, hulls: Sequence[shapely.Polygon]) -> dict[str, float]:
+    """``interior`` and ``edge_p95_px`` of ``shadows.metrics`` on the level ground, against the polygons of its shadow.
+
+    The outline may be hidden by what stands before it: what lies within two texels of it on the ground is no interior either.
+    """
+    truth, view = true_shade(seen, hulls), seen.view
+    assert isinstance(view, PerspectiveView)
+    steps = [step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS]
+    pixel_m = describe(seen.scene, view).pixel_m
+    texels_px = np.max([texel_footprint_px(seen.scene, step, seen.buffer, pixel_m) for step in steps], axis=0)
+    dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit
+    far = interior(truth.decidable & (dark != true_dark), true_dark, truth.there, np.maximum(INTERIOR_PX, 2.0 * texels_px))
+    points = np.stack([*on_ground(view, far), np.zeros(np.count_nonzero(far))], axis=-1)
+    texel_m = texels_px[far] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
+    outline = shapely.union_all(hulls).boundary
+    count = np.count_nonzero(shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m)
+    edges_px = edge_distances(dark, true_dark, truth.there)
+    return {
+        "interior": count / max(np.count_nonzero(truth.decidable), 1),
+        "edge_p95_px": float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,
+    }

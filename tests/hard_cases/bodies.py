@@ -1,0 +1,132 @@
+"""Bodies for hard cases, what is looked at, and how it is judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.ndimage import binary_erosion
+
+from selector.compare import texel_footprint_px
+from shadows.metrics import Errors, errors_of
+from shadows.render import FILLS
+from shadows.truth import Truth
+from terrain.resolve import RELIEF
+from tests.hard_cases.cases import Seen
+from tests.shadows.boxes import box
+
+FLOOR = {"flat": {"size": [100, 100], "cells": [10, 10]}}
+"""Level ground, 100 m a side."""
+
+SPOT: dict[str, Any] = {"kind": "spot", "position": [-14, -18, 24], "target": [2, 2, 0], "cutoff": 50}
+"""A lamp in the south-west that shines on the middle of the floor."""
+
+
+def eye(at: Any, target: Any, fov: float = 60.0) -> dict[str, Any]:
+    """A view of a level: metres east, north and up."""
+    return {"kind": "perspective", "eye": list(at), "target": list(target), "fov": fov}
+
+
+EYES = {
+    "in the shadow": eye((2, 5, 1), (6, 20, 0)),
+    "before a wall that the light does not reach": eye((0, 3.05, 2), (0.5, 8, 1.2), fov=90),
+    "in the plane of the lit cap": eye((20, 20, 5), (0, 2, 4)),
+    "in the body": eye((0.3, 0.2, 2), (1, 5, 1), fov=100),
+    "in the shadow, towards the house": eye((2, 8, 1), (0, 0, 3)),
+    "in the shadow, towards the light": eye((2, 6, 0.5), (-2, -6, 8)),
+    "looking along the lit cap": eye((20, 20, 5), (0, 2, 5)),
+}
+"""Where an eye may be round a house of 8 by 6 by 5 m at the middle of the floor."""
+
+
+def size_of(thorough: bool) -> tuple[int, int]:
+    """Columns and rows of a case's pictures."""
+    return (512, 384) if thorough else (120, 90)
+
+
+def errors(seen: Seen, truth: Truth | None = None) -> Errors:
+    """An algorithm's errors against truth (by rays, unless another is given) where it promises anything: projected shadows fall on
+    the ground alone.
+    """
+    truth = truth or seen.truth
+    steps = [step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS]
+    if any(step.algorithm == "planar" for step in steps):
+        truth = replace(truth, decidable=truth.decidable & (seen.buffer.kind == RELIEF))
+    texels = [texel_footprint_px(seen.scene, step, seen.buffer, 1.0) for step in steps or [None]]
+    return errors_of(seen.visibility, truth, 1.0, np.max(texels, axis=0))
+
+
+def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:
+    """Closed form of the sun's shadow that boxes, square to the axes, throw on level ground: decidable is what has ground of its
+    own class all round it.
+
+    A ray is in a box while it is between the box's planes along each axis (T. Kay and J. Kajiya, Ray Tracing Complex Scenes, 1986).
+    """
+    points = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
+    dark = np.zeros(points.shape[:2], bool)
+    for each in boxes:
+        ends = (each.bounds[:, None, None] - points) / to_sun
+        entered, left = np.minimum(*ends).max(axis=-1), np.maximum(*ends).min(axis=-1)
+        dark |= left > np.maximum(entered, 0.0)
+    ground = seen.buffer.there & (seen.buffer.kind == RELIEF)
+    alike = [binary_erosion(ground & one, structure=np.ones((3, 3))) for one in (dark, ~dark)]
+    return Truth(ground & ~dark, np.zeros_like(dark), alike[0] | alike[1], ground)
+
+
+def not_a_number(seen: Seen) -> int:
+    """How many pixels of a surface have no visibility in [0, 1]."""
+    return int((~((seen.visibility >= 0.0) & (seen.visibility <= 1.0)) & seen.buffer.there).sum())
+
+
+def differing(one: Seen, other: Seen) -> int:
+    """How many pixels differ between two visibilities of one view."""
+    return int((~np.isclose(one.visibility, other.visibility, rtol=0.0, atol=0.0, equal_nan=True)).sum())
+
+
+def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(list(meshes))
+
+
+def grounded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """With a pebble on the ground beside it: what hovers is not set down."""
+    return joined(mesh, box((0.02, 0.02, 0.02), at_m=(14.0, 14.0)))
+
+
+def soup(corners: Any) -> trimesh.Trimesh:
+    """Triangles, corner by corner."""
+    points = np.array(corners, float)
+    return trimesh.Trimesh(points.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3), process=False)
+
+
+def without(mesh: trimesh.Trimesh, gone: np.ndarray | int) -> trimesh.Trimesh:
+    """A mesh without some of its triangles."""
+    return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, gone, axis=0), process=False)
+
+
+def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+
+
+def half_sphere(lower: bool) -> trimesh.Trimesh:
+    ball = trimesh.creation.icosphere(3, 4.0)
+    ball.apply_translation([0.0, 0.0, 5.0])
+    over = ball.triangles_center[:, 2] > 5.0
+    return without(ball, np.flatnonzero(over if lower else ~over))
+
+
+def sheet() -> trimesh.Trimesh:
+    return soup([[[-4, -3, 3], [4, -3, 2], [4, 3, 5]], [[-4, -3, 3], [4, 3, 5], [-4, 3, 4]]])
+
+
+def three_walls() -> trimesh.Trimesh:
+    """Three walls that share an upright edge."""
+    ends = [[5 * np.cos(turn), 5 * np.sin(turn)] for turn in (0.3, 2.4, 4.5)]
+    return soup([t for x, y in ends for t in ([[0, 0, 0], [x, y, 0], [x, y, 6]], [[0, 0, 0], [x, y, 6], [0, 0, 6]])])
+
+
+def plates(count: int, gap_m: float = 0.05) -> trimesh.Trimesh:
+    """Squares of 6 m above one another, the lowest one metre up."""
+    square = [[[-3, -3], [3, -3], [3, 3]], [[-3, -3], [3, 3], [-3, 3]]]
+    return grounded(soup([[[x, y, 1 + gap_m * n] for x, y in corners] for n in range(count) for corners in square]))

@@ -1,0 +1,162 @@
+"""Grounds whose shadows are known in closed form, and views of them that every algorithm can be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import Geod, Transformer
+from scipy.optimize import brentq
+
+from shadows.attached import attached
+from shadows.passes import PassLog
+from shadows.plan import Settings
+from shadows.render import FILLS
+from terrain.scene import Scene
+from tests.hard_cases.cases import Seen, Trial, View
+from tests.rasters import ENGINEERING
+
+MERIDIAN_DEG, TIP_DEG = 15.0, 45.0
+"""Longitude and latitude where a far ridge's shadow shall end."""
+
+GEODESIC = Geod(ellps="WGS84")
+
+
+def tilted_plane(trial: Trial, slope_deg: float, towards_deg: float) -> Path:
+    """The raster of a plane 960 m wide, at height 0 in the middle, that falls by a slope towards an azimuth."""
+    axis = (np.arange(96) - 47.5) * 10.0
+    east, north = np.meshgrid(axis, -axis)
+    facing = np.radians(towards_deg)
+    fall = np.tan(np.radians(slope_deg)) * (east * np.sin(facing) + north * np.cos(facing))
+    name = f"plane_{slope_deg:g}_{towards_deg:g}"
+    return trial.raster((-fall).astype(np.float32), ENGINEERING, -480, 480, 10.0, name=name)
+
+
+def normal_of(slope_deg: float, towards_deg: float) -> np.ndarray:
+    """Unit normal (3,) of such a plane, east, north, up."""
+    slope, facing = np.radians(slope_deg), np.radians(towards_deg)
+    return np.array([np.sin(slope) * np.sin(facing), np.sin(slope) * np.cos(facing), np.cos(slope)])
+
+
+def views_of(trial: Trial, scene: Scene, size: int, **of_map: Any) -> Iterator[View]:
+    """The map and the perspective view ``eye``; for what has no maps the latter alone."""
+    if trial.algorithm != "perspective_shadow_map":
+        yield scene.view(size=(size, size), **of_map)
+    yield scene.view("eye", size=(size, size))
+
+
+Change = Callable[[Settings], Settings]
+
+
+def changed(seen: Seen, change: Change) -> Seen:
+    """The same picture by a plan whose settings were changed."""
+    settings = {light: {kind: change(its) for kind, its in kinds.items()} for light, kinds in seen.plan.settings.items()}
+    plan = seen.plan.model_copy(update={"settings": settings})
+    visibility, log = np.ones(seen.buffer.there.shape, np.float32), PassLog()
+    for step in plan.steps:
+        if step.algorithm in FILLS:
+            visibility *= FILLS[step.algorithm](seen.buffer, seen.scene, seen.light, step.kinds, seen.casters, step.settings, log)
+    visibility[attached(seen.buffer, seen.scene, seen.light)] = 0.0
+    visibility[~seen.buffer.there] = np.nan
+    return replace(seen, plan=plan, visibility=visibility, log=log)
+
+
+@dataclass(frozen=True, eq=False)
+class FarPeak:
+    """A mesa in the south whose shadow ends ``length_m`` from its northern upper edge, under a sun in the south.
+
+    ``edge`` is the middle of that edge in the raster's CRS, ``beside`` how far beside it, in the same units, is looked at.
+    ``map_bounds`` and the view ``eye`` of the scene show where the shadow ends.
+    """
+
+    scene: Scene
+    length_m: float
+    edge: tuple[float, float]
+    beside: float
+    map_bounds: tuple[float, float, float, float]
+
+    def lengths_m(self, seen: Seen) -> np.ndarray:
+        """How far from the mesa's edge a picture's points lie on the ground, (rows, cols), metres; NaN beside the mesa's middle."""
+        frame = seen.buffer.frame
+        earth = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
+        x, y, _ = self.scene.world.map_position(self.scene.elevation.crs, earth)
+        behind = np.abs(x - self.edge[0]) <= self.beside
+        out = np.full(x.shape, np.nan)
+        if self.scene.world.flat:
+            out[behind] = y[behind] - self.edge[1]
+        else:
+            edge = np.full(np.count_nonzero(behind), self.edge[1])
+            out[behind] = GEODESIC.inv(x[behind], edge, x[behind], y[behind])[2]
+        return out
+
+    def length_error(self, seen: Seen) -> float:
+        """By what share of its length the shadow is longer or shorter anywhere behind the mesa's middle."""
+        away_m = self.lengths_m(seen)
+        dark, lit = away_m[seen.dark], away_m[seen.buffer.there & ~seen.dark]
+        dark, lit = dark[np.isfinite(dark)], lit[np.isfinite(lit)]
+        assert dark.size > 500 and lit.size > 500, "the end of the shadow is in the picture"
+        return float(max(dark.max() - self.length_m, self.length_m - lit.min(), 0.0) / self.length_m)
+
+
+def far_peak(trial: Trial, height_m: float, altitude_deg: float, round_m: float, curved: bool) -> FarPeak:
+    """A mesa 4 km wide, and level ground. On the globe the sun's altitude is that at the anchor, where the shadow ends."""
+    make = _peak_on_the_globe if curved else _peak_on_the_plane
+    return make(trial, height_m, altitude_deg, round_m)
+
+
+def _mesa(rows: int, cols: int, edge_row: int, height_m: float) -> np.ndarray:
+    heights = np.zeros((rows, cols), np.float32)
+    heights[edge_row : edge_row + 12, cols // 2 - 14 : cols // 2 + 14] = height_m
+    return heights
+
+
+def _peak_on_the_plane(trial: Trial, height_m: float, altitude_deg: float, round_m: float) -> FarPeak:
+    cell, cols = 250.0, 60
+    length_m = height_m / np.tan(np.radians(altitude_deg))
+    rows = round(length_m / cell) + 60
+    edge_row = rows - 30
+    raster = trial.raster(_mesa(rows, cols, edge_row, height_m), ENGINEERING, -cols * cell / 2, rows * cell, cell, name="plane")
+    edge, tip = (rows - edge_row - 0.5) * cell, (rows - edge_row - 0.5) * cell + length_m
+    eye = {"kind": "perspective", "eye": [0, tip - rows * cell / 2 - 2 * round_m, 2 * round_m], "fov": 50,
+           "target": [0, tip - rows * cell / 2, 0]}  # fmt: skip
+    scene = trial.scene(raster, (180, altitude_deg), name="plane", views={"eye": eye})
+    return FarPeak(scene, length_m, (0.0, edge), 8 * cell, (-round_m / 2, tip - round_m, round_m / 2, tip + round_m))
+
+
+def _peak_on_the_globe(trial: Trial, height_m: float, altitude_deg: float, round_m: float) -> FarPeak:
+    """In the meridian's plane all is plane geometry: the shadow ends where the ray past the edge meets the ellipsoid."""
+    cell, cols, rows = 0.002, 60, 1001
+    middle = rows // 2  # of this row the cells' centres lie on the parallel of the anchor
+    earth = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+
+    def point(lat: float, up_m: float = 0.0) -> np.ndarray:
+        return np.array(earth.transform(MERIDIAN_DEG, lat, up_m))
+
+    up = point(TIP_DEG, 1.0) - point(TIP_DEG)
+    south = point(TIP_DEG - 1e-4) - point(TIP_DEG + 1e-4)
+    south /= np.linalg.norm(south)
+    to_sun = np.sin(np.radians(altitude_deg)) * up + np.cos(np.radians(altitude_deg)) * south
+    aside = np.cross(up, south)
+
+    def above_ray(lat: float, edge_lat: float) -> float:
+        """How far the edge lies above the sun's ray to the ground at a latitude, metres."""
+        return float(np.cross(point(edge_lat, height_m) - point(lat), to_sun) @ aside)
+
+    guess = brentq(lambda lat: above_ray(TIP_DEG, lat), TIP_DEG - 1.5, TIP_DEG - 0.05)
+    edge_row = middle + round((TIP_DEG - guess) / cell)
+    edge_lat = TIP_DEG - (edge_row - middle) * cell
+    tip_lat = brentq(lambda lat: above_ray(lat, edge_lat), edge_lat + 0.05, TIP_DEG + 0.1)
+    length_m = GEODESIC.inv(MERIDIAN_DEG, edge_lat, MERIDIAN_DEG, tip_lat)[2]
+    raster = trial.raster(
+        _mesa(rows, cols, edge_row, height_m), "EPSG:4326", MERIDIAN_DEG - cols * cell / 2, TIP_DEG + rows * cell / 2, cell,
+        name="globe",
+    )  # fmt: skip
+    eye = {"kind": "perspective", "eye": [MERIDIAN_DEG, TIP_DEG - 2 * round_m / 111_000, 2 * round_m], "fov": 50,
+           "target": [MERIDIAN_DEG, TIP_DEG, 0]}  # fmt: skip
+    scene = trial.scene(raster, (180, altitude_deg), name="globe", views={"eye": eye})
+    _, y = Transformer.from_crs("EPSG:4326", "EPSG:32633", always_xy=True).transform(MERIDIAN_DEG, tip_lat)
+    bounds = (500_000 - round_m / 2, y - round_m, 500_000 + round_m / 2, y + round_m)
+    return FarPeak(scene, length_m, (MERIDIAN_DEG, edge_lat), 8 * cell, bounds)

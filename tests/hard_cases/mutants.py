@@ -1,0 +1,161 @@
+"""The engine broken on purpose, and the hard cases that must notice.
+
+``python -m tests.hard_cases.mutants NAME`` breaks it in a process of its own, where nothing is kept from before, runs the cases
+that are named for that, and prints the records of their trials as JSON. A case that noticed has a figure over its bound, or failed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+CaseName = tuple[str, str, str]
+"""Module under ``tests.hard_cases``, test, algorithm."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """What is broken, how, and by which cases it must be found."""
+
+    about: str
+    breaks: Callable[[], None]
+    noticed_by: tuple[CaseName, ...]
+
+
+def _no_snapping() -> None:
+    from shadows import map_windows
+
+    window = map_windows._window
+    map_windows._window = lambda low, high, texel, border, stable: window(low, high, texel, border, False)
+
+
+def _float32_world() -> None:
+    from terrain.world import World
+
+    ground = World.ground
+    World.ground = lambda self, crs, x, y: ground(self, crs, _rounded(x), _rounded(y))  # type: ignore[method-assign]
+
+
+def _rounded(values: Any) -> np.ndarray:
+    return np.asarray(values, np.float32).astype(np.float64)
+
+
+def _z_pass_always() -> None:
+    from shadows import volume_drawing
+
+    volume_drawing.may_shade_near = lambda low, high, rectangle, light: np.zeros(len(low), bool)
+
+
+def _constant_bias() -> None:
+    from shadows import shadow_map
+
+    look_up = shadow_map.look_up
+
+    def without_slope(gl: Any, drawn: Any, target: Any, buffer: Any, settings: Any, *rest: Any) -> None:
+        look_up(gl, drawn, target, buffer, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest)
+
+    shadow_map.look_up = without_slope
+
+
+def _near_plane() -> None:
+    from shadows import post_perspective
+
+    matrix = post_perspective.camera_matrix
+    post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
+
+
+def _flat_earth() -> None:
+    """The plane that touches the earth where far shadows end."""
+    from terrain import world
+    from tests.hard_cases.landscapes import MERIDIAN_DEG, TIP_DEG
+
+    exact = world.geocentric
+    origin, up = exact(np.float64(MERIDIAN_DEG), np.float64(TIP_DEG))
+    east = world.direction_east(MERIDIAN_DEG)
+    metres = np.array([np.cos(np.radians(TIP_DEG)), 1.0]) * world.EARTH_RADIUS_M * np.pi / 180.0
+
+    def geocentric(lon_deg: Any, lat_deg: Any) -> tuple[np.ndarray, np.ndarray]:
+        lon, lat = np.broadcast_arrays(np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64))
+        steps = np.stack([lon - MERIDIAN_DEG, lat - TIP_DEG], axis=-1) * metres
+        point = origin + steps @ np.stack([east, np.cross(up, east)])
+        return point, np.broadcast_to(up, point.shape).copy()
+
+    world.geocentric = geocentric
+
+
+def _mirrored_azimuth() -> None:
+    from terrain import scene
+
+    sun_of = scene.sun_of
+
+    def mirrored(spec: Any, world: Any) -> Any:
+        if spec.azimuth is None:
+            return sun_of(spec, world)
+        return sun_of(spec.model_copy(update={"azimuth": -spec.azimuth % 360.0}), world)
+
+    scene.sun_of = mirrored
+
+
+MUTANTS = {
+    "no_snapping": Mutant(
+        "maps follow what is looked at, off the lattice of their texels", _no_snapping,
+        (("test_steady", "test_whole_pixel_shifts", "shadow_map"),),
+    ),
+    "float32_world": Mutant(
+        "map coordinates are float32", _float32_world,
+        (("test_world_scale", "test_a_site_may_lie_anywhere", "shadow_map"),
+         ("test_world_scale", "test_a_site_may_lie_anywhere", "shadow_volume")),
+    ),
+    "z_pass_always": Mutant(
+        "faces before the point are counted, wherever the eye is", _z_pass_always,
+        (("test_volumes", "test_eye_in_a_volume", "shadow_volume"), ("test_volumes", "test_eye_in_a_volume", "hybrid")),
+    ),
+    "constant_bias": Mutant(
+        "points are held against a map as they are, whatever the slope", _constant_bias,
+        (("test_bias", "test_tilted_planes_are_lit", "shadow_map"), ("test_bias", "test_level_ground_is_lit", "shadow_map")),
+    ),
+    "near_plane": Mutant(
+        "a perspective map's near plane lies a thousandth of a millimetre before the eye", _near_plane,
+        (("test_properties", "test_found_situations", "perspective_shadow_map"),),
+    ),
+    "flat_earth": Mutant(
+        "the globe is a plane", _flat_earth,
+        (("test_far_shadows", "test_curvature_shortens_long_shadows", "shadow_map"),
+         ("test_far_shadows", "test_curvature_shortens_long_shadows", "sweep")),
+    ),
+    "mirrored_azimuth": Mutant(
+        "azimuths count counter-clockwise", _mirrored_azimuth,
+        (("test_places", "test_true_north", "shadow_map"), ("test_places", "test_true_north", "sweep"),
+         ("test_bias", "test_a_cube_touches_its_shadow", "shadow_map")),
+    ),
+}  # fmt: skip
+"""By name. Each case is run quickly; its bounds are those of the suite."""
+
+
+def records(name: str) -> list[dict[str, Any]]:
+    """The records of the cases of a mutant, run quickly on the broken engine; ``error`` says how one failed outright."""
+    mutant, out = MUTANTS[name], []
+    cases = [
+        (getattr(importlib.import_module(f"tests.hard_cases.{module}"), test).case, algorithm)
+        for module, test, algorithm in mutant.noticed_by
+    ]
+    mutant.breaks()
+    for case, algorithm in cases:
+        with TemporaryDirectory() as folder:
+            try:
+                out.append(case.run(algorithm, False, Path(folder)))
+            except AssertionError as error:  # nothing is there that could be measured
+                out.append({"id": case.id, "algorithm": algorithm, "error": str(error)})
+    return out
+
+
+if __name__ == "__main__":
+    print(json.dumps(records(sys.argv[1])))

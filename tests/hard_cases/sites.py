@@ -1,0 +1,57 @@
+"""Grounds for cases about places, world scale and time: hills with houses, anywhere, for each algorithm as far as it can serve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import trimesh
+from scipy.ndimage import gaussian_filter
+
+from terrain.scene import Scene
+from tests.hard_cases.cases import Seen, Trial, View
+from tests.rasters import ENGINEERING
+
+HOUSES_AT = [[-60.3, 20.7], [-20.1, -40.9], [33.7, 5.3], [55.9, -70.1], [10.3, 71.7]]
+"""Metres east and north of the ground's middle."""
+
+CELLS, CELL_M = 96, 4.0
+
+
+def hills(cells: int = CELLS, height_m: float = 60.0, seed: int = 11) -> np.ndarray:
+    """Rolling heights (cells, cells) float32 of some metres' spread, rough from cell to cell by decimetres."""
+    noise = np.random.default_rng(seed).normal(size=(2, cells, cells))
+    broad, rough = gaussian_filter(noise[0], 7.0, mode="wrap"), gaussian_filter(noise[1], 1.0, mode="wrap")
+    return (height_m * broad / np.abs(broad).max() + 0.5 * rough).astype(np.float32)
+
+
+def site(
+    trial: Trial, sun: tuple[float, float] = (237.0, 17.0), offset: tuple[float, float] = (0.0, 0.0), name: str = "site"
+) -> Scene:
+    """Hills with houses in an engineering CRS, the raster's middle at an offset in metres.
+
+    For the sweep hills alone, and for what throws shadows on a plane a level floor with the houses.
+    """
+    heights = hills() if trial.algorithm != "planar" else np.zeros((CELLS, CELLS), np.float32)
+    half = CELLS * CELL_M / 2
+    raster = trial.raster(heights, ENGINEERING, offset[0] - half, offset[1] + half, CELL_M, name=name)
+    houses: dict = {}
+    if trial.algorithm != "sweep":
+        trimesh.creation.box(extents=(21.0, 13.0, 24.0)).export(trial.folder / "house.ply")
+        houses = {"meshes": [{"source": "house.ply", "at": HOUSES_AT, "turn": 17.3}]}
+    oblique = {"kind": "perspective", "eye": [150.3, 110.7, 70], "target": [0, 0, 0], "fov": 45, "size": [128, 96]}
+    return trial.scene(raster, sun, name=name, views={"oblique": oblique}, **houses)
+
+
+def views_of(trial: Trial, scene: Scene, px: int) -> Iterator[View]:
+    """The views of a site that its algorithm serves: the oblique one, and the map for what knows maps."""
+    yield scene.view("oblique", size=(px, px * 3 // 4))
+    if trial.algorithm != "perspective_shadow_map":
+        yield scene.view(size=(px, px))
+
+
+def differing(one: Seen, other: Seen) -> float:
+    """Share of the pixels whose class differs between two pictures; of which neither may be without light or shadow."""
+    there = one.buffer.there
+    assert 0.02 < one.dark[there].mean() < 0.98, "light and shadow"
+    return float(((one.dark != other.dark) | (there != other.buffer.there)).mean())

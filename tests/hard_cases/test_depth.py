@@ -1,0 +1,211 @@
+"""What maps hold: depths to within a step, of any range, in any number of bits; and where one cascade ends and the next begins."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from selector.compare import texel_footprint_px
+from selector.map_settings import DEPTH_PX
+from shadows.map_drawing import draw_map
+from shadows.map_windows import DepthMap, distances, steps_of, sun_maps
+from shadows.metrics import errors_of
+from shadows.passes import PassRecord
+from shadows.plan import Settings, ShadowMapSettings
+from terrain.descriptor import describe
+from terrain.gl import device
+from terrain.scene import Scene
+from tests.hard_cases.cases import Seen, Trial, hard_case
+from tests.hard_cases.landscapes import Change, changed, views_of
+from tests.rasters import ENGINEERING
+from tests.shadows.boxes import box
+
+AZIMUTH = 77.0
+"""Of the suns over a cliff: they shine on it."""
+
+CLIFF_M = -5.0, 5.0
+"""Where it begins and ends, from west to east: one cell."""
+
+
+def cliff(trial: Trial, height_m: float, altitude: float, meshes: list[trimesh.Trimesh] | None = None) -> Scene:
+    """A plateau in the west, a plain of height 0 in the east, 640 m of both."""
+    heights = np.zeros((64, 64), np.float32)
+    heights[:, :32] = height_m
+    name = f"cliff_{height_m:.0f}_{altitude:.0f}"
+    raster = trial.raster(heights, ENGINEERING, -320, 320, 10.0, name=name)
+    return trial.scene(raster, (AZIMUTH, altitude), meshes, name=name)
+
+
+def settings_of(seen: Seen) -> ShadowMapSettings:
+    (step,) = seen.plan.steps
+    assert isinstance(step.settings, ShadowMapSettings)
+    return step.settings
+
+
+def depth_error_m(seen: Seen, drawn: DepthMap, height_m: float) -> float:
+    """The worst difference between what a map holds and the true depth of plain and plateau at the texels' centres, metres.
+
+    With r, u, a the heights of light space's axes, the ray through its (x, y) meets a plane of height h at z = (h - x r - y u) / a.
+    """
+    gl, (step,) = device(), seen.plan.steps
+    held = gl.read(draw_map(gl, drawn, seen.buffer, seen.scene, step.kinds, seen.casters, step.settings, PassRecord("")), -1)
+    offset_m, window_m = np.array(drawn.uniforms["light_offset_m"]), np.array(drawn.uniforms["window_m"])
+    rotation = np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3).T
+    cols, rows = np.meshgrid(np.arange(drawn.size[0]) + 0.5, np.arange(drawn.size[1]) + 0.5)
+    x, y = cols * drawn.uniforms["texel_m"][0] - offset_m[0], rows * drawn.uniforms["texel_m"][1] - offset_m[1]
+    worst = []
+    for height, side in ((0.0, 1.0), (height_m, -1.0)):
+        z = (height - x * rotation[0, 2] - y * rotation[1, 2]) / rotation[2, 2]
+        point = np.stack([x, y, z], axis=-1) @ rotation
+        on_it = (np.abs(point[..., :2]) < 290.0).all(axis=-1) & (side * point[..., 0] > 20.0)
+        assert on_it.any(), "plain and plateau are in the map"
+        worst.append(np.abs(held * window_m[2] - (z + offset_m[2]))[on_it].max())
+    return float(max(worst))
+
+
+@hard_case(
+    "H22",
+    "A map's depths are right to within a step",
+    "plain and plateau 1, 10, 50 and 100 km apart in depth; 16, 24 and 32 bits",
+    {"error_steps": 1.0, "false_shadow": 0.0},
+    ("shadow_map",),
+)
+def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
+    """Of the step of the range itself, as the table has it (1.53 m for 100 km in 16 bits), and the bound of float32 positions.
+
+    ``false_shadow`` is that of plain and plateau farther from the cliff than a texel reaches: one on both holds the cliff.
+    """
+    error, false = 0.0, 0.0
+    for altitude in (90.0, 60.0, 30.0) if trial.thorough else (60.0,):
+        for range_m in (1e3, 1e4, 5e4, 1e5):
+            height_m = range_m / np.sin(np.radians(altitude))
+            scene = cliff(trial, height_m, altitude)
+            view = scene.view(bounds=(-300, -300, 300, 300), size=(256, 256) if trial.thorough else (64, 64))
+            for bits in (16, 24, 32):
+                seen = trial.see(scene, view, depth_bits=bits, map_size=2048 if trial.thorough else 512, filter=1)
+                (drawn,) = sun_maps(seen.buffer, scene, settings_of(seen), None)
+                allowed_m = range_m / steps_of(bits) + drawn.uniforms["error_m"]
+                error = max(error, depth_error_m(seen, drawn, height_m) / allowed_m)
+                reach_m = drawn.uniforms["texel_m"][1] / np.sin(np.radians(altitude)) + drawn.uniforms["texel_m"][0]
+                east = seen.buffer.position_frame_m[..., 0]
+                level = (east < CLIFF_M[0] - reach_m) | (east > CLIFF_M[1] + reach_m)
+                assert level.any(), "there is level ground beside the cliff"
+                false = max(false, float((seen.visibility[level] < 1.0).mean()))
+    return {"error_steps": error, "false_shadow": false}
+
+
+@hard_case(
+    "D1",
+    "Sixteen bits are enough for mountains under a low sun",
+    "ridges of 2000 m, 50 km wide, sun at 1 degree: 16 bits against 32 and against truth",
+    {"acne": 0.0, "shift_px": DEPTH_PX, "interior": 0.001},
+    ("shadow_map", "perspective_shadow_map"),
+)
+def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:
+    """Half a step is given to the light, and half a step is what rounding takes from it: 16 bits never shade more than 32 do.
+
+    What they shade less is what lies within a step behind its caster: a strip of at most ``DEPTH_PX`` along every edge, by
+    the plan's own choice of bits.
+    """
+    size, map_size = (512, 2048) if trial.thorough else (128, 1024)
+    eye = {"kind": "perspective", "eye": [-20_000, -20_000, 1500], "target": [0, 0, 0], "fov": 60}
+    ground = {"generate": {"kind": "ridges", "size": [50_000, 50_000], "cell": 100, "relief": 2000, "seed": 3}}
+    scene = trial.scene(ground, (243, 1), views={"eye": eye})
+    worst = {"acne": 0.0, "shift_px": 0.0, "interior": 0.0}
+    for view in views_of(trial, scene, size):
+        few, many = (trial.see(scene, view, depth_bits=bits, filter=1, map_size=map_size) for bits in (16, 32))
+        assert 0.1 < many.dark.mean() < 0.9, "light and shadow"
+        edges = np.count_nonzero(np.diff(many.dark, axis=0)) + np.count_nonzero(np.diff(many.dark, axis=1))
+        worst["acne"] = max(worst["acne"], float((few.dark & ~many.dark).mean()))
+        worst["shift_px"] = max(worst["shift_px"], np.count_nonzero(many.dark & ~few.dark) / edges)
+        worst["interior"] = max(worst["interior"], few.errors.interior)
+    return worst
+
+
+@hard_case(
+    "D2",
+    "More bits are taken where a step of sixteen would shift shadows, and the plan says so",
+    "a tower below cliffs of 0.3 to 20 km, pixels of 0.25 m, automatic bits against 32",
+    {"shift_px": DEPTH_PX, "plans that do not say why": 0.0},
+    ("shadow_map",),
+)
+def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, float]:
+    """A depth step s loses s cos(a) of a shadow on level ground.
+
+    Texels are as much coarser than depth steps as maps have fewer of them: what 16 bits lose hides below a texel unless light
+    space is 30 times as deep as it is wide. So cliffs have to be as high as none is.
+    """
+    altitude, worst, unsaid, chosen = 75.0, 0.0, 0, set()
+    box((3.0, 6.0, 30.0)).export(trial.folder / "tower.ply")
+    for height_m in np.geomspace(300.0, 20_000.0, 9 if trial.thorough else 3):
+        scene = cliff(trial, float(height_m), altitude, [{"source": "tower.ply", "at": [40, 0]}])
+        view = scene.view(bounds=(20, -15, 50, 15), size=(120, 120))
+        seen, fine = (trial.see(scene, view, map_size=1024, filter=1, depth_bits=bits) for bits in ("auto", 32))
+        edges = np.count_nonzero(np.diff(fine.dark, axis=0)) + np.count_nonzero(np.diff(fine.dark, axis=1))
+        assert edges, "there is a shadow"
+        worst = max(worst, np.count_nonzero(fine.dark != seen.dark) / edges)
+        facts, bits = describe(scene, view), settings_of(seen).depth_bits
+        assert facts.receivers_light_m is not None
+        least_px = facts.receivers_light_m[2] / steps_of(16) * np.cos(np.radians(altitude)) / facts.pixel_m
+        reason = next((each.reason for each in seen.plan.reasons if each.name == f"depth_bits {bits}"), "")
+        said = "a 16-bit step" in reason and ("at most" if bits == 16 else "more than") in reason
+        unsaid += not said or (bits == 16 and least_px > DEPTH_PX) or (bits > 16 and 1.5 * least_px < DEPTH_PX)
+        chosen.add(bits)
+    assert chosen == {16, 24}, "cliffs on both sides of the choice"
+    return {"shift_px": worst, "plans that do not say why": unsaid}
+
+
+@hard_case(
+    "H28",
+    "Where cascades part there is no gap and no overlap",
+    "three cascades, parted at the very distance of a pixel and one float to either side",
+    {"not_in_one_map": 0.0, "interior": 0.0, "pixels that differ": 1.0},
+    ("shadow_map",),
+)
+def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
+    """A float more or less moves one pixel from one map to the other (or those at the very same distance), and no other."""
+    blocks = [
+        box((8.0, 5.0, 7.0), at_m=(-6.0, 4.0)),
+        box((4.0, 4.0, 12.0), at_m=(9.0, 14.0)),
+        box((3.0, 30.0, 2.0), at_m=(20.0, 20.0)),
+    ]
+    eye = {"kind": "perspective", "eye": [-6, -28, 11], "target": [4, 10, 0], "fov": 55}
+    scene = trial.scene({"flat": {"size": [200, 200], "cells": [20, 20]}}, (115, 30), blocks, views={"eye": eye})
+    view = scene.view("eye", size=(512, 384) if trial.thorough else (128, 96))
+    asked = {"cascades": 3, "map_size": 1024 if trial.thorough else 512, "filter": 1}
+    usual = trial.see(scene, view, **asked)
+    assert len(settings_of(usual).cascades) == 3
+    receivers = usual.buffer.there & ~usual.truth.attached
+    away_m = distances(usual.buffer.position_frame_m, view.in_frame(usual.buffer.frame)[0])
+    worst = {"not_in_one_map": 0.0, "interior": 0.0, "pixels that differ": 0.0}
+    row = view.rows * 2 // 3
+    for col in range(0, view.cols, view.cols // (16 if trial.thorough else 3)):
+        if not receivers[row, col]:
+            continue
+        at_m, before, near = away_m[row, col], None, []
+        for far_m in (np.nextafter(at_m, np.float32(0)), at_m, np.nextafter(at_m, np.float32(np.inf))):
+            seen = changed(usual, parted_at(float(far_m)))
+            maps = sun_maps(seen.buffer, scene, settings_of(seen), None)
+            near.append(maps[0].pixels)
+            times = np.bincount(np.concatenate([each.pixels for each in maps]), minlength=receivers.size).reshape(receivers.shape)
+            texel_px = texel_footprint_px(scene, seen.plan.steps[0], seen.buffer, describe(scene, view).pixel_m)
+            worst["not_in_one_map"] = max(worst["not_in_one_map"], float((times != receivers).mean()))
+            worst["interior"] = max(worst["interior"], errors_of(seen.visibility, usual.truth, 1.0, texel_px).interior)
+            if before is not None:
+                same = np.count_nonzero(receivers & (away_m == far_m)) + np.count_nonzero(receivers & (away_m == at_m)) - 1
+                worst["pixels that differ"] = max(worst["pixels that differ"], np.count_nonzero(before != seen.dark) / max(same, 1))
+            before = seen.dark
+        assert set(near[1]) - set(near[0]) and np.array_equal(near[1], near[2]), "the pixel changes from one map to the other"
+    return worst
+
+
+def parted_at(far_m: float) -> Change:
+    """The first cascade goes that far."""
+
+    def change(its: Settings) -> Settings:
+        assert isinstance(its, ShadowMapSettings)
+        first, *others = its.cascades
+        beyond = [each for each in others if each.far_m is None or each.far_m > far_m]
+        return its.model_copy(update={"cascades": (first.model_copy(update={"far_m": far_m}), *beyond)})
+
+    return change

@@ -1,0 +1,27 @@
+"""The suite can fail: on an engine that is broken on purpose the named hard cases do."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.hard_cases.cases import failures
+from tests.hard_cases.mutants import MUTANTS
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_broken_engine_is_noticed(name):
+    root = Path(__file__).resolve().parents[2]
+    command = [sys.executable, "-m", "tests.hard_cases.mutants", name]
+    done = subprocess.run(command, cwd=root, env=os.environ, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert len(found) == len(MUTANTS[name].noticed_by)
+    for record in found:
+        assert record.get("error") or failures(record), f"{MUTANTS[name].about}: {record} holds all the same"

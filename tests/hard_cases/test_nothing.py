@@ -1,0 +1,74 @@
+"""Nothing that casts, nothing that receives, and a single point of either."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shadows.attached import attached
+from shadows.passes import PassLog
+from shadows.render import FILLS
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
+from terrain.scene import Scene
+from tests.hard_cases.bodies import FLOOR, SPOT, eye, joined, not_a_number, soup
+from tests.hard_cases.cases import Trial, View, hard_case
+from tests.shadows.boxes import box
+
+VIEWS: dict[str, dict[str, Any]] = {
+    "eye": eye((12, 25, 6), (0, 3, 0.5)),
+    "sky": eye((0, 25, 6), (0, 26, 60)),
+    "map": {"kind": "map", "bounds": [-20, -20, 20, 20]},
+    "off": {"kind": "map", "bounds": [500, 500, 540, 540]},
+}
+"""``sky`` and ``off`` the data there is no surface to be seen."""
+
+LIGHTS: dict[str, dict[str, Any]] = {"sun": {"sun": (200, 35)}, "spot": {"lights": {"spot": SPOT}}}
+
+POINT = joined(box((0.02, 0.02, 0.02), at_m=(14, 14)), soup([[[0, 0, 2], [1e-6, 0, 2], [0, 1e-6, 2]]]))
+"""A triangle of a micrometre, and a pebble on the ground for it to hover."""
+
+
+def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, int]) -> tuple[np.ndarray, bool, int]:
+    """Visibility (n,) of what of a view of ``scene`` faces the light, by the settings that are right for one of ``full``; whether
+    there is any surface; and the draws.
+    """
+    asked: View = full.view("eye" if trial.algorithm == "perspective_shadow_map" else view, size=size)
+    step = trial.see(full, asked).plan.steps[0]
+    # level ground, where nothing rises, or meshes that are not there
+    kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
+    buffer, log = geometry_of(scene, scene.view(view, size=size)), PassLog()
+    fill = FILLS[step.algorithm]
+    visibility = fill(buffer, scene, step.light, kinds, casters_of(scene, buffer), step.settings, log)  # type: ignore[arg-type]
+    receives = buffer.there & ~attached(buffer, scene, step.light)
+    return visibility[receives], bool(buffer.there.any()), sum(record.draws for record in log.records.values())
+
+
+@hard_case(
+    "H33",
+    "Where nothing casts or nothing receives, nothing is drawn and nothing is dark; a single point makes no NaN",
+    "a floor without meshes, a view of the sky, a map off the data, views of one pixel, a triangle of a micrometre; sun and spot",
+    {"draws": 0, "false_shadow": 0, "pixels that are no number": 0},
+    thorough=False,
+)
+def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
+    """Plans list no step for casters that are not there: the algorithms are called as if one did."""
+    draws, dark, nothing = 0, 0.0, 0
+    views = list(VIEWS)[: 2 if trial.algorithm == "perspective_shadow_map" else None]
+    for light, keys in list(LIGHTS.items())[: 1 if trial.algorithm == "sweep" else None]:
+        empty = trial.scene(FLOOR, name=f"{light}_empty", views=VIEWS, **keys)
+        meshes = [] if trial.algorithm == "sweep" else [box((8, 6, 5))]
+        full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects={"cast_shadows": "on"}, **keys)
+        for view in views:
+            visibility, there, count = filled(trial, full, empty, view, (96, 72))
+            assert there == (view in ("eye", "map"))
+            draws, nothing = draws + count, nothing + int((~np.isfinite(visibility)).sum())
+            dark = max(dark, float((visibility < 1.0).mean()) if there else 0.0)
+            if not there:
+                draws += filled(trial, full, full, view, (96, 72))[2]
+        if meshes:
+            point = trial.scene(FLOOR, meshes=[POINT], name=f"{light}_point", views=VIEWS, **keys)
+            nothing += sum(not_a_number(trial.see(point, point.view(view, size=(96, 72)))) for view in views)
+        nothing += sum(not_a_number(trial.see(full, full.view(view, size=(1, 1)))) for view in views)
+    return {"draws": draws, "false_shadow": dark, "pixels that are no number": nothing}

@@ -1,0 +1,254 @@
+"""Where a map in the space of the picture is singular or stretched: the sun in the view's axis, behind the eye, across it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from terrain.camera import PerspectiveView
+from terrain.scene import Scene
+from tests.hard_cases.blocks import axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
+from tests.hard_cases.cases import Seen, Trial, hard_case
+
+MAPS = ("shadow_map", "perspective_shadow_map")
+PERSPECTIVE = "perspective_shadow_map"
+
+CONE_DEG = 3.0
+"""Within this angle of the view's axis a perspective map says that it is a uniform one."""
+
+NORTH, UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+TOWERS = [
+    block((5, 5, 25), (45 * np.sin(a), 45 * np.cos(a)), turn_deg=20 * n) for n, a in enumerate(np.radians(range(15, 375, 45)))
+]
+THINGS = [*TOWERS, block((2, 2, 2), (-3, -8)), block((4, 3, 5), (5, 4)), block((5, 5, 0.3), (-8, 6), 6), block((30, 1, 4), (0, 40))]
+"""Towers all round and things of all sizes in between, 90 m across: some behind any eye, some beside it, some in view."""
+
+
+def level(
+    trial: Trial, blocks: Sequence[trimesh.Trimesh], sun: tuple[float, float], side_m: float = 200.0, cells: int = 20
+) -> Scene:
+    """Blocks on level ground."""
+    return trial.scene(flat(side_m, cells), sun=sun, meshes=[trimesh.util.concatenate(blocks)])
+
+
+def size(trial: Trial) -> tuple[int, int]:
+    """Pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
+    return (512, 2048) if trial.thorough else (160, 1024)
+
+
+def look(
+    trial: Trial, scene: Scene, blocks: Sequence[trimesh.Trimesh], view: PerspectiveView, **asked: object
+) -> tuple[Seen, dict[str, float]]:
+    """What is seen of blocks under the level's sun, its figures, the shares of pixels whose visibility is no number and of shadow
+    on the ground.
+    """
+    sun = scene.loaded.level.sun
+    seen = trial.see(scene, view, **{"map_size": size(trial)[1], **asked})
+    hulls = shade(blocks, (sun.azimuth, sun.altitude))
+    truth = true_shade(seen, hulls)
+    shadow = float((truth.there & ~truth.lit).sum() / max(truth.there.sum(), 1))
+    nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.there).mean())
+    return seen, {**figures_on_ground(seen, hulls), "not finite": nowhere, "shadow": shadow}
+
+
+def worst(found: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The largest of each figure."""
+    assert np.mean([0.01 < each["shadow"] < 0.99 for each in found]) > 0.5, f"there is light and shadow: {found}"
+    return {name: float(np.max([each[name] for each in found])) for name in found[0]}
+
+
+def notes(seen: Seen) -> str:
+    return " ".join(record.note for record in seen.log.records.values())
+
+
+@hard_case(
+    "H9", "With the sun in the view's axis the map is finite and right, and uniform within a stated cone alone",
+    "the sun 0, 1e-8 to 10 degrees off the view's axis", {"interior": 0.0, "not finite": 0.0, "uniform beyond the cone": 0.0},
+    algorithms=MAPS,
+)  # fmt: skip
+def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
+    """Both ways off the axis, up and aside: the eye looks at a low sun."""
+    sun, eye = (0.0, 12.0), (0, -20, 5)
+    scene, found, beyond = level(trial, THINGS, sun), [], 0
+    off = [0.0, 1e-8, 1e-4, 1.0, 2.9, 3.1, 10.0]
+    if trial.thorough:
+        off += [1e-7, 1e-6, 1e-5, 1e-3, 1e-2, 0.1, 0.5, 2.0, 5.0]
+    for number, angle in enumerate(off):
+        aside = UP if number % 2 else np.array([1.0, 0.0, -0.2])
+        seen, figures = look(trial, scene, THINGS, camera(eye, axis_off(towards(*sun), aside, angle), 70.0, size(trial)[0]))
+        found.append(figures)
+        if trial.algorithm == PERSPECTIVE:
+            uniform = "a uniform map" in notes(seen)
+            assert uniform or angle > CONE_DEG, "within the cone a map says that it is uniform"
+            beyond += uniform and angle > CONE_DEG
+    figures = worst(found)
+    return {"interior": figures["interior"], "not finite": figures["not finite"], "uniform beyond the cone": beyond}
+
+
+@hard_case(
+    "H10", "With the sun behind the viewer a perspective map is as right as a shadow map",
+    "the sun 180 degrees off the view's axis, +-1e-6 to 10 degrees",
+    {"interior": 0.0, "not finite": 0.0, "edge p95 beyond a shadow map's, px": 1.0}, algorithms=(PERSPECTIVE,),
+)  # fmt: skip
+def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
+    """The shadow map is one closely fitted map of as many texels."""
+    sun, eye = (180.0, 30.0), (0, -25, 14)
+    scene, plain, found = level(trial, THINGS, sun), replace(trial, algorithm="shadow_map"), []
+    off = [0.0, 1e-6, -1e-6, 3.1, -3.1] + ([1e-8, -1e-8, 1e-4, -1e-4, 1.0, -1.0, 2.9, -2.9, 5.0, -5.0] if trial.thorough else [])
+    for angle in off:
+        view = camera(eye, axis_off(towards(*sun), UP, 180.0 + angle), 60.0, size(trial)[0])
+        _, figures = look(trial, scene, THINGS, view)
+        other = plain.see(scene, view, map_size=size(trial)[1], cascades=1, fit="tight", filter=1)
+        beside = figures_on_ground(other, shade(THINGS, sun))
+        found.append({**figures, "beyond": figures["edge_p95_px"] - beside["edge_p95_px"]})
+    figures = worst(found)
+    return {
+        "interior": figures["interior"], "not finite": figures["not finite"],
+        "edge p95 beyond a shadow map's, px": figures["beyond"],
+    }  # fmt: skip
+
+
+@hard_case(
+    "H11", "While the sun crosses the eye's plane no frame is wrong and edges do not jump",
+    "the angle between sun and view swept through 90 degrees by steps of 1e-4 degrees",
+    {"interior": 0.0, "not finite": 0.0, "jump of edge_p95_px": 1.0},
+)  # fmt: skip
+def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
+    """Steps of 1e-4 degrees to either side of the singular angle, wider ones beyond: away from it maps change with the view alone.
+
+    The jump is that from one frame to the next.
+    """
+    sun, eye = (80.0, 35.0), (2, -18, 5)
+    scene, found = level(trial, THINGS, sun), []
+    steps = 1e-4 * np.arange(-10, 11) if trial.thorough else 1e-4 * np.arange(-2, 3)
+    for angle in (-2.0, -0.1, -0.01, *steps, 0.01, 0.1, 2.0) if trial.thorough else (-1.0, *steps, 1.0):
+        axis = axis_off(towards(*sun), np.array([0.0, 1.0, -0.1]), 90.0 + angle)
+        found.append(look(trial, scene, THINGS, camera(eye, axis, 60.0, size(trial)[0]))[1])
+    edges = [each["edge_p95_px"] for each in found]
+    figures = worst(found)
+    jump = float(np.abs(np.diff(edges)).max())
+    return {"interior": figures["interior"], "not finite": figures["not finite"], "jump of edge_p95_px": jump}
+
+
+@hard_case(
+    "H12", "What stands behind the eye, or in its very plane, throws its shadow into the view",
+    "a tower behind the eye, walls and a roof that end in the eye's plane, at 0 and +-1e-6 m",
+    {"missed_shadow": 0.0, "interior": 0.0, "not finite": 0.0},
+)  # fmt: skip
+def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
+    """The eye looks north from y = 0, the sun stands behind it. Missed shadow is counted three pixels inside of the outline."""
+    sun, found = (170.0, 40.0), []
+    for end_m in (0.0, 1e-6, -1e-6):
+        walls = [
+            block((4, 2, 30), (0, -8)),  # behind the eye
+            block((2, 3, 9), (-9, end_m - 1.5)), block((2, 3, 9), (9, end_m + 1.5)),  # they end in the plane, and begin there
+            block((3, 6, 0.5), (4, end_m), 8),  # half behind it
+        ]  # fmt: skip
+        for tilt_deg in (0.0, -15.0):
+            axis = towards(0.0, tilt_deg)
+            scene = level(trial, walls, sun)
+            seen, figures = look(trial, scene, walls, camera((0, 0, 3), axis, 75.0, size(trial)[0]))
+            truth = true_shade(seen, shade(walls, sun))
+            deep = truth.decidable & ~truth.lit
+            for shift in (-3, 3):
+                for side in (0, 1):
+                    deep &= np.roll(truth.decidable & ~truth.lit, shift, axis=side)
+            assert deep.sum() > 300 * (size(trial)[0] / 160) ** 2
+            found.append({**figures, "missed_shadow": float((deep & ~seen.dark).sum() / deep.sum())})
+    figures = worst(found)
+    return {name: figures[name] for name in ("missed_shadow", "interior", "not finite")}
+
+
+@hard_case(
+    "P1", "The sun may stand in the picture's corner, on its rim or just beyond",
+    "low suns at three places of the picture's rim, 0.999, 1 and 1.001 of the way", {"interior": 0.0, "not finite": 0.0},
+)  # fmt: skip
+def test_sun_on_the_rim_of_the_picture(trial: Trial) -> dict[str, float]:
+    """The light's image in post-perspective space lies at the corner of the unit cube: at its far plane."""
+    found, px = [], size(trial)[0]
+    view = camera((1, -30, 6), towards(0.0, -12.0), 60.0, px, 1.25)
+    half = np.array([view.cols, view.rows]) / 2.0 / view.focal_px
+    for corner in ((-1.0, -1.0), (1.0, -1.0), (0.0, -1.0)):
+        for share in (0.999, 1.0, 1.001) if trial.thorough else (1.0,):
+            way = view.earth_from_camera @ np.array([*(share * np.array(corner) * half), 1.0])
+            way /= np.linalg.norm(way)
+            sun = float(np.degrees(np.arctan2(way[0], way[1]))) % 360.0, float(np.degrees(np.arcsin(way[2])))
+            found.append(look(trial, level(trial, THINGS, sun), THINGS, view)[1])
+    figures = worst(found)
+    return {name: figures[name] for name in ("interior", "not finite")}
+
+
+@hard_case(
+    "P2", "Shadows are right through a telescope and through the widest lens",
+    "fields of view of 1 degree, 1 km away, and of 150 degrees", {"interior": 0.0, "not finite": 0.0},
+)  # fmt: skip
+def test_fields_of_view(trial: Trial) -> dict[str, float]:
+    found = []
+    for sun in ((75.0, 40.0), (200.0, 25.0), (350.0, 30.0)):
+        scene = level(trial, THINGS, sun, 4000.0, 80)
+        far = np.array([60.0, -1000.0, 80.0])
+        for eye, target, fov_deg in ((far, (5, 0, 2), 1.0), ((2, -18, 5), (0, 10, 1), 150.0)):
+            axis = np.subtract(target, eye)
+            view = camera(eye, axis / np.linalg.norm(axis), fov_deg, size(trial)[0])
+            found.append(look(trial, scene, THINGS, view)[1])
+    figures = worst(found)
+    return {name: figures[name] for name in ("interior", "not finite")}
+
+
+@hard_case(
+    "P3", "Receivers at 0.2 m and at 100 km are right in one picture",
+    "an eye 0.2 m above level ground of 200 km, pebbles before it, mountains at 30 and 80 km", {"interior": 0.0, "not finite": 0.0},
+)  # fmt: skip
+def test_from_a_pebble_to_a_mountain(trial: Trial) -> dict[str, float]:
+    """Mountains are 4 km high: their shadows take some rows of pixels below the horizon.
+
+    A map's interior allows two of its texels, and over such a range these are tens of pixels wide (perspective) or thousands (a
+    shadow map): by maps this says that nothing leaks and nothing is invented, by volumes and the hybrid that nothing is lost.
+    """
+    found = []
+    for sun in ((60.0, 8.0), (300.0, 20.0), (190.0, 30.0)):
+        things = [
+            block((0.1, 0.1, 0.1), (0.1, 0.5)), block((0.3, 0.3, 0.6), (-0.6, 1.2)), block((2, 1, 3), (3, 9)),
+            block((0.2, 0.2, 0.5), (0.3, -0.6)), block((3e3, 3e3, 4e3), (-8e3, 3e4)), block((8e3, 4e3, 4e3), (9e3, 8e4)),
+        ]  # fmt: skip
+        scene = level(trial, things, sun, 200e3, 400)
+        found.append(look(trial, scene, things, camera((0, 0, 0.2), towards(0.0, -16.0), 70.0, size(trial)[0]))[1])
+    figures = worst(found)
+    return {name: figures[name] for name in ("interior", "not finite")}
+
+
+@hard_case(
+    "P4", "The sun may graze the ground or stand in the zenith",
+    "the sun 0.5, 2, 89.9 and 90 degrees high, along the view and across it", {"interior": 0.0, "not finite": 0.0},
+)  # fmt: skip
+def test_grazing_and_upright_suns(trial: Trial) -> dict[str, float]:
+    found = []
+    for azimuth in (90.0, 180.0, 0.0) if trial.thorough else (90.0, 180.0):
+        for altitude in (0.5, 2.0, 89.9, 90.0):
+            scene = level(trial, THINGS, (azimuth, altitude), 400.0)
+            found.append(look(trial, scene, THINGS, camera((0, -12, 4), towards(0.0, -12.0), 60.0, size(trial)[0]))[1])
+    figures = worst(found)
+    return {name: figures[name] for name in ("interior", "not finite")}
+
+
+@hard_case(
+    "P5", "A triangle of tens of kilometres does not shade itself",
+    "level ground of 60 km in 1 x 1 and 3 x 3 quads, looked down at from 200 m and 20 km", {"interior": 0.0, "not finite": 0.0},
+    thorough=False,
+)  # fmt: skip
+def test_huge_triangles(trial: Trial) -> dict[str, float]:
+    """What is seen are 200 m of the middle: corners lie a hundred times as far away as any point that is looked up.
+
+    Of a shadow map texels are fitted closely: wider ones hide it.
+    """
+    found, closely = [], {"map_size": 2048, "depth_bits": 24, "fit": "tight", "cascades": 1, "filter": 1}
+    for cells in (1, 3):
+        scene = level(trial, THINGS, (180.0, 60.0), 60e3, cells)
+        for high_m, fov_deg in ((200.0, 50.0), (20e3, 0.55)):
+            found.append(look(trial, scene, THINGS, camera((0, 0, high_m), -UP, fov_deg, 400), **closely)[1])
+    figures = worst(found)
+    return {name: figures[name] for name in ("interior", "not finite")}

@@ -1,0 +1,256 @@
+"""Places on earth: masts whose shadows are known in closed form, in every kind of CRS, at the pole and across the antimeridian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from pyproj import Transformer
+from scipy.spatial import ConvexHull
+
+from selector.compare import texel_footprint_px
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.camera import PerspectiveView, look_at
+from terrain.descriptor import describe
+from terrain.grid import Grid, MapView
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene
+from terrain.sun import apparent_position
+from terrain.world import WGS84
+from tests.hard_cases.cases import Seen, Trial, View, hard_case
+
+MAST_M = 100.0
+"""Height of a mast: a block of 5 x 5 cells on level ground, whose walls are a cell wide."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a mast stands, degrees; the CRS of its raster, and the cells' side in units of it."""
+
+    crs: str
+    lon: float
+    lat: float
+    cell: float
+    units: str = "m"
+    cells: int = 161
+
+    @property
+    def xy(self) -> tuple[float, float]:
+        """Map coordinates of the mast."""
+        return Transformer.from_crs("OGC:CRS84", self.crs, always_xy=True).transform(self.lon, self.lat)
+
+
+def mast(trial: Trial, place: Place, sun: tuple[float, float], name: str = "mast") -> Scene:
+    """A mast on level ground in the middle of a raster, which is the level's anchor."""
+    heights = np.zeros((place.cells, place.cells), np.float32)
+    middle = place.cells // 2
+    heights[middle - 2 : middle + 3, middle - 2 : middle + 3] = MAST_M / (1200.0 / 3937.0 if place.units == "us-ft" else 1.0)
+    return trial.scene({"source": str(_raster(trial, heights, place, name)), "units": place.units}, sun, name=name)
+
+
+def _raster(trial: Trial, heights: np.ndarray, place: Place, name: str) -> Path:
+    x, y = place.xy
+    half = place.cells * place.cell / 2
+    return trial.raster(heights, place.crs, x - half, y + half, place.cell, name=name)
+
+
+def _to_local(lon: float, lat: float) -> Transformer:
+    """Earth-fixed metres to east, north and up at a place."""
+    return Transformer.from_pipeline(f"+proj=topocentric +ellps=WGS84 +lon_0={lon} +lat_0={lat} +h_0=0")
+
+
+def _to_earth() -> Transformer:
+    """Degrees and metres of height to earth-fixed metres."""
+    return Transformer.from_pipeline("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart")
+
+
+def view_of(trial: Trial, scene: Scene, px: int) -> View:
+    """The mast and its shadow: in a map cut from the raster's own nodes, or from above for what knows no maps."""
+    if trial.algorithm != "perspective_shadow_map":
+        x, y = (float(v) for v in scene.elevation.xy(0, 0))
+        step = float(scene.elevation.xy(0, 1)[0]) - x
+        pixel = (scene.elevation.cols - 2) / px
+        return MapView(Grid(scene.elevation.crs, x, y, step), 0.5 + pixel / 2, 0.5 + pixel / 2, pixel, pixel, px, px)
+    anchor, axes = scene.world.anchor_earth_m, scene.world.earth_from_anchor
+    eye = anchor + axes @ np.array([90.0, -120.0, 700.0])
+    return look_at(eye, anchor, axes[:, 2], 50.0, px, px)
+
+
+def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> float:
+    """How far ground that is lit lies inside the outline of the mast's shadow, or ground in shadow outside of it: the worst of
+    both, metres.
+
+    Outline and points are held together in east, north and up at the mast by PROJ's topocentric conversion. A point's class
+    is that of its own, so that pixels need not be small.
+    """
+    local = _to_local(place.lon, place.lat)
+    frame = seen.buffer.frame
+    earth_m = seen.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
+    points = np.stack(local.transform(*np.moveaxis(earth_m, -1, 0)), axis=-1)
+    x, y = place.xy
+    # The foot's two corners off the diagonals that quads are cut along are cut away.
+    roof = [(-2, -2), (2, -2), (2, 2), (-2, 2)]
+    foot = [(-3, -3), (2, -3), (3, -2), (3, 3), (-2, 3), (-3, 2)]
+    corners = []
+    for nodes, height_m in ((roof, MAST_M), (foot, 0.0)):
+        at = np.array(nodes) * place.cell
+        lon, lat = Transformer.from_crs(place.crs, "OGC:CRS84", always_xy=True).transform(x + at[:, 0], y + at[:, 1])
+        corners.append(np.stack(local.transform(*_to_earth().transform(lon, lat, np.full(len(lon), height_m))), axis=-1))
+    away = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))]) / np.tan(np.radians(altitude))
+    on_level = [corner[:, :2] + corner[:, 2:] * away for corner in (*corners, points.reshape(-1, 3))]
+    hull = ConvexHull(np.concatenate(on_level[:2]))
+    outside = np.max(on_level[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
+    ground = seen.buffer.there & (np.abs(seen.buffer.height_m) < 1e-3)
+    foot_hull = ConvexHull(corners[1][:, :2])
+    beside = np.max(points[..., :2] @ foot_hull.equations[:, :2].T + foot_hull.equations[:, 2], axis=-1) > 0.05
+    ground &= beside
+    assert (ground & (outside < -2.0)).any() and (ground & (outside > 2.0)).any(), "ground inside of the outline and outside"
+    return float(np.abs(outside[ground & (seen.dark != (outside < 0.0))]).max(initial=0.0))
+
+
+def texel_m(seen: Seen) -> float:
+    """The longer side of an algorithm's texels on the ground, where they are the longest; 0 for what has no texels."""
+    pixel_m = describe(seen.scene, seen.view).pixel_m
+    (step,) = seen.plan.steps
+    return float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) * pixel_m
+
+
+def resampled_m(seen: Seen) -> float:
+    """The distance of the nodes that a camera's ground is drawn by, where these are not the raster's own; else 0."""
+    ground = seen.buffer.ground
+    return 0.0 if ground is None or ground.grid.crs == seen.scene.elevation.crs else describe(seen.scene, seen.view).node_m
+
+
+def worst_of_tolerance(
+    trial: Trial, place: Place, suns: list[tuple[float, float]], tolerance_m: float, name: str = "mast"
+) -> float:
+    """How far a mast's shadow lies off its outline under some suns, as a share of a tolerance, or of a texel where that is more."""
+    return max(of_tolerance(trial, mast(trial, place, sun, name), place, sun, tolerance_m) for sun in suns)
+
+
+def of_tolerance(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
+    """The same for a scene whose sun should be the one given."""
+    px, size = (512, 2048) if trial.thorough else (160, 1024)
+    seen = trial.see(scene, view_of(trial, scene, px), map_size=size, filter=1)
+    return off_outline_m(seen, place, *sun) / max(tolerance_m, texel_m(seen), resampled_m(seen))
+
+
+@hard_case(
+    "H25",
+    "A mast's shadow lies at its bearing from true north",
+    "a mast of 100 m in UTM, 3 degrees off the meridian at 57.7 N, where grid north is 2.5 degrees off",
+    {"off its outline, of 0.1 m or a texel": 1.0},
+)
+def test_true_north(trial: Trial) -> dict[str, float]:
+    """Cells of 1 m: between its lines, 8 a cell, the sweep may be off by a share of one."""
+    place = Place("EPSG:32633", 18.0, 57.7, 1.0, cells=261)
+    suns = [(67.0, 40.0), (180.0, 40.0), (222.0, 40.0), (300.0, 50.0)]
+    suns = suns if trial.thorough else suns[:1]
+    return {"off its outline, of 0.1 m or a texel": worst_of_tolerance(trial, place, suns, 0.1)}
+
+
+SAME_PLACE = {
+    "geographic": Place("EPSG:4326", -85.3, 36.1, 2e-5, cells=321),
+    "utm": Place("EPSG:32616", -85.3, 36.1, 4.0),
+    "mercator": Place("EPSG:3857", -85.3, 36.1, 5.0),
+    "state plane in feet": Place("EPSG:2274", -85.3, 36.1, 13.0, "us-ft"),
+}
+
+
+@hard_case(
+    "G3",
+    "A scene throws the same shadows in every CRS",
+    "a mast of 100 m in longitude and latitude, UTM, Web Mercator, and a state plane and heights in feet",
+    {"off its outline, of 1 % of its length": 1.0, "sun_deg": 1e-6},
+)
+def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
+    """The sun is that of a time, by the library the engine has it from, at the place itself."""
+    time = datetime.fromisoformat("2024-10-21T15:00:00-05:00")
+    azimuth, altitude = apparent_position(time, -85.3, 36.1)
+    length_m, off, apart = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0
+    some = SAME_PLACE if trial.thorough else {name: SAME_PLACE[name] for name in ("geographic", "state plane in feet")}
+    for name, place in some.items():
+        off = max(off, worst_of_tolerance(trial, place, [(azimuth, altitude)], 0.01 * length_m, name))
+        sun = mast(trial, place, (0.0, 10.0), name).with_sun(SunSpec(time=time)).sun
+        assert sun is not None
+        apart = max(apart, abs(sun.azimuth_deg - azimuth), abs(sun.altitude_deg - altitude))
+    return {"off its outline, of 1 % of its length": off, "sun_deg": apart}
+
+
+@hard_case(
+    "G4",
+    "In Web Mercator a shadow is as long as on the ground, at every latitude",
+    "a mast of 100 m under a sun of 30 degrees at latitudes 0, 45, 60 and 80",
+    {"off its outline, of 0.5 % of 173.2 m": 1.0},
+)
+def test_web_mercator(trial: Trial) -> dict[str, float]:
+    off = 0.0
+    for lat in (0.0, 45.0, 60.0, 80.0) if trial.thorough else (0.0, 80.0):
+        place = Place("EPSG:3857", 24.0, lat, 4.0 / np.cos(np.radians(lat)))
+        off = max(off, worst_of_tolerance(trial, place, [(222.0, 30.0)], 0.005 * 173.2, f"at{lat:.0f}"))
+    return {"off its outline, of 0.5 % of 173.2 m": off}
+
+
+POLAR = "+proj=stere +lat_0=90 +lat_ts=70 +lon_0={} +datum=WGS84"
+EDGES_OF_THE_MAP = {
+    "antimeridian": (Place("EPSG:4326", 180.0, -17.0, 2e-5, cells=321), Place("EPSG:4326", 140.0, -17.0, 2e-5, cells=321)),
+    "85 degrees north": (Place(POLAR.format(-45), 180.0, 85.0, 4.0), Place(POLAR.format(15), -120.0, 85.0, 4.0)),
+    "pole": (Place(POLAR.format(-45), 0.0, 90.0, 4.0), Place("+proj=stere +lat_0=57 +lon_0=15 +k_0=0.969858", 15.0, 57.0, 4.0)),
+}
+"""Places where longitudes break or meet, and beside each one like it where none do."""
+
+MIDSUMMER = {"antimeridian": "2024-06-21T02:00:00+00:00"}
+
+
+@hard_case(
+    "G2",
+    "Where longitudes break and meet, the sun stands right and no seam shows",
+    "a level across the antimeridian, one at 85 degrees north, and a polar stereographic one at the pole",
+    {"azimuth_deg": 0.1, "off its outline, of 0.1 degrees": 1.0, "seam_255": 2.0},
+)
+def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
+    """``azimuth_deg`` is that of the level's one sun seen from places 10 km round about, with axes by PROJ, against the sun's
+    position there; ``seam_255`` the largest difference of the picture of a smooth hill from one where no longitude breaks.
+    """
+    azimuth_deg, off, seam = 0.0, 0.0, 0.0
+    for name, (place, twin) in EDGES_OF_THE_MAP.items():
+        if name == "85 degrees north" and not trial.thorough:
+            continue
+        time = datetime.fromisoformat(MIDSUMMER.get(name, "2024-06-21T07:00:00+00:00"))
+        sun = apparent_position(time, place.lon, place.lat)
+        scene = mast(trial, place, (0.0, 10.0), name).with_sun(SunSpec(time=time))
+        tolerance_m = np.radians(0.1) * MAST_M / np.sin(np.radians(sun[1]))
+        off = max(off, of_tolerance(trial, scene, place, sun, tolerance_m))
+        azimuth_deg = max(azimuth_deg, _azimuth_error_deg(scene, place, time))
+        pictures = [_hill(trial, its, f"{kind} at {name}") for kind, its in (("hill", place), ("twin", twin))]
+        seam = max(seam, float(np.abs(pictures[0] - pictures[1]).max()))
+    return {"azimuth_deg": azimuth_deg, "off its outline, of 0.1 degrees": off, "seam_255": seam}
+
+
+def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
+    assert scene.sun is not None
+    worst = 0.0
+    for bearing in (10.0, 100.0, 190.0, 280.0):
+        lon, lat, _ = WGS84.fwd(place.lon, place.lat, bearing, 10_000.0)
+        here = np.array(_to_earth().transform(lon, lat, 0.0))
+        east, north, _ = _to_local(lon, lat).transform(*(here + 1e6 * scene.sun.to_sun_earth))
+        apart = np.degrees(np.arctan2(east, north)) - apparent_position(time, lon, lat)[0]
+        worst = max(worst, abs(float((apart + 180.0) % 360.0 - 180.0)))
+    return worst
+
+
+def _hill(trial: Trial, place: Place, name: str) -> np.ndarray:
+    """The picture (rows, cols, 3) of a smooth hill at a place, of 255. Grid north is true north there."""
+    across = (np.arange(place.cells) - place.cells // 2) / place.cells
+    heights = (40.0 * np.exp(-8.0 * (across[:, None] ** 2 + across**2))).astype(np.float32)
+    scene = trial.scene(_raster(trial, heights, place, name), (143.0, 27.0), name=name)
+    view = view_of(trial, scene, 96)
+    if isinstance(view, PerspectiveView):
+        view = view.part(30, 30, 36, 36)  # ground alone
+    plan = choose(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
+    color = render_frame(scene, view, plan).color.astype(int)
+    assert np.ptp(color) > 10, "a hill that is lit from one side"
+    return color

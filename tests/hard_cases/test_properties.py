@@ -1,0 +1,278 @@
+"""Whatever the ground, the place, the sun and the eye: finite, within [0, 1], and as far from truth as an algorithm may be.
+
+Counter-examples that were found stay: they are named in ``FOUND`` and run with the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyproj import Transformer
+
+from shadows.attached import attached
+from shadows.perspective_shadow_map import perspective_map
+from shadows.plan import PerspectiveMapSettings
+from terrain.camera import PerspectiveView
+from terrain.errors import UnsupportedError
+from terrain.level import SUN
+from terrain.scene import Scene
+from tests.hard_cases.cases import Seen, Trial, View, hard_case
+from tests.hard_cases.reach_of_error import beyond
+from tests.rasters import ENGINEERING
+
+PX = 64
+"""Side of the pictures."""
+
+GROUNDS = ("cliff", "spikes", "plateaus", "plane", "islands", "rough", "saw")
+
+PLACES: dict[str, tuple[str, float, float, float]] = {
+    "site": (ENGINEERING, 0.0, 0.0, 1.0),
+    "far site": (ENGINEERING, 500_000.0, 6_650_000.0, 1.0),
+    "zone's middle": ("EPSG:32633", 500_000.0, 6_400_000.0, 1.0),
+    "zone's edge": ("EPSG:32632", 170_000.0, 6_400_000.0, 1.0),
+    "southern": ("EPSG:32755", 560_000.0, 5_200_000.0, 1.0),
+    "antimeridian": ("EPSG:32760", 829_000.0, 8_100_000.0, 1.0),
+    "degrees": ("EPSG:4326", 15.0, 60.0, 1 / 111_320),
+    "degrees past 180": ("EPSG:4326", 180.0, -17.0, 1 / 111_320),
+    "north pole": ("EPSG:3413", 0.0, 0.0, 1.0),
+    "south pole": ("EPSG:3031", 0.0, 0.0, 1.0),
+    "mercator": ("EPSG:3857", 1_300_000.0, 11_000_000.0, 1.0),
+    "feet": ("EPSG:2994", 2_100_000.0, 900_000.0, 1 / 0.3048),
+}
+"""Where the ground's middle lies: CRS, x, y, and how many of its units a metre is taken for."""
+
+ORTHOGONAL, CONDITION = 1e-12, 1e7
+"""Bounds on a rotation's distance from one, and on the condition number of a projection whose rows and columns are scaled to be
+comparable: 1e7 is where float32 has no digit left.
+"""
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where a camera stands and looks, as shares of the ground's sides, and how high, in cells."""
+
+    at: tuple[float, float]
+    target: tuple[float, float]
+    above_cells: float
+    fov_deg: float
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Everything that is drawn: the ground (its relief in cells), the place, the sun, the eye (``None``: a map), and whether
+    houses stand there.
+    """
+
+    ground: str
+    cells: int
+    cell_m: float
+    relief_cells: float
+    seed: int
+    place: str
+    azimuth_deg: float
+    altitude_deg: float
+    eye: Eye | None
+    houses: bool
+
+
+def _evenly(low: float, high: float, steps: int = 1000) -> st.SearchStrategy[float]:
+    """Numbers from a range, all alike: floats would come mostly from its ends."""
+    return st.integers(0, steps).map(lambda step: round(low + (high - low) * step / steps, 4))
+
+
+_SHARE = _evenly(0.1, 0.9)
+EYES = st.builds(
+    Eye, st.tuples(_SHARE, _SHARE), st.tuples(_SHARE, _SHARE),
+    st.one_of(_evenly(0.01, 3.0), _evenly(3.0, 300.0)), st.one_of(_evenly(20.0, 70.0), _evenly(0.5, 150.0)),
+).filter(lambda eye: max(abs(a - b) for a, b in zip(eye.at, eye.target, strict=True)) > 0.01)  # fmt: skip
+SITUATIONS = st.builds(
+    Situation,
+    ground=st.sampled_from(GROUNDS),
+    cells=st.integers(12, 40),
+    cell_m=_evenly(-1.0, 3.0).map(lambda power: round(10.0**power, 3)),
+    relief_cells=_evenly(-2.0, 1.5).map(lambda power: round(10.0**power, 4)),
+    seed=st.integers(0, 2**16),
+    place=st.sampled_from(sorted(PLACES)),
+    azimuth_deg=st.one_of(_evenly(0.0, 360.0), st.sampled_from([0.0, 45.0, 90.0, 135.0, 180.0, 270.0])),
+    altitude_deg=st.one_of(_evenly(-2.0, 90.0), _evenly(0.01, 10.0), st.sampled_from([0.0, 45.0, 90.0])),
+    eye=st.one_of(st.none(), EYES),
+    houses=st.booleans(),
+)
+
+
+def heights_of(it: Situation) -> np.ndarray:
+    """Heights in metres (cells, cells) float32, NaN where there is none."""
+    rng = np.random.default_rng(it.seed)
+    n, relief = it.cells, min(it.relief_cells * it.cell_m, 8000.0)
+    row, col = np.mgrid[:n, :n]
+    base = np.zeros((n, n))
+    if it.ground == "cliff":
+        base = np.where(col + row * rng.uniform(-1, 1) > n / 2, relief, 0.0)
+    elif it.ground == "spikes":
+        base[tuple(rng.integers(2, n - 2, (2, 3)))] = relief
+    elif it.ground == "plateaus":
+        base = relief * np.round(rng.random((n // 4 + 2, n // 4 + 2)) * 2)[row // 4, col // 4] / 2
+    elif it.ground == "plane":
+        base = relief * (rng.uniform(-1, 1) * row + rng.uniform(-1, 1) * col) / n
+    elif it.ground == "rough":
+        base = relief * rng.random((n, n))
+    elif it.ground == "saw":
+        base = relief * ((row + col) % 2)
+    else:
+        base = relief * rng.random((n, n))
+        base[rng.random((n, n)) < 0.3] = np.nan
+        for east, north in [(0.5, 0.5)] if it.eye is None else [it.eye.at, it.eye.target]:  # ground to stand on, and to look at
+            base[np.hypot(row - (1 - north) * n, col - east * n) < 2.0] = relief / 2
+    return base.astype(np.float32)
+
+
+def scene_of(it: Situation, folder: Path) -> Scene:
+    """The scene of a situation, its only camera ``eye``."""
+    trial = Trial("", False, folder)
+    crs, x, y, units = PLACES[it.place]
+    side = it.cell_m * units
+    raster = trial.raster(heights_of(it), crs, x - it.cells * side / 2, y + it.cells * side / 2, side, nodata=float("nan"))
+    meshes: list[Any] = []
+    if it.houses:
+        box = trimesh.creation.box(extents=(2.2, 1.4, 1.7))
+        box.apply_scale(it.cell_m)
+        box.export(folder / "house.ply")
+        meshes.append({"source": "house.ply", "at": _place(it, (0.5, 0.5)), "turn": 20})
+    views: dict[str, Any] = {}
+    if it.eye is not None:
+        above_m = it.eye.above_cells * it.cell_m
+        views["views"] = {"eye": {
+            "kind": "perspective", "fov": it.eye.fov_deg, "size": [PX, PX * 3 // 4],
+            "eye": [*_place(it, it.eye.at), above_m], "target": [*_place(it, it.eye.target), 0.0],
+        }}  # fmt: skip
+    return trial.scene(raster, (it.azimuth_deg, it.altitude_deg), meshes, **views)
+
+
+def view_of(it: Situation, scene: Scene) -> View:
+    """The camera, or a map of the whole ground; across the antimeridian in degrees, for UTM zones end there."""
+    if it.eye is not None:
+        return scene.view("eye")
+    return scene.view(size=(PX, PX), crs="EPSG:4326" if it.place == "degrees past 180" else None)
+
+
+def _place(it: Situation, share: tuple[float, float]) -> list[float]:
+    """Metres from the middle, or degrees, of a place given in shares of the ground's sides."""
+    crs, x, y, units = PLACES[it.place]
+    away_m = [(s - 0.5) * it.cells * it.cell_m for s in share]
+    if crs == ENGINEERING:
+        return away_m
+    return list(Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x + away_m[0] * units, y + away_m[1] * units))
+
+
+def matrices(seen: Seen) -> tuple[float, float]:
+    """How far the rotations of a view and its light are from being such, and the largest condition number of its projections.
+
+    A projection is taken of the cube round what is seen: how far away the origin lies is no matter of its own.
+    """
+    buffer, scene = seen.buffer, seen.scene
+    assert scene.light is not None
+    rotations = [scene.light.light_from_earth, buffer.frame.frame_from_earth]
+    projections = []
+    if isinstance(seen.view, PerspectiveView):
+        rotations.append(seen.view.earth_from_camera)
+        points = buffer.position_frame_m[buffer.there]
+        if len(points):
+            middle, half = (points.max(axis=0) + points.min(axis=0)) / 2.0, max(float(np.ptp(points, axis=0).max()) / 2.0, 1e-3)
+            cube = np.block([[half * np.eye(3), middle[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+            settings = [step.settings for step in seen.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
+            receivers = buffer.there & ~attached(buffer, scene)
+            if settings and receivers.any():
+                drawn, _ = perspective_map(buffer, receivers, scene, SUN, settings[0], None)
+                projections.append(np.reshape(drawn.uniforms["clip_rows"], (4, 4)) @ cube)
+    assert all(np.isfinite(matrix).all() for matrix in (*rotations, *projections)), "a matrix is not finite"
+    skew = max(float(np.abs(matrix.T @ matrix - np.eye(3)).max()) for matrix in rotations)
+    return skew, max(
+        (float(np.linalg.cond(matrix / np.abs(matrix).max(axis=1, keepdims=True))) for matrix in projections), default=1.0
+    )
+
+
+FOUND = {
+    "a sun on the horizon over the teeth of a saw: level faces of volumes have no slope": Situation(
+        "saw", 8, 1.0, 1.0, 293, "zone's edge", 270.0, 0.0, None, True
+    ),
+    "a cliff's edge in line with the sun": Situation("cliff", 8, 1.0, 1.0, 0, "antimeridian", 0.0, 0.0, None, False),
+    "plateaus at the pole, the sun on the horizon": Situation("plateaus", 17, 1.0, 1.0, 17, "north pole", 0.0, -1e-300, None, True),
+    "nodes of a map count past 2^31": Situation("saw", 8, 0.1, 3.4, 2477, "mercator", 233.28, 2.7173, None, False),
+    "a house across the antimeridian under the zenith": Situation(
+        "cliff", 23, 1.419, 0.0208, 91, "degrees past 180", 45.0, 90.0, None, True
+    ),
+    "one pixel of ground": Situation(
+        "rough", 17, 1.38, 0.0145, 2517, "site", 0.0, 1.5884, Eye((0.1808, 0.2024), (0.268, 0.2264), 140.511, 125.6315), True
+    ),
+    "grazed triangles that begin before what is seen of them": Situation(
+        "plateaus", 36, 0.108, 0.2037, 40766, "zone's middle", 45.0, 0.0899,
+        Eye((0.1064, 0.24), (0.2736, 0.5248), 21.711, 9.9185), False,
+    ),
+    "shadows that lie as deep as a face may be off": Situation(
+        "rough", 20, 3.767, 0.0265, 217, "degrees", 43.56, 0.0, Eye((0.3232, 0.432), (0.1728, 0.1968), 0.2821, 24.55), True
+    ),
+}  # fmt: skip
+"""What broke something once, by what it was."""
+
+EXAMPLES, THOROUGH_EXAMPLES = 10, 100
+
+_BOUNDS = {"rotation_skew": ORTHOGONAL, "condition": CONDITION, "wrong beyond its reach": 0.0}
+
+
+def outcome(trial: Trial, it: Situation) -> dict[str, float]:
+    """The figures of a situation; all 0 where the algorithm refuses it."""
+    with TemporaryDirectory() as folder:
+        scene = scene_of(it, Path(folder))
+        try:
+            seen = trial.see(scene, view_of(it, scene))
+        except UnsupportedError:
+            return dict.fromkeys(_BOUNDS, 0.0)
+    there = seen.visibility[seen.buffer.there]
+    assert ((there >= 0.0) & (there <= 1.0)).all(), "a visibility that is none"
+    skew, condition = matrices(seen)
+    return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(beyond(seen).mean())}
+
+
+def _worse(worst: dict[str, float], found: dict[str, float]) -> None:
+    for name, value in found.items():
+        worst[name] = max(worst.get(name, 0.0), value)
+
+
+@hard_case(
+    "X1", "Whatever the ground, the place, the sun and the eye: finite, and wrong only as far as the algorithm's error reaches",
+    "grounds, places, suns and eyes drawn at random", _BOUNDS,
+    algorithms=("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"),
+)  # fmt: skip
+def test_any_situation(trial: Trial) -> dict[str, float]:
+    """A situation over its bound fails at once, and hypothesis looks for a simpler one that does."""
+    worst: dict[str, float] = {}
+
+    @settings(
+        max_examples=THOROUGH_EXAMPLES if trial.thorough else EXAMPLES, database=None, suppress_health_check=list(HealthCheck)
+    )
+    @given(SITUATIONS)
+    def look(it: Situation) -> None:
+        found = outcome(trial, it)
+        assert all(found[name] <= bound for name, bound in _BOUNDS.items()), found
+        _worse(worst, found)
+
+    look()
+    return worst
+
+
+@hard_case(
+    "X2", "The same for situations that once broke something", "; ".join(FOUND), _BOUNDS,
+    algorithms=("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"), thorough=False,
+)  # fmt: skip
+def test_found_situations(trial: Trial) -> dict[str, float]:
+    worst: dict[str, float] = {}
+    for it in FOUND.values():
+        _worse(worst, outcome(trial, it))
+    return worst

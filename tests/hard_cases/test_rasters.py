@@ -1,0 +1,342 @@
+"""Rasters as they come: holes and sentinels, turned and stretched grids, single cells, grids of the whole earth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from terrain.elevation import Elevation
+from terrain.errors import SourceError
+from terrain.level_parts import SunSpec
+from terrain.world import geocentric, geodetic
+from tests.hard_cases.cases import ENGINE, SHADOWING, Trial, hard_case
+from tests.hard_cases.ground import CORNER_M, UTM, places, share, whole
+from tests.rasters import ENGINEERING
+from tests.render import render
+
+SENTINELS = (np.nan, np.inf, -np.inf, -32768.0, 3.4e38, -9999.0)
+"""What files write where they have no height; the last is the one that these files declare."""
+
+CELL_M = 8.0
+
+ON = {"cast_shadows": "on"}
+"""Level ground would else be left out as no caster at all."""
+
+
+@hard_case(
+    "G1",
+    "Holes show nothing and throw no shadow, level ground beside them is lit",
+    "a plateau with holes of every sentinel, islands and a single cell, sun at 45 to 0.5 degrees",
+    {"false_shadow": 0.0, "surface lost or made up": 0.0},
+)
+def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
+    side = 1024 if trial.thorough else 128
+    scene = trial.scene(trial.raster(plateau_with_holes(side), UTM, *CORNER_M, CELL_M, nodata=-9999.0), (200, 45), effects=ON)
+    valid = scene.elevation.ground_m
+    false_shadow = wrong_surface = 0.0
+    for azimuth, altitude in ((200, 45), (75, 5), (310, 0.5))[0 if trial.thorough else 1 :]:
+        under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+        seen = trial.see(under, whole(trial, under, side), map_size=2048 if trial.thorough else 512)
+        there = seen.buffer.there
+        assert 0.3 < there.mean() < 0.95
+        false_shadow = max(false_shadow, share(seen.dark, there))
+        wrong_surface = max(wrong_surface, share(~np.isfinite(valid(*places(seen))), there))
+        if trial.algorithm != "perspective_shadow_map":
+            wrong_surface = max(wrong_surface, abs(there.mean() - np.isfinite(plateau_with_holes(side, np.nan)).mean()))
+    return {"false_shadow": false_shadow, "surface lost or made up": wrong_surface}
+
+
+def plateau_with_holes(side: int, sentinel: float | None = None) -> np.ndarray:
+    """100 m everywhere, and holes: one of each sentinel, sprinkled single cells, a sea with an island and one with one cell."""
+    heights = np.full((side, side), 100.0, np.float32)
+    part = side // 8
+
+    def dig(where: tuple[slice, slice], number: int) -> None:
+        heights[where] = SENTINELS[number] if sentinel is None else sentinel
+
+    for number in range(len(SENTINELS)):
+        dig((slice(part, 2 * part), slice((number + 1) * part, (number + 1) * part + part // 2)), number)
+    for row in range(5):
+        for col in range(10):
+            dig(
+                (slice(3 * part + 3 * row, 3 * part + 3 * row + 1), slice(part + 7 * col, part + 7 * col + 1)), col % len(SENTINELS)
+            )
+    for left, number in ((0, 3), (4 * part, 0)):
+        dig((slice(5 * part, 8 * part), slice(left, left + 3 * part)), number)
+    heights[6 * part : 6 * part + part // 2, part : 2 * part] = 100.0
+    heights[6 * part, 5 * part] = 100.0
+    return heights
+
+
+@hard_case(
+    "R7",
+    "What stands before a hole throws its shadow over it to its length, and what is filled in adds none",
+    "a cliff of 60 m above a hole 40 cells wide, sun 2 degrees above and below the line from the far rim to its top",
+    {"false_shadow": 0.0, "tip_px": 1.0},
+)
+def test_shadows_cross_holes(trial: Trial) -> dict[str, float]:
+    """A fill by inverse distances is no straight line: its step at the far rim is 1.7 degrees steeper than the line to the top."""
+    side = 1024 if trial.thorough else 128
+    high, hole = slice(0, side // 4), slice(side // 4, side // 4 + 40)
+    heights = np.full((side, side), 100.0, np.float32)
+    heights[:, high] = 160.0
+    heights[5:-5, hole] = np.nan
+    scene = trial.scene(trial.raster(heights, UTM, *CORNER_M, CELL_M), (270, 45))
+    crest_m = CORNER_M[0] + (high.stop - 0.5) * CELL_M  # east of the last high cell's centre
+    beyond_m = CORNER_M[0] + hole.stop * CELL_M
+    rim_deg = np.degrees(np.arctan(60.0 / (beyond_m - crest_m)))
+    false_shadow = tip_px = 0.0
+    for altitude in (rim_deg + 2.0, rim_deg - 2.0):
+        under = scene.with_sun(SunSpec(azimuth=270, altitude=altitude))
+        seen = trial.see(under, whole(trial, under, side), map_size=2048)
+        x, y = places(seen)
+        middle = np.abs(y - (CORNER_M[1] - side / 2 * CELL_M)) < (side / 2 - 20) * CELL_M
+        tip_m = crest_m + 60.0 / np.tan(np.radians(altitude))
+        false_shadow = max(false_shadow, share(seen.dark, middle & (x > max(beyond_m, tip_m + CELL_M))))
+        if altitude < rim_deg:
+            tip_px = abs(x[seen.dark & middle].max() - tip_m) / CELL_M
+    return {"false_shadow": false_shadow, "tip_px": tip_px}
+
+
+BLOCK_BOUNDS = {"tip_px": 1.0, "side_px": 1.0, "surface lost or made up": 0.0}
+
+
+@dataclass(frozen=True)
+class Lying:
+    """How a raster lies: ``CELL_M``-sized cells or others, its axes turned or mirrored; metres per column and per row."""
+
+    per_col_m: tuple[float, float]
+    per_row_m: tuple[float, float]
+
+    def transform(self, rows: int, cols: int) -> Affine:
+        """The cells' places in the CRS, the middle of the raster at (0, 0)."""
+        (a, d), (b, e) = self.per_col_m, self.per_row_m
+        return Affine(a, b, -(a * cols + b * rows) / 2, d, e, -(d * cols + e * rows) / 2)
+
+
+def turned(deg: float, width_m: float = CELL_M, height_m: float = CELL_M) -> Lying:
+    """A raster turned counter-clockwise."""
+    sin, cos = np.sin(np.radians(deg)), np.cos(np.radians(deg))
+    return Lying((width_m * cos, width_m * sin), (height_m * sin, -height_m * cos))
+
+
+TURNED = (turned(30.0), turned(-71.0), turned(180.0))
+
+STRETCHED = (turned(25.0, 3.0, 9.0), Lying((2.0, 0.0), (0.0, -10.0)), Lying((10.0, 0.0), (0.0, -2.0)))
+
+MIRRORED = (Lying((CELL_M, 0.0), (0.0, CELL_M)), Lying((-CELL_M, 0.0), (0.0, -CELL_M)), Lying((0.0, CELL_M), (CELL_M, 0.0)))
+
+
+@hard_case(
+    "R1",
+    "A block's shadow lies where it must, however the raster is turned",
+    "a block of 40 m in rasters turned by 30, -71 and 180 degrees, sun along each axis",
+    BLOCK_BOUNDS,
+)
+def test_turned_rasters(trial: Trial) -> dict[str, float]:
+    return shadows_of_blocks(trial, TURNED)
+
+
+@hard_case(
+    "R2",
+    "A block's shadow lies where it must, whatever the shape of cells and the order of rows and columns",
+    "a block of 40 m in cells of 2 x 10 m, 10 x 2 m and 3 x 9 m turned; rows from south to north, columns from east to west",
+    BLOCK_BOUNDS,
+)
+def test_stretched_and_mirrored_rasters(trial: Trial) -> dict[str, float]:
+    return shadows_of_blocks(trial, (*STRETCHED, *MIRRORED))
+
+
+def shadows_of_blocks(trial: Trial, layings: tuple[Lying, ...]) -> dict[str, float]:
+    """The worst over rasters of 480 m a side; a quick run takes every third one."""
+    worst: dict[str, float] = {}
+    for number, lying in enumerate(layings if trial.thorough else layings[::3]):
+        shape = tuple(int(np.rint(480.0 / np.hypot(*step))) for step in (lying.per_row_m, lying.per_col_m))
+        worst = larger(worst, shadow_of_block(trial, lying, shape, f"level{number}"))
+    return worst
+
+
+def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: str = "level") -> dict[str, float]:
+    """A block's shadow along the axes of its raster of (rows, cols) against the edge of the block's top, moved by its length."""
+    (rows, cols), pixels = shape, 512 if trial.thorough else 96
+    placing, sides_m = lying.transform(rows, cols), (np.hypot(*lying.per_row_m), np.hypot(*lying.per_col_m))
+    height_m, altitude = max(rows * sides_m[0], cols * sides_m[1]) / 12, 24.0
+    block = np.ix_(*(np.arange(n // 2 - n // 15, n // 2 + n // 15 + 1) for n in shape))
+    heights = np.zeros(shape, np.float32)
+    heights[block] = height_m
+    path = trial.raster(heights, ENGINEERING, 0.0, 0.0, 1.0, name=name, transform=placing)
+    scene = trial.scene(path, (0, altitude), name=name)
+    # Nodes are the centres of cells, and the top ends at the outermost ones.
+    corners = np.array([placing @ (c + 0.5, r + 0.5) for r in block[0].ravel()[[0, -1]] for c in block[1].ravel()[[0, -1]]])
+    worst: dict[str, float] = {}
+    for axis_m, cells in ((lying.per_col_m, cols), (lying.per_row_m, rows)):
+        if cells < 8:
+            continue
+        away = np.array(axis_m) / np.hypot(*axis_m)
+        aside = np.array([-away[1], away[0]])
+        under = scene.with_sun(SunSpec(azimuth=float(np.degrees(np.arctan2(-away[0], -away[1]))) % 360.0, altitude=altitude))
+        seen = trial.see(under, whole(trial, under, pixels), map_size=2048)
+        at = np.stack(places(seen), axis=-1)
+        steps_m = (np.linalg.norm(np.diff(at, axis=axis), axis=-1).ravel() for axis in (0, 1))
+        pixel_m = float(np.fmax.reduce(np.concatenate([*steps_m])))
+        foot_m = (corners @ away).max() + np.hypot(*axis_m)
+        cast = at[seen.dark & (at @ away > foot_m)]
+        tip_m = (corners @ away).max() + height_m / np.tan(np.radians(altitude))
+        side_m = (np.ptp(cast @ aside) / 2 + (cast @ aside).min()) - (corners @ aside).mean()
+        col, row = ~placing @ at.transpose(2, 0, 1)
+        off = (np.abs(row - rows / 2) > rows / 2 + 1e-6) | (np.abs(col - cols / 2) > cols / 2 + 1e-6)
+        worst = larger(worst, {
+            "tip_px": abs((cast @ away).max() - tip_m) / pixel_m, "side_px": abs(side_m) / pixel_m,
+            "surface lost or made up": share(off, seen.buffer.there),
+        })  # fmt: skip
+    return worst
+
+
+def larger(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+    """The larger of each figure."""
+    return {name: max(value, one.get(name, value)) for name, value in other.items()}
+
+
+@hard_case(
+    "G7",
+    "Cells of any size and grids of any shape throw the same shadows",
+    "a block in cells of 0.1 m and of 1 km, in 16 x 16 and (thorough) 8192 x 8192 cells, in strips one cell wide either way",
+    BLOCK_BOUNDS | {"tip_px": 2.0},
+)
+def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
+    """The tip may miss by a pixel, and by a node: where nodes are no centres of cells, the top ends at the last node on it."""
+    worst: dict[str, float] = {}
+    grids = [(0.1, (120, 120)), (1000.0, (120, 120)), (10.0, (1, 24))]
+    if trial.thorough:
+        grids += [(10.0, (16, 16)), (10.0, (24, 1)), (1.0, (8192, 8192))]
+    for number, (cell_m, shape) in enumerate(grids):
+        if trial.algorithm == "perspective_shadow_map" and min(shape) == 1:
+            continue  # a camera sees triangles between nodes: a single row of them has none
+        worst = larger(worst, shadow_of_block(trial, turned(0.0, cell_m, cell_m), shape, f"level{number}"))
+    return worst
+
+
+@hard_case(
+    "R4",
+    "The smallest rasters are a lit picture",
+    "level ground of 1 x 1, 1 x 5, 2 x 2 cells, and one cell with a height in 64 x 64 without",
+    {"false_shadow": 0.0, "surface lost or made up": 0.0},
+    algorithms=tuple(name for name in SHADOWING if name != "perspective_shadow_map"),
+    thorough=False,
+)
+def test_smallest_rasters(trial: Trial) -> dict[str, float]:
+    """In maps: what a camera sees are triangles between nodes, and a single one has none."""
+    lonely = np.full((64, 64), np.nan, np.float32)
+    lonely[30, 33] = 5.0
+    worst: dict[str, float] = {}
+    for number, heights in enumerate([*(np.full(shape, 5.0, np.float32) for shape in ((1, 1), (1, 5), (2, 2))), lonely]):
+        name = f"level{number}"
+        scene = trial.scene(trial.raster(heights, UTM, *CORNER_M, CELL_M, name=name), (75, 3), name=name, effects=ON)
+        pixels = 192 if np.isnan(heights).any() else 32
+        seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
+        x, y = places(seen)
+        col, row = np.floor((x - CORNER_M[0]) / CELL_M), np.floor((CORNER_M[1] - y) / CELL_M)
+        there = seen.buffer.there
+        assert there.any()
+        inside = np.isfinite(heights[np.clip(np.nan_to_num(row), 0, heights.shape[0] - 1).astype(int),
+                                     np.clip(np.nan_to_num(col), 0, heights.shape[1] - 1).astype(int)])  # fmt: skip
+        worst = larger(worst, {"false_shadow": share(seen.dark, there), "surface lost or made up": share(~inside, there)})
+    return worst
+
+
+@hard_case(
+    "R3",
+    "Heights are the file's, whatever its numbers are, and no sentinel is one of them",
+    "heights of 8 to 64 bits, signed and not, scaled, with declared and undeclared sentinels",
+    {"height_m": 1e-3, "holes filled or dug": 0.0},
+    algorithms=(ENGINE,),
+    thorough=False,
+)
+def test_numbers_of_every_kind(trial: Trial) -> dict[str, float]:
+    height_m = 20.0 + 10.0 * np.add.outer(np.arange(12), np.arange(14) % 3)
+    hole = np.zeros(height_m.shape, bool)
+    hole[3:6, 4:9], hole[0, 0], hole[-1, -1] = True, True, True
+    worst: dict[str, float] = {}
+    for number, (kind, sentinel, declared, scale, offset) in enumerate((
+        ("uint8", 255, True, 1.0, 0.0), ("uint8", 0, True, 1.0, 10.0), ("uint16", 65535, True, 0.1, -1000.0),
+        ("int16", -32768, True, 1.0, 0.0), ("int16", -32768, False, 1.0, 0.0), ("uint16", 65535, False, 1.0, 0.0),
+        ("int32", -2147483648, False, 0.01, 0.0), ("uint32", 4294967295, False, 0.01, 0.0),
+        ("float32", -3.4028234663852886e38, True, 1.0, 0.0), ("float64", -1.7976931348623157e308, False, 1.0, 0.0),
+        ("float64", 1e20, False, 2.0, 5.0), ("float32", np.inf, True, 1.0, 0.0), ("float32", np.nan, True, 1.0, 0.0),
+    )):  # fmt: skip
+        stored = (
+            ((height_m - offset) / scale).round().astype(kind) if kind[0] in "iu" else ((height_m - offset) / scale).astype(kind)
+        )
+        stored[hole] = sentinel
+        path = trial.raster(stored, UTM, *CORNER_M, CELL_M, name=f"dem{number}", nodata=sentinel if declared else None)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.scales, dataset.offsets = (scale,), (offset,)
+        row, col = np.indices(height_m.shape, np.float64)
+        read_m, there = Elevation(str(path)).heights_at(0, row, col)
+        wrong_m = float(np.abs(read_m - height_m)[~hole].max())
+        worst = larger(worst, {"height_m": wrong_m, "holes filled or dug": float((there == hole).mean())})
+    return worst
+
+
+@hard_case(
+    "R5",
+    "On the whole earth it is day where the sun is above the horizon, and night elsewhere",
+    "level grids of the globe from -180.5 to 180.5 and from 0 to 360 degrees, round a pole, and in polar stereographic cells",
+    {"false_shadow": 0.0, "missed_shadow": 0.0, "surface lost or made up": 0.0},
+    algorithms=("shadow_map",),
+)
+def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
+    """What can serve a view this wide: ``shadow_map``. The sun's altitude at each pixel is that of its own vertical; pixels and
+    facets (1 degree wide) within a degree of the terminator do not count, nor does the picture's rim, where nodes end.
+    """
+    worst: dict[str, float] = {}
+    pixels = 512 if trial.thorough else 96
+    grids = (
+        ("EPSG:4326", -180.5, 90.5, 1.0, (181, 361)), ("EPSG:3413", -2e6, 2e6, 4e4, (100, 100)),
+        ("EPSG:4326", 0.0, 90.0, 1.0, (180, 360)), ("EPSG:4326", -180.0, 90.0, (1.0, 0.05), (200, 360)),
+    )  # fmt: skip
+    for number, (crs, x0, y0, cell, shape) in enumerate(grids if trial.thorough else grids[:2]):
+        name = f"level{number}"
+        scene = trial.scene(trial.raster(np.zeros(shape, np.float32), crs, x0, y0, cell, name=name), (75, 3), name=name, effects=ON)
+        seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
+        there, frame = seen.buffer.there, seen.buffer.frame
+        earth_m = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
+        lon, lat, height_m = geodetic(earth_m[there])
+        _, up = geocentric(lon, lat)
+        altitude = np.full(there.shape, np.nan)
+        altitude[there] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
+        worst = larger(worst, {
+            "false_shadow": share(seen.dark, altitude > 1.0), "missed_shadow": share(~seen.dark, altitude < -1.0),
+            "surface lost or made up": 1.0 - float(there[1:-1, 1:-1].mean()),
+        })  # fmt: skip
+    return worst
+
+
+REAL = {
+    "autzen_feet_DSM.tif": 0.4, "autzen_feet_DTM.tif": 0.2, "etopo1_1deg_global.tif": 0.9, "eudem_25km_3035.tif": 0.7,
+    "nz_elev_1km_oceanholes.tif": 0.15, "slovenia_TM1_564_146_nodata.tif": 0.9, "texas_flat_3arcsec_4326.tif": 0.9,
+    "vanderford_64m_epsg3031.tif": 0.05,
+}  # fmt: skip
+"""Odd rasters of the world, and the share of their map that shows something, at least."""
+
+
+@pytest.mark.parametrize("file", REAL)
+def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
+    """R6: with what is chosen for them, under a low sun: neither all lit nor all dark, and a number wherever there is ground."""
+    scene = make_scene(shared_data / "odd" / file, 75.0, 3.0)
+    frame = render(scene, scene.view(size=(96, 96)))
+    assert frame.there.mean() > REAL[file]
+    seen = frame.visibility[frame.there]
+    assert ((seen >= 0.0) & (seen <= 1.0)).all() and np.isnan(frame.visibility[~frame.there]).all()
+    assert 0.001 < (seen < 0.5).mean() < 0.95
+    assert frame.color[frame.there].any() and not frame.color[~frame.there].any()
+
+
+def test_a_raster_of_nothing_is_refused(shared_data, make_scene):
+    """R6: every cell of this one is nodata."""
+    with pytest.raises(SourceError, match="CHM_empty.tif.*no height in any cell"):
+        make_scene(shared_data / "odd" / "CHM_empty.tif")

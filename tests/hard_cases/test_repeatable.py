@@ -1,0 +1,102 @@
+"""The same picture again: in the same process, in a new one, and as far as it is decided by another rasteriser."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shadows.render import forget_kept
+from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, Case, Trial, failures, hard_case
+from tests.hard_cases.sites import site, views_of
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pictures(algorithm: str, folder: Path, px: int) -> list[np.ndarray]:
+    """The visibility of a site in all views that an algorithm serves."""
+    trial = Trial(algorithm, False, folder)
+    scene = site(trial)
+    return [trial.see(scene, view).visibility for view in views_of(trial, scene, px)]
+
+
+def pictures_elsewhere(algorithm: str, folder: Path, px: int, **environment: str) -> tuple[str, list[np.ndarray]]:
+    """The same from a process of its own, and the name of its renderer."""
+    code = (
+        "import sys; import numpy as np; from pathlib import Path; from terrain.gl import device;"
+        "from tests.hard_cases.test_repeatable import pictures;"
+        "algorithm, folder, px = sys.argv[1:]; found = pictures(algorithm, Path(folder), int(px));"
+        "np.savez(Path(folder) / 'pictures.npz', *found); print(device().renderer)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code, algorithm, str(folder), str(px)],
+        cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    if ran.returncode != 0:
+        raise RuntimeError(ran.stderr.strip().splitlines()[-1])
+    with np.load(folder / "pictures.npz") as kept:
+        return ran.stdout.strip().splitlines()[-1], list(kept.values())
+
+
+def differing(one: list[np.ndarray], other: list[np.ndarray]) -> float:
+    """The largest share of values that differ between pictures, to the bit."""
+    assert all(0.02 < (picture < 0.5).mean() < 0.98 for picture in one), "light and shadow"
+    return max(float((a.view(np.uint32) != b.view(np.uint32)).mean()) for a, b in zip(one, other, strict=True))
+
+
+@hard_case(
+    "H34",
+    "The same picture comes out again, to the bit",
+    "drawn twice in a process that forgets what it kept, and in a new process",
+    {"values that differ": 0.0},
+)
+def test_the_same_again(trial: Trial) -> dict[str, float]:
+    """A new process costs seconds: it is for the thorough case."""
+    px = 512 if trial.thorough else 128
+    first = pictures(trial.algorithm, trial.folder, px)
+    kept = pictures(trial.algorithm, trial.folder, px)
+    forget_kept()
+    again = [kept, pictures(trial.algorithm, trial.folder, px)]
+    if trial.thorough:
+        again.append(pictures_elsewhere(trial.algorithm, trial.folder, px)[1])
+    return {"values that differ": max(differing(first, other) for other in again)}
+
+
+@pytest.mark.long
+def test_another_rasteriser(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    """Masks by the graphics hardware at hand differ from the software rasteriser's where truth is not decidable alone."""
+    record = CROSS.run(ENGINE, True, tmp_path)
+    record_property(RECORD, json.dumps(record))
+    assert not failures(record)
+
+
+def _across_rasterisers(trial: Trial) -> Mapping[str, float]:
+    worst = 0.0
+    for algorithm in SHADOWING[:-1]:  # the sweep needs no rasteriser
+        its = Trial(algorithm, False, trial.folder)
+        hardware, found = pictures_elsewhere(algorithm, trial.folder, 256, LIBGL_ALWAYS_SOFTWARE="0")
+        if any(name in hardware for name in SOFTWARE):
+            pytest.skip(f"no graphics hardware: {hardware}")
+        software, own = pictures_elsewhere(algorithm, trial.folder, 256, LIBGL_ALWAYS_SOFTWARE="1", **MESA)
+        assert any(name in software for name in SOFTWARE), software
+        scene = site(its)
+        for one, other, view in zip(found, own, views_of(its, scene, 256), strict=True):
+            truth = its.see(scene, view).truth
+            worst = max(worst, float(((one < 0.5) != (other < 0.5))[truth.decidable].mean()))
+    return {"values that differ": worst}
+
+
+SOFTWARE = ("llvmpipe", "softpipe", "swrast")
+MESA = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/usr/share/glvnd/egl_vendor.d/50_mesa.json"}
+"""What makes EGL take Mesa, whose software rasteriser is at hand everywhere, before a driver of its own."""
+
+CROSS = Case(
+    "H34", "The same picture comes out again, to the bit", "by graphics hardware, where truth is decidable",
+    {"values that differ": 0.0}, _across_rasterisers,
+)  # fmt: skip

@@ -1,0 +1,92 @@
+"""Seams and azimuths: where two windows of the same ground meet, and lines of a sweep all round the compass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.metrics import errors_of
+from terrain.grid import MapView
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene
+from tests.hard_cases.cases import Trial, View, hard_case
+from tests.hard_cases.ground import CORNER_M, UTM, share, whole
+
+CELL_M = 32.0
+
+SEAM_PX = 2
+
+
+def hills(cells: int, height_m: float, seed: int = 4, rough_m: float = 0.0) -> np.ndarray:
+    """Rolling ground (cells, cells) float32 of a few waves, its heights up to about ``height_m``; rough by so much in each cell."""
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[:cells, :cells]
+    waves = sum(np.sin((a * row + b * col) / 9.0 + c) for a, b, c in rng.uniform(-1.0, 1.0, (5, 3)) * (1.0, 1.0, np.pi))
+    return (height_m * (0.5 + 0.1 * waves) + rough_m * rng.uniform(-1.0, 1.0, (cells, cells))).astype(np.float32)
+
+
+def windows(trial: Trial, scene: Scene, pixels: int) -> tuple[View, View, View]:
+    """The west half, the east half and the whole of a view of the middle of the level."""
+    view = whole(trial, scene, pixels)
+    if isinstance(view, MapView):
+        west, south, east, north = scene.elevation.bounds
+        quarter = (east - west) / 4
+        view = scene.view(bounds=(west + quarter, south + quarter, east - quarter, north - quarter), size=(pixels, pixels))
+    half = pixels // 2
+    return view.part(0, 0, pixels, half), view.part(0, half, pixels, half), view
+
+
+def near_seam(pixels: int) -> np.ndarray:
+    """The pixels of the whole within ``SEAM_PX`` of where the halves meet, (1, cols)."""
+    return np.abs(np.arange(pixels) + 0.5 - pixels / 2)[None] < SEAM_PX
+
+
+@hard_case(
+    "H19",
+    "Seams of blocks and tiles throw no shadow, for nothing hangs down from them",
+    "level ground and hills under a sun at 0.5 to 5 degrees, drawn in two windows; within 2 px of where they meet",
+    {"false_shadow": 0.0, "false_shadow of level ground": 0.0, "surface lost": 0.0},
+)
+def test_seams_throw_nothing(trial: Trial) -> dict[str, float]:
+    cells, pixels = (512, 256) if trial.thorough else (128, 64)
+    worst = dict.fromkeys(("false_shadow", "false_shadow of level ground", "surface lost"), 0.0)
+    suns = [(90.0, 0.5), (270.0, 1.0), (253.0, 2.0), (17.0, 3.0), (135.0, 5.0)]
+    for ground, heights in (("hills", hills(cells, 300.0)), ("level", np.full((cells, cells), 200.0, np.float32))):
+        path = trial.raster(heights, UTM, *CORNER_M, CELL_M, name=ground)
+        scene = trial.scene(path, (0, 45), name=ground, effects={"cast_shadows": "on"})
+        for azimuth, altitude in suns if trial.thorough else suns[:: 3 if ground == "level" else 5]:
+            under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+            west, east, together = (trial.see(under, view, map_size=2048) for view in windows(trial, under, pixels))
+            dark = np.hstack([west.dark, east.dark])
+            there = np.hstack([west.buffer.there, east.buffer.there])
+            seam = near_seam(pixels) & together.buffer.there
+            worst["surface lost"] = max(worst["surface lost"], share(~there, seam))
+            if ground == "level":
+                worst["false_shadow of level ground"] = max(worst["false_shadow of level ground"], share(dark, seam))
+            else:
+                truth = together.truth
+                worst["false_shadow"] = max(worst["false_shadow"], share(dark, seam & truth.lit & truth.decidable))
+    return worst
+
+
+@hard_case(
+    "H32",
+    "Lines along the sun's azimuth agree with rays at every azimuth, and leave no seam",
+    "mountains under a sun at 10 degrees at all whole azimuths (quick: 12 of them), drawn in two windows",
+    {"edge_p95_px": 1.0, "interior": 2e-4, "wrong at the seam": 0.01},
+    algorithms=("sweep",),
+)
+def test_every_azimuth(trial: Trial) -> dict[str, float]:
+    """A pixel is a cell. Off the axes and diagonals lines run between nodes, so that the octants differ."""
+    cells, pixels = 128, 64
+    scene = trial.scene(trial.raster(hills(cells, 1200.0, seed=11, rough_m=6.0), UTM, *CORNER_M, CELL_M), (0, 10))
+    edge_px = interior = at_the_seam = 0.0
+    for azimuth in range(360) if trial.thorough else (1, 46, 180, 254):
+        under = scene.with_sun(SunSpec(azimuth=float(azimuth), altitude=10.0))
+        west, east, together = (trial.see(under, view) for view in windows(trial, under, pixels))
+        truth, visibility = together.truth, np.hstack([west.visibility, east.visibility])
+        found = errors_of(visibility, truth, CELL_M)
+        assert 0.05 < (visibility < 0.5).mean() < 0.95
+        edge_px, interior = max(edge_px, found.edge_p95), max(interior, found.interior)
+        wrong, middle = truth.decidable & ((visibility < 0.5) == truth.lit), near_seam(pixels)
+        at_the_seam = max(at_the_seam, share(wrong, truth.decidable & middle))
+    return {"edge_p95_px": edge_px, "interior": interior, "wrong at the seam": at_the_seam}

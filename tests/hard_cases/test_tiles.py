@@ -1,0 +1,79 @@
+"""Tiles that are drawn apart join, whichever frames they are drawn in, and zooming in moves no shadow."""
+
+from __future__ import annotations
+
+import numpy as np
+from morecantile import tms as matrix_sets
+
+from shadows.metrics import edge_distances
+from terrain.grid import MapView, tile_grid
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.picture import frame_of
+from terrain.scene import Scene, build_scene
+from tests.hard_cases.cases import Trial, hard_case
+from tests.render import block_at
+
+LAID_BY_THE_TILE = ("shadow_volume", "hybrid", "sweep")
+LON, LAT, ZOOM = -84.27, 36.58, 12
+
+
+@hard_case(
+    "G5",
+    "Neighbouring tiles join, and zooming in moves no shadow",
+    "real mountains: tiles of one frame, tiles of two frames, and zoom 12 against 13",
+    {"same frame": 0.0, "across frames": 1e-4, "edge_p95_px": 3.0},
+)
+def test_tiles_join(trial: Trial) -> dict[str, float]:
+    """Half of a tile is drawn with its neighbour once more.
+
+    Volumes, which are drawn in the tile's own camera, and lines, which are laid through its middle, are held to pixels that are
+    decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
+    its own edge a node lies on is a matter of rounding.
+    """
+    px = 512 if trial.thorough else 160
+    altitudes = (20.0, 4.0) if trial.thorough else (10.0,)
+    mountains = build_scene(load_level("configs/jacksboro.yaml"))
+    same, across, edges = 0.0, 0.0, []
+    for altitude in altitudes:
+        scene = mountains.with_sun(SunSpec(azimuth=237.0, altitude=altitude))
+        tile = block_at(LON, LAT, ZOOM).part(300, 200, px, px)
+        beside = tile.part(0, px // 2, px, px)
+        assert frame_of(scene, tile) is frame_of(scene, beside)
+        same = max(same, _differing(trial, scene, tile, beside))
+        last = _last_of_its_frame(scene, tile)
+        across = max(across, _differing(trial, scene, last, last.part(0, px // 2, px, px)))
+        edges.append(_zoom_edges_px(trial, scene, tile.part(0, 0, px // 2, px // 2)))
+    return {"same frame": same, "across frames": across, "edge_p95_px": float(np.quantile(np.concatenate(edges), 0.95))}
+
+
+def _differing(trial: Trial, scene: Scene, tile: MapView, beside: MapView) -> float:
+    """Share of the pixels whose class differs in the strip that two tiles have in common."""
+    one, other = trial.see(scene, tile), trial.see(scene, beside)
+    strip = tile.cols // 2
+    here, there = one.dark[:, -strip:], other.dark[:, :strip]
+    assert 0.005 < here[one.buffer.there[:, -strip:]].mean() < 0.99, "light and shadow"
+    differ = here != there
+    if trial.algorithm in LAID_BY_THE_TILE:
+        differ &= one.truth.decidable[:, -strip:] & other.truth.decidable[:, :strip]
+    return float(differ.mean())
+
+
+def _last_of_its_frame(scene: Scene, tile: MapView) -> MapView:
+    """The tile as far east as its frame goes: half a tile on another one begins."""
+    half = tile.cols // 2
+    own = frame_of(scene, tile)
+    while frame_of(scene, tile.part(0, half, tile.rows, tile.cols)) is own:
+        tile = tile.part(0, half, tile.rows, tile.cols)
+    return tile
+
+
+def _zoom_edges_px(trial: Trial, scene: Scene, tile: MapView) -> np.ndarray:
+    """Distances between the edges of shadows in a tile and in its four of the next zoom, in the tile's pixels."""
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), ZOOM + 1)
+    finer = MapView(grid, 2.0 * tile.row0, 2.0 * tile.col0, 1.0, 1.0, 2 * tile.rows, 2 * tile.cols)
+    coarse, fine = trial.see(scene, tile), trial.see(scene, finer)
+    doubled = np.repeat(np.repeat(coarse.dark, 2, axis=0), 2, axis=1)
+    distances = edge_distances(fine.dark, doubled, fine.buffer.there) / 2.0
+    assert distances.size > 100, "edges"
+    return distances

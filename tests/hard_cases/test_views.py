@@ -1,0 +1,133 @@
+"""Views that are hard to see by: of one pixel or one row, as narrow and as wide as there are, in a wall, from orbit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from terrain.camera import PerspectiveView
+from terrain.errors import InputError
+from tests.hard_cases.bodies import FLOOR, errors, eye, joined, not_a_number
+from tests.hard_cases.cases import ENGINE, SHADOWING, Seen, Trial, hard_case
+from tests.shadows.boxes import box
+
+HOUSE = joined(box((8, 6, 5)), box((1, 1, 9), at_m=(9, 2)))
+
+SIDE_PX = {False: 96, True: 512}
+
+
+def looks(
+    trial: Trial, views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]], size_m: tuple[float, float] = (1400.0, 1400.0)
+) -> dict[str, Seen]:
+    """What is seen of some views of a house on a floor, or by ``sweep`` of ridges, at their sizes or else in a square."""
+    specs = {name: spec for name, (spec, _) in views.items()}
+    if trial.algorithm == "sweep":
+        ridges = {"generate": {"kind": "ridges", "size": size_m, "cell": 20, "relief": 350, "seed": 3}}
+        scene = trial.scene(ridges, sun=(200, 15), views=specs, name=f"ridges_{size_m[0]:g}")
+    else:
+        floor = {"flat": {"size": size_m, "cells": [40, 4]}}
+        scene = trial.scene(floor, sun=(200, 35), meshes=[HOUSE], views=specs, name=f"floor_{size_m[0]:g}")
+    side = SIDE_PX[trial.thorough]
+    return {name: trial.see(scene, scene.view(name, size=size or (side, side))) for name, (_, size) in views.items()}
+
+
+def figures(seen: dict[str, Seen]) -> dict[str, float]:
+    """The worst of some views: interior errors, and pixels whose point or visibility is no number."""
+    for name, each in seen.items():
+        assert each.buffer.there.any(), name
+    none = [not_a_number(each) + (~np.isfinite(each.buffer.position_frame_m[each.buffer.there])).sum() for each in seen.values()]
+    return {"interior": max(errors(each).interior for each in seen.values()), "pixels that are no number": sum(none)}
+
+
+@hard_case(
+    "G8",
+    "Whatever the size, the field of view and the height of the eye, the picture is finite and right",
+    "1 x 1 and 4096 x 1 pixels, 0.01 and 179 degrees, an eye 0.1 m and 500 km up; maps of 16384 x 1 and 1 x 1 pixels",
+    {"interior": 0, "pixels that are no number": 0},
+)
+def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
+    long = 16384 if trial.thorough else 512
+    views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
+        "one": (eye((12, 25, 6), (0, 9, 0)), (1, 1)),
+        "row": (eye((6, 40, 12), (0, 6, 0), fov=0.05), (min(long, 4096), 1)),
+        "column": (eye((6, 40, 12), (0, 6, 0), fov=60), (1, min(long, 4096))),
+        "narrow": (eye((90, 90, 60), (4.2, 3.4, 0), fov=0.01), None),
+        "wide": (eye((2, 8, 1.5), (0, 3, 0.5), fov=179), None),
+        "low": (eye((12, 25, 0.1), (0, 3, 0.5)), None),
+        "orbit": (eye((20, 30, 500_000), (2, 5, 0), fov=0.01), None),
+    }
+    half_m = long / 4.0  # pixels of half a metre
+    lines: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
+        "map row": ({"kind": "map", "bounds": [-half_m, 6, half_m, 6.5]}, (long, 1)),
+        "map point": ({"kind": "map", "bounds": [2, 5, 2.5, 5.5]}, (1, 1)),
+    }
+    column: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
+        "map column": ({"kind": "map", "bounds": [1.5, -half_m, 2, half_m]}, (1, long)),
+    }
+    seen = looks(trial, views)
+    if trial.algorithm != "perspective_shadow_map":
+        seen |= looks(trial, lines, (2.0 * half_m + 60.0, 80.0)) | looks(trial, column, (80.0, 2.0 * half_m + 60.0))
+    return figures(seen)
+
+
+@hard_case(
+    "V1",
+    "An eye in a house or under the ground, level with the ground, or looking straight up or down, sees the right shadow",
+    "an eye in a house, 1 m under ground, at height 0 exactly, looking up and down, and at a target 1 mm away",
+    {"interior": 0, "pixels that are no number": 0},
+)
+def test_places_of_the_eye(trial: Trial) -> dict[str, float]:
+    side = None
+    views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
+        "in a house": (eye((0.3, 0.2, 2), (1, 10, 1), fov=100), side),
+        "under ground": (eye((12, 25, -1), (0, 3, 0)), side),
+        "level with the ground": (eye((12, 25, 0), (0, 3, 0)), side),
+        "up": (eye((1, 4, 0.5), (1, 4, 60), fov=120), side),
+        "down": (eye((2, 7, 30), (2, 7, 0)), side),
+        "target 1 mm away": (eye((12, 25, 6), (11.99949, 24.99915, 5.99986)), side),
+    }
+    if trial.algorithm == "sweep":  # no house to be in, nor above one
+        del views["in a house"], views["up"]
+    return figures(looks(trial, views))
+
+
+def _distance_m(seen: Seen) -> np.ndarray:
+    """How far from the eye what is seen lies, metres (rows, cols); infinite where nothing is."""
+    view = seen.view
+    assert isinstance(view, PerspectiveView)
+    away = np.linalg.norm(seen.buffer.position_frame_m - view.in_frame(seen.buffer.frame)[0], axis=-1)
+    return np.where(seen.buffer.there, away, np.inf)
+
+
+@hard_case(
+    "V2",
+    "What is right before the eye is seen, and hides what is behind it",
+    "an eye 10, 3 and 1 cm before a wall, straight and along it",
+    {"pixels seen through": 0, "interior": 0},
+    tuple(name for name in SHADOWING if name != "sweep"),
+)
+def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
+    """Seen straight on, every pixel shows the wall."""
+    views = {f"{away:g}": (eye((0, 3 + away, 2), (0, -10, 2)), None) for away in (0.1, 0.03, 0.01)}
+    views |= {f"along {away:g}": (eye((0, 3 + away, 2), (8, 3 + away, 1)), None) for away in (0.1, 0.01)}
+    seen = looks(trial, views)
+    through = sum(int((_distance_m(seen[name]) > 2.0 * float(name)).sum()) for name in views if "along" not in name)
+    return {"pixels seen through": through, "interior": figures(seen)["interior"]}
+
+
+REFUSED: dict[str, tuple[dict[str, Any], tuple[int, int], str]] = {
+    "too many pixels": (eye((12, 25, 6), (0, 3, 0)), (16384, 1), r"size: '16384x1' is not allowed; allowed: at most 4096 a side"),
+    "off the data": (eye((1000, 0, 6), (0, 3, 0)), (64, 64), r"views.eye.eye: .* allowed: a place on the ground's data"),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_what_cannot_be_seen_is_said(tmp_path, why):
+    """One line that names the key, the value and what is allowed."""
+    spec, size, said = REFUSED[why]
+    scene = Trial(ENGINE, False, tmp_path).scene(FLOOR, sun=(200, 35), views={"eye": spec})
+    with pytest.raises(InputError, match=said) as caught:
+        scene.view("eye", size=size)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,94 @@
+"""Far from the origin of coordinates, and under suns along the axes: nothing changes, nothing degenerates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene
+from tests.hard_cases.cases import Seen, Trial, View, hard_case
+from tests.hard_cases.sites import differing, site, views_of
+
+
+def _differing_at(trial: Trial, offsets: list[tuple[float, float]]) -> float:
+    """The largest share of pixels by which a site far away differs from the one at the origin."""
+    px = 512 if trial.thorough else 96
+    home, worst = site(trial), 0.0
+    seen = [trial.see(home, view, map_size=2048 if trial.thorough else 512) for view in views_of(trial, home, px)]
+    for number, offset in enumerate(offsets):
+        away = site(trial, offset=offset, name=f"away{number}")
+        for here, view in zip(seen, views_of(trial, away, px), strict=True):
+            there = trial.see(away, view, map_size=2048 if trial.thorough else 512)
+            worst = max(worst, differing(here, there))
+    return worst
+
+
+@hard_case(
+    "H4",
+    "The picture is the same wherever an engineering CRS puts it",
+    "hills with houses at offsets of 0, 500, 6,378 and 6,650 km",
+    {"pixels that differ": 0.0},
+)
+def test_a_site_may_lie_anywhere(trial: Trial) -> dict[str, float]:
+    """Offsets that doubles hold exactly: frames, texels and nodes are counted from the anchor, so not a bit may differ."""
+    offsets = [(5e5, 6.65e6), (6.378e6, -5e5), (5e5, 5e5), (-6.65e6, 6.378e6)]
+    return {"pixels that differ": _differing_at(trial, offsets if trial.thorough else offsets[:1])}
+
+
+@hard_case(
+    "H5",
+    "Digits that a double cannot hold change next to nothing",
+    "the same at offsets of seven digits and a tenth of a metre",
+    {"pixels that differ": 1e-4},
+)
+def test_a_site_may_lie_at_odd_digits(trial: Trial) -> dict[str, float]:
+    offsets = [(412_345.1, 6_398_765.3), (6_378_137.7, 500_000.1)]
+    return {"pixels that differ": _differing_at(trial, offsets if trial.thorough else offsets[:1])}
+
+
+@hard_case(
+    "H8",
+    "Suns along the axes and at the zenith are suns like others",
+    "azimuths 0, 90, 180, 270 and the zenith, each beside suns a millionth of a degree off",
+    {"basis": 1e-12, "pixels that differ": 1e-4},
+)
+def test_suns_along_the_axes(trial: Trial) -> dict[str, float]:
+    """``basis`` is the largest element of R R^T - 1 of the light's axes, for suns on the horizon and below the feet too.
+
+    A pixel differs where the sunlight on it does, by a step of a picture's 255: walls under the zenith turn from attached shadow
+    to light within a millionth of a degree, as they should, but what light that is cannot be seen.
+
+    At the zenith an azimuth says nothing of the sun, but texels and lines are laid along it, and between two spellings of that one
+    sun they lie otherwise. So each is held against suns beside it of its own azimuth.
+    """
+    scene, basis = site(trial), 0.0
+    for azimuth in (0.0, 90.0, 180.0, 270.0, 360.0):
+        for altitude in (-90.0, 0.0, 30.0, 90.0):
+            light = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude)).light
+            assert light is not None
+            basis = max(basis, float(np.abs(light.light_from_earth @ light.light_from_earth.T - np.eye(3)).max()))
+    differ, small = 0.0, 1e-6
+    suns = [(0.0, 17.0), (90.0, 17.0), (180.0, 17.0), (270.0, 17.0), (0.0, 90.0), (137.0, 90.0)]
+    for view in views_of(trial, scene, 512 if trial.thorough else 100):
+        for azimuth, altitude in suns if trial.thorough else suns[1:5:3]:
+            exact = _seen_under(trial, scene, view, azimuth, altitude)
+            beside = [(azimuth + small, altitude), (azimuth, altitude - small), (azimuth - small, altitude)]
+            for other in beside if trial.thorough else beside[:2]:
+                differ = max(differ, float(_other_sunlight(exact, _seen_under(trial, scene, view, *other)).mean()))
+    return {"basis": basis, "pixels that differ": differ}
+
+
+def _seen_under(trial: Trial, scene: Scene, view: View, azimuth: float, altitude: float) -> Seen:
+    seen = trial.see(scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude)), view, map_size=512)
+    assert altitude > 89.0 or seen.dark[seen.buffer.there].mean() > 0.02, "shadow"
+    return seen
+
+
+def _other_sunlight(one: Seen, other: Seen) -> np.ndarray:
+    """Where the sunlight on two pictures' points differs visibly: visibility times the cosine of incidence."""
+    lights = []
+    for seen in (one, other):
+        assert seen.scene.sun is not None
+        cosine = seen.buffer.normal_frame @ (seen.buffer.frame.frame_from_earth @ seen.scene.sun.to_sun_earth)
+        lights.append(np.nan_to_num(seen.visibility * np.maximum(cosine, 0.0)))
+    return np.abs(lights[0] - lights[1]) > 1.0 / 255.0
