@@ -269,10 +269,12 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     """A texel's larger side on level ground in pixels (rows, cols); 0 for an algorithm without texels, and off the surface."""
     settings = None if step is None else step.settings
     texel_m: float | np.ndarray = 0.0
+    size_m: float | np.ndarray = pixel_m
     away_m: float | np.ndarray = 0.0
     if isinstance(buffer.view, PerspectiveView):
-        eye, _ = buffer.view.in_frame(buffer.frame)
+        eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
         away_m = np.linalg.norm(buffer.position_frame_m - eye, axis=-1)
+        size_m = (buffer.position_frame_m - eye) @ camera_from_frame[2] * buffer.view.pixel
     if isinstance(settings, ShadowMapSettings) and scene.sun is not None:
         sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
         sides = [max(cascade.texel_m[0], cascade.texel_m[1] / sine) for cascade in settings.cascades]
@@ -289,7 +291,6 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
         if receivers.any():
             drawn, _ = perspective_map(buffer, receivers, scene, step.light, settings, caster_trees(buffer, step.kinds))
             texel_m = texel_on_level_ground_m(np.reshape(drawn.uniforms["map_rows"], (4, 4)), buffer.position_frame_m)
-    size_m = away_m * buffer.view.pixel if isinstance(buffer.view, PerspectiveView) else pixel_m
     return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
 
 

@@ -51,7 +51,7 @@ from shadows.plan import PerspectiveMapSettings
 from shadows.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, uniform_matrix
 from shadows.shadow_map import depths
 from terrain.camera import PerspectiveView
-from terrain.casting import caster_trees
+from terrain.casting import anything_casts, caster_trees
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
@@ -90,14 +90,15 @@ def fill(
     visibility = np.ones(buffer.there.shape, np.float32)
     with log.run(depth_pass) as record:
         receivers = buffer.there & ~attached(buffer, scene, light)
-        if receivers.any():
+        shaded = receivers.any() and anything_casts(scene, buffer, kinds)
+        if shaded:
             drawn, note = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
             record.note = record.note or note  # of any part of a view
             gl = device()
             target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
             log.keep("shadow-map", light, depths, gl, drawn, target)
     with log.run(visibility_pass) as record:
-        if receivers.any():
+        if shaded:
             look_up(gl, drawn, target, buffer, settings, visibility, record)
     return visibility
 

@@ -86,7 +86,7 @@ from shadows.map_windows import DepthMap, lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import LampMapSettings, ShadowMapSettings
 from shadows.sun_disc import nearest_caster_m
-from terrain.casting import caster_trees
+from terrain.casting import anything_casts, caster_trees
 from terrain.geometry import GeometryBuffer
 from terrain.gl import Device, device
 from terrain.level import CasterKind
@@ -112,12 +112,14 @@ def fill(
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
-    if isinstance(settings, ShadowMapSettings):
+    if not anything_casts(scene, buffer, kinds):
+        pass
+    elif isinstance(settings, ShadowMapSettings):
         nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
         maps = sun_maps(buffer, scene, settings, trees, nearest_m)
     elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
         maps = [lit]
-    if not maps:  # no receivers
+    if not maps:  # no casters, or no receivers
         with log.run(depth_pass), log.run(visibility_pass):
             return np.ones(buffer.there.shape, np.float32)
     gl = device()

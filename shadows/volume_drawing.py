@@ -31,6 +31,12 @@ from terrain.stencil import MARK, Counting
 COUNT = ~MARK & 0xFF
 """The bits of the stencil that count."""
 
+MAP_STEPS = 16.0
+"""Steps of a float32 depth that faces are drawn farther away in a map: seen from above, the faces of a sun on the horizon are
+level, and have no slope that would move them. Corners, their clip coordinates and what a rasteriser makes of a face that goes to
+infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles (``terrain.rays``).
+"""
+
 TOWARDS_EYE = 1.0 + 2.0**-10
 """How much nearer silhouettes are drawn than the surfaces that they lie on."""
 
@@ -104,7 +110,8 @@ def _counted(
 ) -> np.ndarray:
     """The counts (n,) uint8 of some points."""
     gl, size = device(), points.size
-    clamped = points.near_frame_m is None and light[3] != 0.0
+    from_above = points.near_frame_m is None
+    clamped, away_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
     faces = max((len(each.faces) for each in volumes), default=0)
     parts = rectangles(marked_tiles(points.row, points.col, size), size, faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
@@ -122,7 +129,7 @@ def _counted(
                     continue
                 with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
                     for side in ("both",) if settings.stencil == "one_pass" else ("front", "back"):
-                        with gl.stencil.count_pass(target, counting, side, marked, clamped):
+                        with gl.stencil.count_pass(target, counting, side, marked, clamped, away_steps):
                             record.draws += _render(target, array, parts, some.starts)
                         record.triangles += len(some.faces)
                 record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])

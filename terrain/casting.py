@@ -40,6 +40,12 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
     return meshes
 
 
+def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
+    """Whether there is anything of some kinds that could cast on a buffer's points."""
+    ground = "relief" in kinds and (buffer.surface is not None or buffer.ground is not None)
+    return ground or ("meshes" in kinds and scene.population.solids is not None) or caster_trees(buffer, kinds) is not None
+
+
 def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> Stand | None:
     """The trees that cast, if there are any."""
     return buffer.stand if "forest" in kinds else None

@@ -31,12 +31,6 @@ that begins at a surface and grazes it is not taken to lie before it. A corner i
 which moves the plane at a pixel by at most a step of its steeper slope.
 """
 
-DEPTH_STEPS = 16.0
-"""And by so many steps of a float32 depth: a level face has no slope. Corners, their clip coordinates and what a rasteriser makes
-of a face that goes to infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles
-(``terrain.rays``).
-"""
-
 Counting = Literal["z_pass", "z_fail", "faces", "seen"]
 """What faces do to the stencil. ``z_pass``: before the point, one that faces the eye adds one, another takes one. ``z_fail``:
 behind it or in it, the other way round. ``faces``: each before the point adds one, up to 255. ``seen``: what is not behind makes it
@@ -142,11 +136,18 @@ class Stencil:
 
     @contextmanager
     def count_pass(
-        self, target: moderngl.Framebuffer, counting: Counting, side: Side = "both", marked: bool = False, clamped: bool = False
+        self,
+        target: moderngl.Framebuffer,
+        counting: Counting,
+        side: Side = "both",
+        marked: bool = False,
+        clamped: bool = False,
+        away_steps: float = 0.0,
     ) -> Iterator[None]:
         """Count faces against the depths that are there, which stay as they are; those that face the eye go round clockwise.
 
-        With ``marked`` only what is marked counts; with ``clamped`` nothing is cut off at the near and far planes.
+        With ``marked`` only what is marked counts; with ``clamped`` nothing is cut off at the near and far planes. Faces are drawn
+        ``away_steps`` steps of a float32 depth farther away, besides ``GRID_STEPS``.
         """
         with self._testing(target, depth=True):
             from OpenGL import GL
@@ -166,7 +167,7 @@ class Stencil:
             else:
                 GL.glStencilOp(keep, keep, GL.GL_INCR if counting == "faces" else GL.GL_REPLACE)
                 self._ctx.depth_func = ">="
-            self._ctx.polygon_offset = -GRID_STEPS / 256.0, -DEPTH_STEPS
+            self._ctx.polygon_offset = -GRID_STEPS / 256.0, -away_steps
             self._ctx.front_face = "cw"
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"
