@@ -71,13 +71,12 @@ def sun_maps(
 
     What is turned away from the sun needs no map; but a map view's stable windows go by all of its ground, whatever the sun.
     """
-    extent_m = _extent_m(buffer)
     in_map = isinstance(buffer.view, MapView)
     receivers = buffer.there if in_map and settings.fit == "stable" else buffer.there & ~attached(buffer, scene)
     if len(settings.cascades) == 1 or in_map:
         if not receivers.any():
             return []
-        return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, extent_m, nearest_m)]
+        return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, nearest_m)]
     eye, _ = buffer.view.in_frame(buffer.frame)
     away_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
@@ -85,7 +84,7 @@ def sun_maps(
         far_m = np.inf if cascade.far_m is None else cascade.far_m
         here = receivers & (away_m > near_m) & (away_m <= far_m)
         if here.any():
-            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, extent_m, nearest_m))
+            maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, nearest_m))
         near_m = far_m
     return maps
 
@@ -97,14 +96,13 @@ def _sun_map(
     cascade: Cascade,
     settings: ShadowMapSettings,
     trees: Stand | None,
-    extent_m: float,
     nearest_m: float,
 ) -> DepthMap:
-    """The map of a cascade, whose receivers are ``here``; ``extent_m`` is the largest coordinate of the buffer's points."""
+    """The map of a cascade, whose receivers are ``here``."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
-    error_m = POSITION_ERROR * (extent_m + float(np.abs(high - low).max()))
+    error_m = POSITION_ERROR * (_extent_m(buffer, here) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than what float32 makes of positions
         own_m = (high - low)[:2] / max(settings.map_size - 2 * BORDER_TEXELS - 1, 1)
@@ -164,7 +162,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "light_offset_m": tuple(-rotation @ position),
         "tangent": tangent,
         "near_far_m": (near, far),
-        "error_m": POSITION_ERROR * (_extent_m(buffer) + float(np.abs(position).max())),
+        "error_m": POSITION_ERROR * (_extent_m(buffer, buffer.there) + float(np.abs(position).max())),
         "depth_step": 1.0 / steps_of(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
@@ -208,9 +206,22 @@ def _nearer_m(normal, corners, position, here, rotation, aside_m):  # type: igno
     return most
 
 
-def _extent_m(buffer: GeometryBuffer) -> float:
-    """The largest coordinate of a buffer's points."""
-    return float(np.abs(light_bounds(buffer.position_frame_m, buffer.there, np.eye(3), np.zeros(3))).max())
+def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
+    """The largest coordinate of the points that are ``here`` and of their triangles, whose corners may lie far out of sight."""
+    extent_m = float(np.abs(light_bounds(buffer.position_frame_m, here, np.eye(3), np.zeros(3))).max())
+    return extent_m if buffer.corners_frame_m is None else max(extent_m, float(_farthest_corner(buffer.corners_frame_m, here)))
+
+
+@compiled
+def _farthest_corner(corners, here):  # type: ignore[no-untyped-def]
+    """The largest coordinate of corners (rows, cols, 9) that are ``here``."""
+    most = 0.0
+    for i in range(here.shape[0]):
+        for j in range(here.shape[1]):
+            if here[i, j]:
+                for k in range(9):
+                    most = max(most, abs(corners[i, j, k]))
+    return most
 
 
 def steps_of(depth_bits: int) -> int:

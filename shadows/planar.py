@@ -6,10 +6,11 @@ place for a lamp) and H its height, the point p = (x, y, z, 1) falls on
     p' = H p - h L
 
 (J. Blinn, Me and My (Fake) Shadow, IEEE Computer Graphics and Applications 8(1), 1988). p' is linear in p, so that triangles
-stay triangles and alpha-tested texture stays where it was. What lies below the plane (h < 0) would fall in the wrong place; a
-clip distance cuts it off. What stands above a lamp gets w < 0: in a map that is outside of the clip volume, in a camera either
-that or above the horizon, where no ground is. Coordinates count from the point of the plane below the eye, or in the middle
-of a map, so that float32 is fine enough.
+stay triangles and alpha-tested texture stays where it was. What lies below the plane (h < 0) would fall in the wrong place, and
+what lies in it (the floor of a house, say) on itself: a clip distance cuts both off, a float32 error above the plane. What
+stands above a lamp gets w < 0: in a map that is outside of the clip volume, in a camera either that or above the horizon, where
+no ground is. Coordinates count from the point of the plane below the eye, or in the middle of a map, so that float32 is fine
+enough.
 
 **Stencil.** The ground's pixels become 1, everything else is 0. A projected caster makes a 1 a 2, in the very pixels of the
 view: the shadow ends where the ground does, and a pixel that is covered twice is as dark as one that is covered once.
@@ -29,6 +30,7 @@ import numpy as np
 from moderngl import Framebuffer
 
 from shadows.attached import lamp_in_frame
+from shadows.map_windows import POSITION_ERROR
 from shadows.passes import PassLog, PassRecord
 from terrain.antialias import finer_view
 from terrain.camera import PerspectiveView
@@ -162,7 +164,9 @@ def _stencil(
 
 
 def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projected, record: PassRecord) -> None:
-    uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel())}
+    trees_m = [] if projected.trees is None else [projected.trees.base_frame_m - projected.origin_frame_m]
+    extent_m = max(float(np.abs(points).max(initial=0.0)) for points in (*(mesh[0] for mesh in projected.meshes), *trees_m))
+    uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "error_m": POSITION_ERROR * extent_m}
     with gl.stencil.once_pass(target, LIT, clip_distances=1):
         if projected.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/depth.frag"))
@@ -176,6 +180,6 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": 0.0})
             stand = projected.trees
             gl.layers(foliage().levels).use(0)
-            base, look = stand.base_frame_m - projected.origin_frame_m, np.concatenate([stand.turn, stand.look[:, None]], axis=1)
-            record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", stand.shape), ("look", look)])
+            look = np.concatenate([stand.turn, stand.look[:, None]], axis=1)
+            record.triangles += gl.draw_instances(program, 18, [("base", trees_m[0]), ("shape", stand.shape), ("look", look)])
             record.draws += 1

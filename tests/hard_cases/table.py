@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, failures
+from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, over
 
 COLUMNS = {
     "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
@@ -75,9 +75,10 @@ def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, d
         for name in ours[0]["bounds"]:
             cells = {}
             for record in ours:
-                broken = any(text.startswith(f"{name} ") for text in failures(record))
-                figure = "refused" if "refusal" in record else f"{record['figures'][name]:.2g}"
-                cells[record["algorithm"]] = f"{figure}!" if broken else figure
+                if "refusal" in record:
+                    cells[record["algorithm"]] = "refused"
+                else:
+                    cells[record["algorithm"]] = f"{record['figures'][name]:.2g}" + ("!" if name in over(record) else "")
             out.append((ours[0], name, cells))
     return out
 
