@@ -179,6 +179,7 @@ def test_coverage_of_truth_by_itself_is_small(scene, view, real):
     assert coverage_error(block_shares(1.0 - hard), shares) > 0.3
 
 
+@pytest.mark.long
 def test_simplification_is_measured(scene):
     """A grid of the raster's own detail loses little; one of eight times coarser nodes much."""
     results = {}
