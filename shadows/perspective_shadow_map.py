@@ -48,7 +48,7 @@ from shadows.map_lookup import look_up
 from shadows.map_windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, uniform_matrix
+from shadows.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, projected, uniform_matrix
 from shadows.shadow_map import depths
 from terrain.camera import PerspectiveView
 from terrain.casting import anything_casts, caster_trees
@@ -65,6 +65,12 @@ PASSES = ("depth map", "visibility")
 
 SAMPLE = 1024
 """Receivers that a map's matrix is chosen by; it is fitted to all of them."""
+
+ROUNDS = 8
+"""Times that the outermost of all receivers may join the sample, before the map is widened to hold them."""
+
+TOLERANCE = 1.125
+"""How far a receiver outside of the sample may lie beyond the map that is chosen by it, as a share of its half width."""
 
 ERROR = 2.0 * POSITION_ERROR
 """Bound of what float32 makes of positions, as a share of their coordinates."""
@@ -109,18 +115,30 @@ def perspective_map(
     """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
     chosen = np.flatnonzero(receivers)
     some = chosen[:: max(len(chosen) // SAMPLE, 1)]
-    sample = buffer.position_frame_m.reshape(-1, 3)[some]
+    position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
+    assert corners is not None
+    sample, triangles = position[some], corners.reshape(-1, 3, 3)[some]
     source = light_of(buffer, scene, light)
     inner = 1.0 - 2.0 * BORDER_TEXELS / settings.map_size
     plain = uniform_matrix(source, sample)[3]
     nearest = NEAREST_SHARE * float((sample @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
-    for found in post_perspectives(camera_of(buffer), source, sample, inner):
-        low, high = _bounds(found.clip_from_frame, plain, nearest, buffer.position_frame_m, receivers)
+    rim = sample[:0]
+    for _ in range(ROUNDS):
+        maps = post_perspectives(camera_of(buffer), source, sample, rim, inner)
+        low, high, outermost = _bounds(maps[0].clip_from_frame, plain, nearest, position, chosen)
+        if is_clear(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
+            break
+        rim = np.concatenate([rim, position[outermost]])
+    for found in maps:
+        low, high, _ = _bounds(found.clip_from_frame, plain, nearest, position, chosen)
         if is_clear(np.array([low[3], high[3]])):
             break
-    high[2] = max(high[2], low[2] + _least_depth(found.clip_from_frame, source, sample))
-    narrow = np.maximum(_least_sides(found.clip_from_frame, sample, settings.map_size) - (high - low)[:2], 0.0)
+    error_m = ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
+    narrow = np.maximum(_least_sides(found.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
+    half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
+    flat = half_texels * fitted(found.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
+    low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, settings.filter / 2.0).min()))
     clip = fitted(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
@@ -141,24 +159,39 @@ def perspective_map(
     return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), found.note
 
 
-def _least_depth(matrix: np.ndarray, source: Light, points: np.ndarray) -> float:
-    """The range of a map's z of which what lies before the receivers is eight times the error of their positions.
-
-    A metre towards the light is 1 / w in z under the sun, and at least 1 / (w times the distance) under a lamp.
-    """
-    away_m = np.linalg.norm(source.homogeneous[:3] - source.homogeneous[3] * points, axis=-1)
-    errors = ERROR * np.abs(points).max(axis=1) / (horizon_m(matrix, points) * away_m)
-    return 8.0 / BEFORE * float(errors.max())
-
-
-def _least_sides(matrix: np.ndarray, points: np.ndarray, map_size: int) -> np.ndarray:
-    """The ranges (2,) of a map's x and y of which a texel is four times the error of the positions: of a few receivers that lie
-    in one place, or of a single one, finer texels would hold nothing but rounding.
+def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
+    """The ranges (2,) of a map's x and y of which a texel is four times the error (n,) of the positions (n, 3): of a few receivers
+    that lie in one place, or of a single one, finer texels would hold nothing but rounding.
     """
     w = horizon_m(matrix, points)[:, None]
-    at = (points @ matrix[:2, :3].T + matrix[:2, 3]) / w
+    at = projected(matrix, points)[:, :2]
     per_m = np.linalg.norm(matrix[None, :2, :3] - at[..., None] * matrix[3, :3], axis=-1) / w
-    return 4.0 * map_size * (ERROR * np.abs(points).max(axis=1)[:, None] * per_m).max(axis=0)
+    return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
+
+
+def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
+    """How early depths must begin for points (n, 3) on triangles (n, 3, 3), as z (n,) of a matrix to texels and z.
+
+    What casts before the first depth is held there. It shades a point if that is deeper by all that is taken off it, and if the
+    point's triangle begins no earlier at the texels up to ``reach`` beside. Twice what is taken off, as in the shader, but for
+    its share of the whole range.
+    """
+    w = horizon_m(matrix, points)[:, None]
+    at = projected(matrix, points)
+    per_m = np.linalg.norm(matrix[None, :3, :3] - at[..., None] * matrix[3, :3], axis=-1) / w
+    sides = corners - points[:, None]
+    beyond = sides @ matrix[3, :3]
+    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - at[:, None] * beyond[..., None], -1, 0)
+    ahead = w + beyond
+    share, right, up = np.cross(x, y), np.cross(y, ahead), np.cross(ahead, x)
+    area = (share * ahead).sum(axis=1)
+    area = np.where(area == 0.0, np.inf, area)
+    slope = np.abs(np.stack([(z * right).sum(axis=1), (z * up).sum(axis=1)], axis=1) / area[:, None])
+    own = np.where((ahead > 0.0).all(axis=1, keepdims=True), z / np.where(ahead > 0.0, ahead, 1.0), [[-np.inf, np.inf, 0.0]])
+    grid = 1.0 / 128.0 + error_m[:, None] * per_m[:, :2]
+    slack = np.minimum((slope * grid).sum(axis=1), np.ptp(own, axis=1)) + error_m * per_m[:, 2]
+    nearer = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
+    return at[:, 2] - 2.0 * slack * nearer**2 - np.minimum(reach * slope.sum(axis=1), -own.min(axis=1))
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
@@ -179,24 +212,31 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 
 @compiled
-def _bounds(matrix, plain, nearest, position, here):  # type: ignore[no-untyped-def]
-    """Bounds (2, 4) of points (rows, cols, 3) that are ``here``: x, y and z in a map, and w as a share of another plane's (4,).
+def _bounds(matrix, plain, nearest, position, chosen):  # type: ignore[no-untyped-def]
+    """Least and largest (4,) of x, y and z in a map, and of w as a share of another plane's (4,), of the chosen of some points
+    (m, 3); and which points (5,) are outermost: in x, in y, and nearest to the map's horizon.
 
     Those nearer than ``nearest`` to that plane do not count in z.
     """
-    out = np.empty((2, 4))
-    out[0] = np.inf
-    out[1] = -np.inf
-    for i in range(position.shape[0]):
-        for j in range(position.shape[1]):
-            if not here[i, j]:
+    low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, chosen[0])
+    v = np.empty(4)
+    for i in chosen:
+        p = position[i]
+        w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
+        share = 1.0 / w
+        ahead = plain[0] * p[0] + plain[1] * p[1] + plain[2] * p[2] + plain[3]
+        for k in range(3):
+            v[k] = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) * share
+        v[3] = w / ahead
+        for k in range(4):
+            if k == 2 and ahead < nearest:
                 continue
-            p = position[i, j]
-            w = matrix[3, 0] * p[0] + matrix[3, 1] * p[1] + matrix[3, 2] * p[2] + matrix[3, 3]
-            share = 1.0 / w
-            ahead = plain[0] * p[0] + plain[1] * p[1] + plain[2] * p[2] + plain[3]
-            for k in range(3 if ahead >= nearest else 2):
-                v = (matrix[k, 0] * p[0] + matrix[k, 1] * p[1] + matrix[k, 2] * p[2] + matrix[k, 3]) * share
-                out[0, k], out[1, k] = min(out[0, k], v), max(out[1, k], v)
-            out[0, 3], out[1, 3] = min(out[0, 3], w / ahead), max(out[1, 3], w / ahead)
-    return out
+            if v[k] < low[k]:
+                low[k] = v[k]
+                if k != 2:
+                    outermost[2 * k if k < 2 else 4] = i
+            if v[k] > high[k]:
+                high[k] = v[k]
+                if k < 2:
+                    outermost[2 * k + 1] = i
+    return low, high, outermost

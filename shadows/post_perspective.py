@@ -63,6 +63,9 @@ LEAST_SHARE = 1e-3
 SLIDES = (0.0, *(2.0 ** np.arange(-10.0, 7.0)))
 """Slide-backs that are tried, in units of the far plane's distance."""
 
+FLAT = 1e-3
+"""Least depth and half width, as shares of the distance, of what a virtual camera sees: of a wall, a single pixel."""
+
 TURNS = np.radians(np.arange(0.0, 90.0, 5.0))
 """Turns of the map about its middle that are tried: the one that the receivers fill best is taken."""
 
@@ -154,15 +157,18 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _amid(points))
 
 
-def post_perspectives(camera: Camera, light: Light, points: np.ndarray, inner: float) -> list[PostPerspective]:
+def post_perspectives(
+    camera: Camera, light: Light, points: np.ndarray, rim: np.ndarray, inner: float
+) -> list[PostPerspective]:
     """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last.
 
-    Whoever finds that a receiver that is not among these lies beyond the horizon takes the next one. ``inner`` is the part of
-    the map's half width that receivers may fill.
+    They are chosen by ``points``, and hold those on the ``rim`` (m, 3), too. Whoever finds that another receiver lies beyond the
+    horizon takes the next map. ``inner`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
-    outline = points[_outline(projected(uniform, points)[:, :2])]
-    seen, ahead = camera.seen(points), horizon_m(uniform, points)
+    outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
+    held = np.concatenate([points, rim])
+    seen, ahead = camera.seen(points), horizon_m(uniform, held)
     ways = light.homogeneous[:3] - light.homogeneous[3] * points
     ways = np.broadcast_to(ways / np.linalg.norm(ways, axis=-1, keepdims=True), points.shape)
     aside = across(ways)
@@ -177,13 +183,13 @@ def post_perspectives(camera: Camera, light: Light, points: np.ndarray, inner: f
         why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
-    far = max(far, near * (1.0 + 1e-3))  # a wall that is looked at straight on
+    far = max(far, near * (1.0 + FLAT))  # a wall that is looked at straight on
     widest, found = np.abs(seen[:, :2]).max(axis=1), []
     for slide_m in far * np.array(SLIDES):
-        view = camera_matrix(camera, float((widest / (seen[:, 2] + slide_m)).max()), near, far, slide_m)
+        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), FLAT), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
-        if is_clear(horizon_m(matrix, points) / ahead):
+        if is_clear(horizon_m(matrix, held) / ahead):
             found.append(made(matrix, kind_of(seen_light), float(slide_m)))
     found.sort(key=lambda each: each.texel)
     return [*found, made(uniform, None, np.inf, "a uniform map: no slide-back keeps all that is seen off the map's horizon")]

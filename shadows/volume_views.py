@@ -108,7 +108,8 @@ def receiving(
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
-    if points.drawn.any():
+    drawn = points.drawn
+    if drawn.any():
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.population.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.population.solids.triangles)
@@ -116,7 +117,9 @@ def receiving(
                 gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-    texture = gl.texture(_picture(points.row, points.col, points.drawn, points.depth, parts, rows, cols))
+        # The rasteriser leaves out pixels whose centres the very rim of what is drawn passes through.
+        drawn = drawn & _covered(target)[points.row, points.col]
+    texture = gl.texture(_picture(points.row, points.col, drawn, points.depth, parts, rows, cols))
     texture.use(0)
     for marking in (False, True) if marked else (False,):
         fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/seen_depth.frag"), {"marking": marking})
@@ -128,6 +131,12 @@ def receiving(
             target.scissor = None
     texture.release()
     yield target, program
+
+
+def _covered(target: Framebuffer) -> np.ndarray:
+    """Where a framebuffer holds a depth that is not infinitely far away, bool (rows, cols)."""
+    cols, rows = target.size
+    return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
