@@ -3,7 +3,8 @@
 Everything here goes by light space, where the earth's curvature is in the points already: ground can shade a block if it
 lies before the block's farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
 The candidates come from the raster's overview; the ground that casts is then read on the block's own grid (so that
-neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on.
+neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on, sooner where the grid is much
+finer than the raster.
 """
 
 from __future__ import annotations
@@ -26,6 +27,11 @@ PATCH_QUADS = 256
 
 FULL_DETAIL_NODES = 4096
 """Casters up to this far from a block are read on the block's own grid, up to twice as far at half its detail, ..."""
+
+NODES_A_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
+"""Where nodes lie closer than this many to a raster's cell, they show its bilinear ground and nothing new: full detail ends as many
+times sooner, but no sooner than this. Else maps of centimetres would read ground in millions of patches.
+"""
 
 UNKNOWN_RELIEF_M = 1500.0
 """What ground beyond the raster is taken to rise to above a block's lowest point, unless the level itself is higher."""
@@ -207,9 +213,10 @@ def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tup
     longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
     farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(buffer.view.grid).step_m) + half.max(initial=0.0)
     patches: list[Patch] = []
+    detail = _full_detail_nodes(scene, buffer.view.grid)
     level, near = 0, 0
     while near < farthest or level == 0:
-        far, quads = FULL_DETAIL_NODES * 2**level, PATCH_QUADS * 2**level
+        far, quads = detail * 2**level, PATCH_QUADS * 2**level
         limits = ((own.row0 - far, own.row0 + rows + far), (own.col0 - far, own.col0 + cols + far))
         low, high = (
             np.stack([np.clip(v + side * half, *limit) for v, limit in zip((row, col), limits, strict=True)], axis=1)
@@ -227,6 +234,13 @@ def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tup
         patches += _in_the_way(scene, buffer, sorted(found, key=lambda patch: (patch.row, patch.col)))
         level, near = level + 1, far
     return tuple(patches), known_m
+
+
+def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
+    """How far from a block, in nodes, casters are read on the block's own grid."""
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    share = NODES_A_CELL * scene.surface(grid).step_m / cell_m
+    return int(np.clip(FULL_DETAIL_NODES * share, LEAST_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
 def _in_the_way(scene: Scene, buffer: GeometryBuffer, patches: list[Patch]) -> list[Patch]:

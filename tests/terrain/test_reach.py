@@ -92,3 +92,17 @@ def test_coarse_detail_comes_with_distance(write_raster, make_scene):
             (buffer.surface.col0, buffer.surface.col0 + buffer.surface.height_m.shape[1], patch.col),
         ))  # fmt: skip
         assert max(row, col) <= 4096 * 2**patch.level, "detail falls only with distance"
+
+
+def test_a_map_far_finer_than_its_raster_reads_little_ground_and_shades_the_same(gl, write_raster, make_scene, monkeypatch):
+    """Pixels of 8 cm over cells of 10 m: full detail would be read 300 m around."""
+    scene = make_scene(write_raster(hills(60, 60, 60), "EPSG:32633", 500_000, 6_000_600, 10.0), 200, 12)
+    view = scene.view(bounds=(500_300, 6_000_300, 500_320, 6_000_320), size=(256, 256))
+    _, found = casters(scene, view)
+    sparing = render(scene, view, algorithm="shadow_map", filter=1, map_size=1024)
+    monkeypatch.setattr("terrain.reach.NODES_A_CELL", 1e9)
+    _, whole = casters(scene, view)
+    assert 1.5 * len(found.patches) < len(whole.patches)
+    full = render(scene, view, algorithm="shadow_map", filter=1, map_size=1024)
+    assert 0.05 < (full.visibility < 0.5).mean() < 0.95
+    assert ((sparing.visibility < 0.5) != (full.visibility < 0.5)).mean() < 2e-3
