@@ -17,7 +17,7 @@ import numpy as np
 import rasterio
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.enums import MaskFlags, Resampling
+from rasterio.enums import Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
 from rasterio.io import MemoryFile
@@ -121,8 +121,7 @@ class Elevation:
         self._cell_from_crs = ~dataset.transform
         x_cell = abs(dataset.transform.a)
         self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        self._resampling = Resampling.average
-        self._resampling = self._find_resampling()
+        self._resampling, self._unmarked = Resampling.nearest, False
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
             raise SourceError(source, "no height in any cell (all nodata)", "a raster with heights")
@@ -277,20 +276,28 @@ class Elevation:
             raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
         values = data.data.astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
-            hole = np.ma.getmaskarray(data) | ~((values >= self._limits[0]) & (values <= self._limits[1]))
-        values[hole] = np.nan
+            plausible = (values >= self._limits[0]) & (values <= self._limits[1])
+        marked = np.ma.getmaskarray(data)
+        self._unmarked |= not (marked | plausible).all()
+        values[marked | ~plausible] = np.nan
         return values.astype(np.float32)
 
     def _level_shape(self, level: int) -> tuple[int, int]:
         return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)
 
     def _read_overview(self) -> Overview:
+        """The overview; it settles how a coarser level is read: by averages, but not where sentinels that nothing marks would be
+        averaged into heights.
+        """
         level = max(int(np.ceil(np.log2(max(self.rows, self.cols) / OVERVIEW_CELLS))), 0)
         rows, cols = self._level_shape(level)
         mean = self._read_inside(level, 0, rows, 0, cols)
         if level == 0:
+            self._settle_resampling()
             return Overview(mean, mean, level)
         if self.rows * self.cols > EXACT_HIGH_CELLS:
+            self._settle_resampling()
+            mean = self._read_inside(level, 0, rows, 0, cols)
             around = [f(np.nan_to_num(mean, nan=n), size=3, mode="nearest") for f, n in _NEIGHBOURHOOD]
             high = np.where(np.isfinite(around[0]), around[0] + (around[0] - around[1]) / 2, np.nan)
             return Overview(mean, high.astype(np.float32), level)
@@ -300,14 +307,12 @@ class Elevation:
             strip = self._read_inside(0, row * deep, row * deep + deep, 0, cols * wide)
             top = np.nan_to_num(strip, nan=-np.inf).reshape(deep, cols, wide).max(axis=(0, 2))
             high[row] = np.where(np.isfinite(top), top, np.nan)
-        return Overview(mean, high, level)
+        self._settle_resampling()
+        return Overview(self._read_inside(level, 0, rows, 0, cols), high, level)
 
-    def _find_resampling(self) -> Resampling:
-        """Averages, but not where unmarked sentinels would be averaged into heights."""
-        if self._dataset.nodata is not None or MaskFlags.all_valid not in self._dataset.mask_flag_enums[0]:
-            return Resampling.average
-        self._resampling = Resampling.nearest
-        return Resampling.average if np.isfinite(self._read_overview().heights_m).all() else Resampling.nearest
+    def _settle_resampling(self) -> None:
+        """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
+        self._resampling = Resampling.nearest if self._unmarked else Resampling.average
 
     def _own_units(self) -> Units | None:
         word = (self._dataset.units[0] or "").strip().lower()

@@ -259,3 +259,17 @@ def test_resolution_is_the_finest_detail_drawn(write_raster, make_scene):
         height, _ = scene.surface(view.grid).heights(int(view.row0), int(view.col0), 90, 90)
         highest.append(np.nanmax(height))
     assert highest[0] > 60 and highest[1] < 15
+
+
+@pytest.mark.parametrize("nodata", [None, -9999.0])
+def test_a_sentinel_that_nothing_marks_is_averaged_into_no_height(write_raster, nodata):
+    """One cell of many, which no sample of the raster would find, beside holes that are marked or not."""
+    heights = np.full((1100, 1100), 100.0, np.float32)
+    heights[333, 777] = -32768.0
+    heights[5:9, 5:9] = -9999.0 if nodata else 100.0
+    elevation = Elevation(str(write_raster(heights, "EPSG:32633", 500_000, 5_300_000, 10.0, nodata=nodata)))
+    for level in (1, 2, 3):
+        found, there = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
+        assert there[0, 1] and np.allclose(found[there], 100.0)
+    lowest = np.nanmin(elevation.overview.heights_m)
+    assert lowest == np.nanmax(elevation.overview.high_m) == 100.0
