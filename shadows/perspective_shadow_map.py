@@ -3,9 +3,10 @@
 ``shadows.post_perspective`` derives the map's matrix P and why no caster is lost. Here it is fitted, drawn, and looked up.
 
 **Window.** P is chosen by a sample of the receivers (what is seen and not turned away from the light) and then fitted to all of
-them: x and y to the map but for a border, in which the bias and the taps move; depth from the nearest receiver, a little before
-it, to the farthest. What casts before that is clamped to depth 0. If a receiver that was not in the sample lies too near the
-horizon of P, the next best matrix is taken.
+them: x and y to the map but for a border, in which the bias and the taps move; depth from before the nearest receiver, by twice
+what is taken off it below and by what its triangle rises beside it, to the farthest. What casts before that is clamped to depth 0.
+A few pixels at the far end of a view can lie well outside of what the sample spans, or beyond the horizon of P: fitted to them,
+the map would leave hardly a texel to all others. So the outermost receivers join the sample's outline, and P is chosen anew.
 
 **Comparison.** P keeps lines and planes. With a receiver at p and a triangle's corners p + s_k, let
 
@@ -124,15 +125,14 @@ def perspective_map(
     nearest = NEAREST_SHARE * float((sample @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
     for _ in range(ROUNDS):
-        maps = post_perspectives(camera_of(buffer), source, sample, rim, inner)
-        low, high, outermost = _bounds(maps[0].clip_from_frame, plain, nearest, position, chosen)
+        found, *others = post_perspectives(camera_of(buffer), source, sample, inner, rim)
+        low, high, outermost = _bounds(found.clip_from_frame, plain, nearest, position, chosen)
         if is_clear(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
             break
         rim = np.concatenate([rim, position[outermost]])
-    for found in maps:
+    while not is_clear(np.array([low[3], high[3]])):
+        found, *others = others
         low, high, _ = _bounds(found.clip_from_frame, plain, nearest, position, chosen)
-        if is_clear(np.array([low[3], high[3]])):
-            break
     error_m = ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
     narrow = np.maximum(_least_sides(found.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0

@@ -164,9 +164,7 @@ def _stencil(
 
 
 def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projected, record: PassRecord) -> None:
-    trees_m = [] if projected.trees is None else [projected.trees.base_frame_m - projected.origin_frame_m]
-    extent_m = max(float(np.abs(points).max(initial=0.0)) for points in (*(mesh[0] for mesh in projected.meshes), *trees_m))
-    uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "error_m": POSITION_ERROR * extent_m}
+    uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.once_pass(target, LIT, clip_distances=1):
         if projected.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/depth.frag"))
@@ -180,6 +178,6 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": 0.0})
             stand = projected.trees
             gl.layers(foliage().levels).use(0)
-            look = np.concatenate([stand.turn, stand.look[:, None]], axis=1)
-            record.triangles += gl.draw_instances(program, 18, [("base", trees_m[0]), ("shape", stand.shape), ("look", look)])
+            base, look = stand.base_frame_m - projected.origin_frame_m, np.concatenate([stand.turn, stand.look[:, None]], axis=1)
+            record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", stand.shape), ("look", look)])
             record.draws += 1

@@ -36,6 +36,8 @@ texels are seen smallest. With T two directions across the light's ray at a rece
 both), the columns of B A^-1 are a texel's sides in the picture; the mean square of its norm over a sample of the receivers is
 compared. The displacement of shadow edges goes with it, but for the slope of the surfaces to the light, which no map can help. A
 large slide-back is as good as a uniform map under the sun, and nearly so under a lamp: the best is never much worse than that.
+Slide-backs that are tried double from one to the next, down to the nearest receiver's distance: in a view of 30 m to 80 km longer
+ones alone would leave a few columns to all that is near.
 
 **Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation behind
 the eye, V distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is
@@ -60,14 +62,17 @@ CONE_DEG = 3.0
 LEAST_SHARE = 1e-3
 """How close a receiver may come to the horizon, as a share of the farthest one's distance from it: so much of float32 is left."""
 
-SLIDES = (0.0, *(2.0 ** np.arange(-10.0, 7.0)))
-"""Slide-backs that are tried, in units of the far plane's distance."""
+DOUBLINGS = 6
+"""How often the far plane's distance is doubled for the longest slide-back, and at least halved for the shortest."""
 
 FLAT = 1e-3
 """Least depth and half width, as shares of the distance, of what a virtual camera sees: of a wall, a single pixel."""
 
 TURNS = np.radians(np.arange(0.0, 90.0, 5.0))
 """Turns of the map about its middle that are tried: the one that the receivers fill best is taken."""
+
+NONE = np.zeros((0, 3))
+"""No points."""
 
 OUTLINE = 64
 """Directions in which the farthest receivers count as their outline, for the map's turn."""
@@ -158,7 +163,7 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
 
 
 def post_perspectives(
-    camera: Camera, light: Light, points: np.ndarray, rim: np.ndarray, inner: float
+    camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NONE
 ) -> list[PostPerspective]:
     """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last.
 
@@ -185,7 +190,8 @@ def post_perspectives(
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
     far = max(far, near * (1.0 + FLAT))  # a wall that is looked at straight on
     widest, found = np.abs(seen[:, :2]).max(axis=1), []
-    for slide_m in far * np.array(SLIDES):
+    halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # shorter than half the nearest's distance is as good as none
+    for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
         view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), FLAT), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view

@@ -3,6 +3,7 @@
 Meshes, near caps and sides go through one program, so that a near cap has the very depth of the surface that it lies on. Points of
 ground and trees bring their own depths: no near cap lies on a lit one. (The ground of a map that bends is drawn as well: what lies
 beside it by a share of a pixel may be on the wrong side of a volume that grazes it. So is ground with gaps, all of which casts.)
+Of pixels whose very centres the rim of the ground passes through a rasteriser leaves out some: they keep their points' own depths.
 
 In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
 off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is
@@ -49,7 +50,8 @@ class SeenPoints:
     depth
         float64 (n,).
     drawn
-        bool (n,), where drawing what is seen gives the depth: on meshes, on ground that bends in a map, and on ground with gaps.
+        bool (n,), where drawing what is seen gives the depth, if it covers the pixel: on meshes, on ground that bends in a map, and
+        on ground with gaps.
     nodes_frame_m
         (rows, cols, 3), the nodes of such ground in a map.
     clip_from_frame, origin_frame_m
@@ -117,7 +119,6 @@ def receiving(
                 gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
-        # The rasteriser leaves out pixels whose centres the very rim of what is drawn passes through.
         drawn = drawn & _covered(target)[points.row, points.col]
     texture = gl.texture(_picture(points.row, points.col, drawn, points.depth, parts, rows, cols))
     texture.use(0)
@@ -134,7 +135,7 @@ def receiving(
 
 
 def _covered(target: Framebuffer) -> np.ndarray:
-    """Where a framebuffer holds a depth that is not infinitely far away, bool (rows, cols)."""
+    """Where anything was drawn into the depths of a framebuffer, bool (rows, cols): not where it is infinitely far away."""
     cols, rows = target.size
     return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
 

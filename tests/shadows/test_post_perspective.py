@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from shadows.post_perspective import (
     CONE_DEG,
-    SLIDES,
     Camera,
     Light,
     PostPerspective,
@@ -257,5 +256,38 @@ def test_a_sun_that_crosses_the_axis_changes_the_map_steadily():
     assert sizes.max() < 1.01 * sizes.min()
 
 
-def test_slide_backs_go_from_none_to_far():
-    assert SLIDES[0] == 0.0 and max(SLIDES) >= 64 and list(SLIDES) == sorted(SLIDES)
+def test_slide_backs_go_from_none_by_the_nearest_receivers_distance_to_far_beyond_the_farthest():
+    """However deep the view is: without short ones what is near would get a sliver of the map."""
+    camera = looking([0, 0, 2], 0, -60)
+    across = np.linspace(-0.3, 0.3, 9)
+    for deep in (1.5, 100.0, 500.0):
+        ahead = np.repeat([4.0, 4.0 * deep], 9)
+        rays = np.column_stack([np.tile(across, 2), np.zeros(18), np.ones(18)])
+        points = camera.eye_m + (rays * ahead[:, None]) @ camera.camera_from_frame
+        found = post_perspectives(camera, sun(np.array([1.0, 0.2, 0.5])), points, INNER)[:-1]
+        slides = sorted(each.slide_m for each in found)
+        assert slides[0] == 0.0 and slides[1] <= 4.0 / 2.0 and slides[-1] == pytest.approx(64 * 4.0 * deep)
+        np.testing.assert_allclose(np.diff(np.log2(slides[1:])), 1.0)
+
+
+def test_what_is_on_the_rim_is_held_and_weighs_nothing():
+    """Receivers that a sample leaves out may be its outermost: the map is made to hold them, and to suit the others."""
+    camera = looking([0, 0, 20], 0, -30)
+    rng = np.random.default_rng(9)
+    rays = np.column_stack([rng.uniform(-0.1, 0.1, (200, 2)), np.ones(200)]) * 30.0
+    points = camera.eye_m + rays @ camera.camera_from_frame
+    aside = camera.eye_m + np.array([[15.0, 3.0, 40.0], [-20.0, 2.0, 35.0]]) @ camera.camera_from_frame
+    light = sun(np.array([1.0, 0.3, 0.6]))
+    alone = post_perspectives(camera, light, points, INNER)
+    assert any(np.abs(projected(each.clip_from_frame, aside)[:, :2]).max() > 1.0 for each in alone)
+    for each in post_perspectives(camera, light, points, INNER, aside):
+        at = projected(each.clip_from_frame, np.concatenate([points, aside]))[:, :2]
+        assert np.abs(at).max() <= 1.01 * INNER  # outlines are of 64 directions
+
+
+def test_a_single_receiver_gets_a_map_that_tells_left_from_up():
+    camera, light = looking([0, 0, 20], 0, -30), sun(np.array([1.0, 0.3, 0.6]))
+    point = (camera.eye_m + 30.0 * camera.axis)[None]
+    for each in post_perspectives(camera, light, point, INNER):
+        rows = each.clip_from_frame[:2, :3] - projected(each.clip_from_frame, point)[0, :2, None] * each.clip_from_frame[3, :3]
+        assert np.linalg.cond(rows) < 100.0

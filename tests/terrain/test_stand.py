@@ -283,7 +283,7 @@ def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
     scene = wooded(floor, [[30.0, 40.0]], height=5.0, crown=3.0)
     found = []
     for bearing in np.radians([0, 77, 180, 251]):
-        eye = np.array([30.0, 40.0, 0.0]) + 50.0 * np.array([np.sin(bearing), np.cos(bearing), 0.4])
+        eye = np.array([30.0, 40.0, 0.0]) + 42.0 * np.array([np.sin(bearing), np.cos(bearing), 0.4])
         view = eye_at(scene, eye, (30.0, 40.0, 0.0), 50.0, (60, 46))
         stand = stand_of(scene, view)
         assert stand.shape[0, 2] > 5.5  # drawn larger

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from terrain.thinning import thinning_ranks
 
@@ -50,9 +51,21 @@ def test_no_rank_rounds_up_to_one():
     np.testing.assert_allclose(np.histogram(rank, 64, (0, 1))[0] / len(rank), 1 / 64, rtol=1e-3)
 
 
+@pytest.mark.parametrize("digits", [1, 2, 4])
+def test_of_every_few_trees_in_turn_one_is_kept_whichever(digits):
+    """Of 2^m at a share of 2^-m; each as often as another, and no more often beside one kept in the same place of its own few."""
+    col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(512), np.arange(512)))
+    kept = (thinning_ranks(col, row)[z_order(col / 512, row / 512)] < 2.0**-digits).reshape(-1, 2**digits)
+    assert (kept.sum(axis=1) == 1).all()
+    which, many = kept.argmax(axis=1), 2**digits
+    for found in (which, (which[1:] - which[:-1]) % many, (which[2:] - which[:-2]) % many):
+        expected = len(found) / many
+        assert ((np.bincount(found, minlength=many) - expected) ** 2 / expected).sum() < chi2.isf(1e-6, many - 1)
+
+
 @pytest.mark.parametrize("count", [1000, 20_000])
 def test_any_run_along_the_curve_keeps_its_share(count):
-    """Of m trees in succession k m are kept but for a few: a golden-ratio sequence is off by less than 2 + log2(m) / 2."""
+    """Of m trees in succession k m are kept but for a few: off by no more than 2 + log2(m) / 2."""
     x, y = scattered(count)
     scale = (1 - 2**-22) / 1000.0
     rank = thinning_ranks(x, y)[z_order(x * scale, y * scale)]
