@@ -2,5 +2,6 @@ uniform sampler2DArray foliage;
 uniform float threshold;
 in vec3 at;
 
-// One level at a time: each covers its share at the threshold, a blend of two does not. It is flatter than either.
-void main() { if (textureLod(foliage, at, round(textureQueryLod(foliage, at.xy).y)).a < threshold) discard; }
+// One level at a time, the finer of two: each covers its share at the threshold, a blend of both does not, for it is flatter than
+// either; and what a coarser level has run together throws more shade within a crown.
+void main() { if (textureLod(foliage, at, floor(textureQueryLod(foliage, at.xy).y)).a < threshold) discard; }
