@@ -32,6 +32,11 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(_Table(config), "hard cases")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The mutants go last: what breaks the engine on purpose means nothing before all else holds."""
+    items.sort(key=lambda item: item.path.name == "test_mutants.py")
+
+
 class _Table:
     """Gathers the records of this run, from all of its processes."""
 
