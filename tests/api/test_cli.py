@@ -222,7 +222,8 @@ def test_the_installed_command_runs():
     assert done.returncode == 2 and done.stderr.startswith("skugga: LEVEL") and done.stderr.count("\n") == 1
 
 
-def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path):
+def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("selector.compare.ENOUGH_S", 0.0)  # each row once
     rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
     status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")

@@ -43,7 +43,7 @@ EYES = {
 
 def size_of(thorough: bool) -> tuple[int, int]:
     """Columns and rows of a case's pictures."""
-    return (512, 384) if thorough else (120, 90)
+    return (288, 216) if thorough else (120, 90)
 
 
 def errors(seen: Seen, truth: Truth | None = None) -> Errors:

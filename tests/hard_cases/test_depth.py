@@ -107,7 +107,7 @@ def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]
     What they shade less is what lies within a step behind its caster: a strip of at most ``DEPTH_PX`` along every edge, by
     the plan's own choice of bits.
     """
-    size, map_size = (512, 2048) if trial.thorough else (128, 1024)
+    size, map_size = (384, 2048) if trial.thorough else (128, 1024)
     eye = {"kind": "perspective", "eye": [-20_000, -20_000, 1500], "target": [0, 0, 0], "fov": 60}
     ground = {"generate": {"kind": "ridges", "size": [50_000, 50_000], "cell": 100, "relief": 2000, "seed": 3}}
     scene = trial.scene(ground, (243, 1), views={"eye": eye})

@@ -21,7 +21,7 @@ PEAK_M = 1500.0
 
 def worst_length(trial: Trial, peak: FarPeak) -> float:
     """The worst relative error of a peak's shadow's length, from above and from a camera."""
-    size = 512 if trial.thorough else 96
+    size = 320 if trial.thorough else 96
     return max(peak.length_error(trial.see(peak.scene, view)) for view in views_of(trial, peak.scene, size, bounds=peak.map_bounds))
 
 
@@ -115,7 +115,7 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     eye = {"kind": "perspective", "eye": [0, -4500, 100], "target": [0, -3500, 100 - 1000 * np.tan(np.radians(20.6))], "fov": 40}
     ground = {"flat": {"size": [24_000, 24_000], "cells": [24, 24]}}
     scene = trial.scene(ground, (90, altitude), [beam], views={"eye": eye})
-    size, map_size = (1024, 2048) if trial.thorough else (256, 1024)
+    size, map_size = (512, 2048) if trial.thorough else (256, 1024)
     asked = {"cascades": 4} if trial.algorithm == "shadow_map" else {}
     seen = trial.see(scene, scene.view("eye", size=(size, size)), map_size=map_size, **asked)
     assert not (seen.buffer.kind == MESHES).any(), "the beam is not in the view"

@@ -133,7 +133,7 @@ def worst_of_tolerance(
 
 def of_tolerance(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
     """The same for a scene whose sun should be the one given."""
-    px, size = (512, 2048) if trial.thorough else (160, 1024)
+    px, size = (320, 2048) if trial.thorough else (160, 1024)
     seen = trial.see(scene, view_of(trial, scene, px), map_size=size, filter=1)
     return off_outline_m(seen, place, *sun) / max(tolerance_m, texel_m(seen), resampled_m(seen))
 

@@ -162,7 +162,7 @@ def shadows_of_blocks(trial: Trial, layings: tuple[Lying, ...]) -> dict[str, flo
 
 def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: str = "level") -> dict[str, float]:
     """A block's shadow along the axes of its raster of (rows, cols) against the edge of the block's top, moved by its length."""
-    (rows, cols), pixels = shape, 512 if trial.thorough else 96
+    (rows, cols), pixels = shape, 256 if trial.thorough else 96
     placing, sides_m = lying.transform(rows, cols), (np.hypot(*lying.per_row_m), np.hypot(*lying.per_col_m))
     height_m, altitude = max(rows * sides_m[0], cols * sides_m[1]) / 12, 24.0
     block = np.ix_(*(np.arange(n // 2 - n // 15, n // 2 + n // 15 + 1) for n in shape))
@@ -294,7 +294,7 @@ def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
     facets (1 degree wide) within a degree of the terminator do not count, nor does the picture's rim, where nodes end.
     """
     worst: dict[str, float] = {}
-    pixels = 512 if trial.thorough else 96
+    pixels = 256 if trial.thorough else 96
     grids = (
         ("EPSG:4326", -180.5, 90.5, 1.0, (181, 361)), ("EPSG:3413", -2e6, 2e6, 4e4, (100, 100)),
         ("EPSG:4326", 0.0, 90.0, 1.0, (180, 360)), ("EPSG:4326", -180.0, 90.0, (1.0, 0.05), (200, 360)),

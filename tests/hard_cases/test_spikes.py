@@ -40,7 +40,7 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
     and where it is narrower than what the pixels leave out beside its axis none shows it: ``length`` is what is missing or too
     much beyond that.
     """
-    cells = 512 if trial.thorough else 128
+    cells = 256 if trial.thorough else 128
     heights = np.zeros((cells, cells))
     at = cells // 2, cells // 8
     heights[at] = 3000.0
@@ -71,7 +71,7 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
 )
 def test_a_cliff(trial: Trial) -> dict[str, float]:
     """The shadow's end is the last dark pixel: it may miss by a pixel, and in maps by a texel."""
-    cells = 512 if trial.thorough else 128
+    cells = 256 if trial.thorough else 128
     heights = np.zeros((cells, cells))
     edge = cells // 8
     heights[:, :edge] = 2000.0

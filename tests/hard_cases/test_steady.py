@@ -78,8 +78,8 @@ def moved(kind: str, scene: Scene, view: PerspectiveView, frame: int) -> Perspec
 def steadiness(trial: Trial, kind: str) -> dict[str, float]:
     """Mean FK over the frames of a move, all drawn by the first one's plan; a few frames alone where truth has to be asked."""
     scene, is_map = site(trial), trial.algorithm in ("shadow_map", "perspective_shadow_map")
-    view = scene.view("oblique", size=(512, 384) if trial.thorough else (128, 96))
-    count = (40 if is_map else 6) if trial.thorough else 3
+    view = scene.view("oblique", size=(320, 240) if trial.thorough else (128, 96))
+    count = (40 if is_map else 4) if trial.thorough else 3
     views, size = [moved(kind, scene, view, frame) for frame in range(count)], 1024 if trial.thorough else 256
     if is_map:
         return {"flicker": float(np.mean(map_flickers(trial, scene, views, map_size=size)))}
@@ -207,13 +207,13 @@ def _shared(shift: int, px: int) -> slice:
 def test_a_full_turn(trial: Trial) -> dict[str, float]:
     """A map is fitted to what is seen, and a turn shows other ground: a size that held for every direction would be that of the
     whole circle, with texels several times as wide. So sizes are constant but for steps by the fourth root of 2, and a frame in
-    which one steps is rare; between steps nothing flickers. A run of frames is looked at every 5 degrees.
+    which one steps is rare; between steps nothing flickers. A run of frames is looked at every 10 degrees.
     """
     scene = site(trial, sun=(237.0, 30.0))
     view = scene.view("oblique", size=(128, 96))
     up = scene.world.earth_from_anchor[:, 2]
     frames, off, steps, shares = 0, 0, 0, []
-    for degree in range(0, 360, 5 if trial.thorough else 60):
+    for degree in range(0, 360, 10 if trial.thorough else 60):
         before = None
         for frame in range(20 if trial.thorough else 5):
             near = turned(view, up, degree + 0.01 * frame)

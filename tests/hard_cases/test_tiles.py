@@ -31,7 +31,7 @@ def test_tiles_join(trial: Trial) -> dict[str, float]:
     decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
     its own edge a node lies on is a matter of rounding.
     """
-    px = 512 if trial.thorough else 160
+    px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)
     mountains = build_scene(load_level("configs/jacksboro.yaml"))
     same, across, edges = 0.0, 0.0, []

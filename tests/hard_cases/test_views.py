@@ -15,7 +15,7 @@ from tests.shadows.boxes import box
 
 HOUSE = joined(box((8, 6, 5)), box((1, 1, 9), at_m=(9, 2)))
 
-SIDE_PX = {False: 96, True: 512}
+SIDE_PX = {False: 96, True: 192}
 
 
 def looks(

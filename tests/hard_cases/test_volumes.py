@@ -113,7 +113,7 @@ def test_caster_without_end(trial: Trial) -> dict[str, float]:
         scene = trial.scene(world, sun=(80, altitude), meshes=[joined(*boxes)], name=f"wall_{altitude:g}", views=views)
         assert scene.sun is not None
         for name in views:
-            seen = trial.see(scene, scene.view(name, size=(1024, 768) if trial.thorough else (240, 180)))
+            seen = trial.see(scene, scene.view(name, size=(512, 384) if trial.thorough else (240, 180)))
             truth = truth_of_boxes(seen, boxes, scene.sun.to_sun_earth)
             classes += [(truth.decidable & truth.lit).sum(), (truth.decidable & ~truth.lit).sum()]
             found = errors(seen, truth)

@@ -12,7 +12,7 @@ from tests.hard_cases.sites import differing, site, views_of
 
 def _differing_at(trial: Trial, offsets: list[tuple[float, float]]) -> float:
     """The largest share of pixels by which a site far away differs from the one at the origin."""
-    px = 512 if trial.thorough else 96
+    px = 256 if trial.thorough else 96
     home, worst = site(trial), 0.0
     seen = [trial.see(home, view, map_size=2048 if trial.thorough else 512) for view in views_of(trial, home, px)]
     for number, offset in enumerate(offsets):
@@ -69,7 +69,7 @@ def test_suns_along_the_axes(trial: Trial) -> dict[str, float]:
             basis = max(basis, float(np.abs(light.light_from_earth @ light.light_from_earth.T - np.eye(3)).max()))
     differ, small = 0.0, 1e-6
     suns = [(0.0, 17.0), (90.0, 17.0), (180.0, 17.0), (270.0, 17.0), (0.0, 90.0), (137.0, 90.0)]
-    for view in views_of(trial, scene, 512 if trial.thorough else 100):
+    for view in views_of(trial, scene, 256 if trial.thorough else 100):
         for azimuth, altitude in suns if trial.thorough else suns[1:5:3]:
             exact = _seen_under(trial, scene, view, azimuth, altitude)
             beside = [(azimuth + small, altitude), (azimuth, altitude - small), (azimuth - small, altitude)]

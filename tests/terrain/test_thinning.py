@@ -54,8 +54,8 @@ def test_no_rank_rounds_up_to_one():
 @pytest.mark.parametrize("digits", [1, 2, 4])
 def test_of_every_few_trees_in_turn_one_is_kept_whichever(digits):
     """Of 2^m at a share of 2^-m; each as often as another, and no more often beside one kept in the same place of its own few."""
-    col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(512), np.arange(512)))
-    kept = (thinning_ranks(col, row)[z_order(col / 512, row / 512)] < 2.0**-digits).reshape(-1, 2**digits)
+    col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(256), np.arange(256)))
+    kept = (thinning_ranks(col, row)[z_order(col / 256, row / 256)] < 2.0**-digits).reshape(-1, 2**digits)
     assert (kept.sum(axis=1) == 1).all()
     which, many = kept.argmax(axis=1), 2**digits
     for found in (which, (which[1:] - which[:-1]) % many, (which[2:] - which[:-2]) % many):
