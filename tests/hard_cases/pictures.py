@@ -1,6 +1,6 @@
 """Some of the hard cases as pictures, on one sheet.
 
-    python -m tests.hard_cases.pictures [docs/images/hard-cases.webp]
+python -m tests.hard_cases.pictures [docs/images/hard-cases.webp]
 """
 
 from __future__ import annotations
