@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from selector.compare import texel_footprint_px
 from selector.map_settings import DEPTH_PX
 from shadows.map_drawing import draw_map
 from shadows.map_windows import DepthMap, distances, steps_of, sun_maps
-from shadows.metrics import errors_of
 from shadows.passes import PassRecord
 from shadows.plan import Settings, ShadowMapSettings
 from terrain.descriptor import describe
@@ -17,6 +15,7 @@ from terrain.gl import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, views_of
+from tests.hard_cases.reach_of_error import beyond
 from tests.rasters import ENGINEERING
 from tests.shadows.boxes import box
 
@@ -159,11 +158,15 @@ def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, fl
     "H28",
     "Where cascades part there is no gap and no overlap",
     "three cascades, parted at the very distance of a pixel and one float to either side",
-    {"not_in_one_map": 0.0, "interior": 0.0, "pixels that differ": 1.0},
+    {"not_in_one_map": 0.0, "wrong beyond its reach": 0.0, "pixels that differ": 1.0},
     ("shadow_map",),
 )
 def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
-    """A float more or less moves one pixel from one map to the other (or those at the very same distance), and no other."""
+    """A float more or less moves one pixel from one map to the other (or those at the very same distance), and no other.
+
+    At full size a dozen pixels lie farther from truth's edge than two pixels and two texels, wherever cascades part, though truth
+    has the other answer within the texels that the map looks at for them: so errors are held to that reach, pixel by pixel.
+    """
     blocks = [
         box((8.0, 5.0, 7.0), at_m=(-6.0, 4.0)),
         box((4.0, 4.0, 12.0), at_m=(9.0, 14.0)),
@@ -177,7 +180,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
     assert len(settings_of(usual).cascades) == 3
     receivers = usual.buffer.there & ~usual.truth.attached
     away_m = distances(usual.buffer.position_frame_m, view.in_frame(usual.buffer.frame)[0])
-    worst = {"not_in_one_map": 0.0, "interior": 0.0, "pixels that differ": 0.0}
+    worst = {"not_in_one_map": 0.0, "wrong beyond its reach": 0.0, "pixels that differ": 0.0}
     row = view.rows * 2 // 3
     for col in range(0, view.cols, view.cols // (16 if trial.thorough else 3)):
         if not receivers[row, col]:
@@ -188,9 +191,8 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
             maps = sun_maps(seen.buffer, scene, settings_of(seen), None)
             near.append(maps[0].pixels)
             times = np.bincount(np.concatenate([each.pixels for each in maps]), minlength=receivers.size).reshape(receivers.shape)
-            texel_px = texel_footprint_px(scene, seen.plan.steps[0], seen.buffer, describe(scene, view).pixel_m)
             worst["not_in_one_map"] = max(worst["not_in_one_map"], float((times != receivers).mean()))
-            worst["interior"] = max(worst["interior"], errors_of(seen.visibility, usual.truth, 1.0, texel_px).interior)
+            worst["wrong beyond its reach"] = max(worst["wrong beyond its reach"], float(beyond(seen).mean()))
             if before is not None:
                 same = np.count_nonzero(receivers & (away_m == far_m)) + np.count_nonzero(receivers & (away_m == at_m)) - 1
                 worst["pixels that differ"] = max(worst["pixels that differ"], np.count_nonzero(before != seen.dark) / max(same, 1))
