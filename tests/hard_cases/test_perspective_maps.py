@@ -37,7 +37,7 @@ def level(
 
 def size(trial: Trial) -> tuple[int, int]:
     """Pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
-    return (288, 1024) if trial.thorough else (160, 1024)
+    return (288, 2048) if trial.thorough else (160, 1024)
 
 
 def look(
