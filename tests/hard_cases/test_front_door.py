@@ -232,8 +232,22 @@ DRAWN: dict[str, dict[str, Any]] = {
 """What is odd but right."""
 
 
+@pytest.fixture(scope="module")
+def compiled(files: Path) -> None:
+    """Every loop that these levels run is compiled: a first run on a machine compiles for half a minute, and does not hang."""
+    for keys in (ground("ok.tif"), looking(*PLACE, 300), standing("ok.obj"), houses("square.geojson", 10), lamp(0, 0, 50)):
+        level = {"version": 1, **ground("ok.tif"), "sun": {"azimuth": 200, "altitude": 20}, **keys}
+        (files / "first.yaml").write_text(json.dumps(level), encoding="utf-8")
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
+            size = () if "views" in keys else ("--size", "40x30")
+            patch.setattr(sys, "argv", ["skugga", "render", str(files / "first.yaml"), *size, "-o", str(files / "first.npy"),
+                                        "--layer", "visibility"])  # fmt: skip
+            cli.main()
+        assert ended.value.code == 0, keys
+
+
 @pytest.fixture
-def render(files, monkeypatch, capfd) -> Callable[..., tuple[int, str]]:
+def render(files, compiled, monkeypatch, capfd) -> Callable[..., tuple[int, str]]:
     """``render(keys, *arguments)`` draws a level over ``ok.tif``: exit status and what is on standard error, GDAL's words too."""
 
     def call(keys: dict[str, Any], *arguments: str) -> tuple[int, str]:
