@@ -58,6 +58,7 @@ def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
     return {
         "level": scene.loaded.name,
         "plan": frame.plan.model_dump(mode="json"),
+        "effects": sorted(frame.effects),
         "passes": [asdict(record) for record in frame.passes],
         "ms": sum(record.ms for record in frame.passes),
         "caster_reach": asdict(frame.reach),

@@ -12,10 +12,10 @@ from selector.volume_settings import hybrid_settings, volume_settings
 from shadows.passes import PassLog
 from shadows.plan import Plan, Reasoned, Settings, SweepSettings, Target, TruthSettings
 from shadows.registry import ALGORITHMS, LightKind, Part, able
-from shadows.render import CASTERS_PASS, GEOMETRY_PASS, SHADING_PASS
+from shadows.render import passes_of
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
-from terrain.effects.cast_shadows import of_sun
+from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
 from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override, spelt
 
@@ -30,14 +30,8 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     """
     overrides = overrides or {}
     asked = override(level.shadows, overrides)
-    effects, left_out = [], []
-    for effect in EFFECTS.values():
-        verdict = effect.called_for(descriptor)
-        wish = "auto" if level.effects == "auto" else level.effects.get(effect.name, "auto")
-        runs, reason = verdict.called_for, verdict.reason
-        if wish != "auto":
-            runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
-        (effects if runs else left_out).append(Reasoned(name=effect.name, reason=reason))
+    effects, left_out = _effects(descriptor, level, asked)
+    run, missing = {effect.name for effect in effects}, {effect.name: effect.reason for effect in left_out}
     try:
         choice = algorithm_choice(asked.algorithm, level.light_names)
     except PydanticCustomError as error:
@@ -48,12 +42,10 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     reasons: list[Reasoned] = []
     kinds_of = {SUN: "sun"} if descriptor.highest_sun_deg is not None or not descriptor.lamps else {}
     kinds_of |= {lamp.name: lamp.kind for lamp in descriptor.lamps}
-    casting = any(effect.name == "cast_shadows" for effect in effects)
-    missing = next((effect.reason for effect in left_out if effect.name == "cast_shadows"), "")
     for light, kind_of_light in kinds_of.items():
         for caster in descriptor.casters:
             wish = choice.get(light, {}).get(caster)
-            name, reason = _algorithm(descriptor, light, caster, wish, who, missing if not casting else None)
+            name, reason = _algorithm(descriptor, light, caster, wish, who, missing)
             _check(name, light, caster, _parts(descriptor, kind_of_light, caster), who)
             algorithm.setdefault(light, {})[caster] = name
             reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
@@ -61,7 +53,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         resolved: dict[str, Settings | None] = {}
         for caster, name in per_kind.items():
             if name not in resolved:
-                resolved[name], why = _settings(name, descriptor, light, asked)
+                resolved[name], why = _settings(name, descriptor, light, asked, missing.get("soft_edges"))
                 reasons += why
             if (its := resolved[name]) is not None:
                 settings.setdefault(light, {})[caster] = its
@@ -69,25 +61,56 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     wanted = [_parts(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
     plan = Plan(
         view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
-        rejected=[Reasoned(name=n, reason=_rejected(n, used, missing, who, choice, wanted)) for n in ALGORITHMS if n not in used],
+        rejected=[
+            Reasoned(name=name, reason=_rejected(name, used, missing.get("cast_shadows", ""), who, choice, wanted))
+            for name in ALGORITHMS if name not in used
+        ],
         passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
     passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
-    return plan.model_copy(update={"passes": [GEOMETRY_PASS, CASTERS_PASS, *passes, SHADING_PASS]})
+    return plan.model_copy(update={"passes": passes_of(run, passes)})
+
+
+def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+    """The effects that run, and those left out."""
+    effects: list[Reasoned] = []
+    left_out: list[Reasoned] = []
+    for name, effect in EFFECTS.items():
+        verdict = effect.called_for(descriptor)
+        wish = "auto" if level.effects == "auto" else level.effects.get(name, "auto")
+        runs, reason = verdict.called_for, verdict.reason
+        if wish != "auto":
+            runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
+        elif name == "soft_edges" and asked.filter != "auto":
+            runs, reason = asked.filter != 1, f"filter {asked.filter} is asked for ({verdict.reason})"
+        lacking = [other for other in left_out if other.name in effect.needs]
+        if runs and lacking:
+            runs, reason = False, f"without {lacking[0].name} there is nothing to do: {lacking[0].reason}"
+        (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
+    return effects, left_out
 
 
 def _algorithm(
-    descriptor: Descriptor, light: str, caster: CasterKind, wish: AlgorithmName | None, who: str, missing: str | None
+    descriptor: Descriptor, light: str, caster: CasterKind, wish: AlgorithmName | None, who: str, missing: dict[str, str]
 ) -> tuple[AlgorithmName, str]:
-    """The algorithm of a light for a kind of casters, and the reason."""
-    if missing is not None:
-        return "none", missing
+    """The algorithm of a light for a kind of casters, and the reason; ``missing`` are the effects left out, with theirs."""
+    if "cast_shadows" in missing:
+        return "none", missing["cast_shadows"]
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
         return "none", of_sun(descriptor).reason
+    if light != SUN and "lamps" in missing:
+        return "none", missing["lamps"]
+    if caster == "forest" and "alpha_test" in missing:
+        return "none", missing["alpha_test"]
     if wish is not None:
         return wish, f"asked for by {who}"
+    verdict = kind_of_sun(descriptor, caster)
+    if light == SUN and not verdict.called_for:
+        return "none", verdict.reason
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return "none", "level ground cannot cast"
+    if light != SUN and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
+        return "none", f"{light} reaches nothing that is seen"
     return "shadow_map", f"the algorithm at hand for {caster} under {'the sun' if light == SUN else light}"
 
 
@@ -119,9 +142,14 @@ def _rejected(
     return next((why for why in refusals if why is not None), ALGORITHMS[name].about)
 
 
-def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows) -> tuple[Settings | None, list[Reasoned]]:
-    """The settings of an algorithm, if it has any, and the reasons for them."""
-    ignored = []
+def _settings(
+    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
+) -> tuple[Settings | None, list[Reasoned]]:
+    """The settings of an algorithm, if it has any, and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
+    ignored, hard = [], []
+    if light == SUN and sharp is not None and asked.filter != 1:
+        hard.append(Reasoned(name="filter 1", reason=f"sharp edges: {sharp}"))
+        asked = asked.model_copy(update={"filter": 1})
     if asked.filter not in ("auto", 1, *(("sun",) if name == "sweep" else ())):
         why = f"left out: the edges of {name} are sharp as they are"
         ignored.append(Reasoned(name=f"filter {asked.filter}", reason=why))
@@ -139,7 +167,9 @@ def _settings(name: AlgorithmName, descriptor: Descriptor, light: str, asked: Sh
         settings, reasons = hybrid_settings(descriptor, light, asked)
         return settings, [*ignored, *reasons]
     if name == "perspective_shadow_map":
-        return perspective_map_settings(descriptor, light, asked)
-    if light == SUN:
-        return sun_map_settings(descriptor, asked)
-    return lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)
+        settings, reasons = perspective_map_settings(descriptor, light, asked)
+    elif light == SUN:
+        settings, reasons = sun_map_settings(descriptor, asked)
+    else:
+        settings, reasons = lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)
+    return settings, [*hard, *reasons]

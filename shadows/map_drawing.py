@@ -73,19 +73,16 @@ def draw_map(
                     set_uniforms(leaves, turned)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
                 record.triangles += gl.draw_sheet(solid, sheet)
-                record.draws += 1
                 largest = max(largest, sheet[..., 0].size * 12 + sheet_triangles(*sheet.shape[:2]).nbytes)
             for (vertices, triangles), culled in _culled(meshes, scene, kinds, settings.culling):
                 with gl.front_culled(_is_mirrored(drawn)) if culled else nullcontext():
                     record.triangles += gl.draw_triangles(solid, vertices, triangles)
-                record.draws += 1
                 largest = max(largest, len(vertices) * 12 + triangles.nbytes)
             if trees is not None:
                 gl.layers(foliage().levels).use(0)
                 look = np.concatenate([trees.turn, trees.look[:, None]], axis=1)
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", look)]
                 record.triangles += gl.draw_instances(leaves, 18, instances)
-                record.draws += 1
                 largest = max(largest, len(trees) * 40)
     record.map_texels += drawn.texels
     record.bytes = max(record.bytes, drawn.nbytes + largest)

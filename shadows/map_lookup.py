@@ -128,7 +128,6 @@ def _drawn_pixels(
     visible = gl.float_target(cols, rows)
     gl.draw_pixels(program, visible)
     found = gl.read(visible)
-    record.draws += 1
     held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
     record.bytes = max(record.bytes, drawn.nbytes + held + found.nbytes)
     for texture in textures:

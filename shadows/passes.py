@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from terrain.programs import recorded
+
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
 """Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette
 edges (uint8, 255 where one is seen; of a hybrid, the pixels that it leaves to its volumes), shadow volumes (uint8, how many of
@@ -25,7 +27,8 @@ OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes"
 class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
-    and tiles that hold one, and what else there is to say of it.
+    and tiles that hold one, and what else there is to say of it; labels of the programs that it drew with, in the order of
+    their first use, and the textures that these can read, by the alphabet (``terrain.programs``).
     """
 
     name: str
@@ -39,6 +42,8 @@ class PassRecord:
     marked: int = 0
     tiles: int = 0
     note: str = ""
+    programs: tuple[str, ...] = ()
+    textures: tuple[str, ...] = ()
 
 
 @dataclass
@@ -54,13 +59,18 @@ class PassLog:
 
     @contextmanager
     def run(self, name: str) -> Iterator[PassRecord]:
-        """Time a pass and put it on record."""
+        """Time a pass and put it on record with all that is drawn in it."""
         record = self.records.setdefault(name, PassRecord(name))
         start = time.perf_counter()
-        try:
-            yield record
-        finally:
-            record.ms += (time.perf_counter() - start) * 1000.0
+        with recorded() as calls:
+            try:
+                yield record
+            finally:
+                record.ms += (time.perf_counter() - start) * 1000.0
+                record.draws += len(calls)
+                drawn_with = dict.fromkeys(calls)
+                record.programs = tuple(dict.fromkeys([*record.programs, *(program.label for program in drawn_with)]))
+                record.textures = tuple(sorted({*record.textures, *(name for program in drawn_with for name in program.textures)}))
 
     def keep(self, layer: PassLayer, light: str, made: Callable[..., np.ndarray], *of: object) -> None:
         """Keep the picture ``made(*of)``, which is made only if it is wanted.

@@ -163,6 +163,11 @@ class Plan(_Value):
     reasons: list[Reasoned]
 
     @property
+    def runs(self) -> frozenset[str]:
+        """The names of the effects that run."""
+        return frozenset(effect.name for effect in self.effects)
+
+    @property
     def lights(self) -> tuple[str, ...]:
         """The lights whose visibility is filled, in order; a level without any has the sun's, which is nowhere."""
         return tuple(self.algorithm) or (SUN,)

@@ -155,7 +155,6 @@ def _stencil(
         with gl.stencil.once_pass(target, NO_GROUND):
             gl.draw_pixels(program, target)
         texture.release()
-        record.draws += 1
         record.bytes = max(record.bytes, 9 * receivers.size)
     with log.run(passes[1]) as record:
         clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ onto_plane(projected.light_m)
@@ -171,7 +170,6 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             set_uniforms(program, uniforms)
             for vertices, triangles in projected.meshes:
                 record.triangles += gl.draw_triangles(program, vertices, triangles)
-                record.draws += 1
         if projected.trees is not None:
             vertex = shader("shadows/planar", "terrain/tree", "shadows/planar_tree.vert")
             program = gl.program(vertex, shader("shadows/planar_tree.frag"))
@@ -180,4 +178,3 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             gl.layers(foliage().levels).use(0)
             base, look = stand.base_frame_m - projected.origin_frame_m, np.concatenate([stand.turn, stand.look[:, None]], axis=1)
             record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", stand.shape), ("look", look)])
-            record.draws += 1

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from shadows import hybrid, hybrid_maps, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth, volumes
 from shadows.attached import attached
+from shadows.evidence import effects_ran
 from shadows.kept_layers import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
@@ -16,17 +17,25 @@ from shadows.registry import ALGORITHMS
 from shadows.sweep_rays import ground_of_level
 from terrain.antialias import Sampled, sampled
 from terrain.camera import PerspectiveView
+from terrain.effects import EFFECTS
+from terrain.effects.effect import BEFORE_SHADING, Block, Stage
+from terrain.effects.haze import hides_beyond_m
 from terrain.errors import InputError, RenderError, UnsupportedError
+from terrain.geometry import GeometryBuffer
 from terrain.gl import device, is_open
 from terrain.grid import MapView, blocks_of
+from terrain.level import SUN, EffectName
 from terrain.picture import geometry_of
-from terrain.reach import Reach, casters_of
+from terrain.reach import NO_CASTERS, Casters, Reach, casters_of
 from terrain.scene import Scene
-from terrain.shading import encoded, shade, sky
+from terrain.shading import albedo_of, encoded, open_sky, shade, sky
 
 GEOMETRY_PASS = "geometry"
-CASTERS_PASS = "casters"
+CASTERS_PASS = "outside_casters"
 SHADING_PASS = "shading"
+
+REFRACTION_PASS = "refraction"
+ATTACHED_PASS = "attached"
 
 FILLS = {
     "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
@@ -66,6 +75,11 @@ class Frame:
         return next(iter(self.visibilities.values()))
 
     @property
+    def effects(self) -> frozenset[EffectName]:
+        """The effects that ran, told from the record of what was really done."""
+        return effects_ran(self.passes)
+
+    @property
     def there(self) -> np.ndarray:
         """Where there is a surface."""
         return ~np.isnan(self.height_m)
@@ -91,6 +105,17 @@ class Frame:
         return sum(array.nbytes for array in arrays) + (0 if self.position_earth_m is None else self.position_earth_m.nbytes)
 
 
+def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
+    """The passes of a frame in which these effects run, in order."""
+
+    def parts(stage: Stage) -> list[str]:
+        return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
+
+    first, outside = ([name for name in (one,) if name in effects] for one in (REFRACTION_PASS, CASTERS_PASS))
+    before = [name for stage in BEFORE_SHADING for name in parts(stage)]
+    return [*first, GEOMETRY_PASS, *outside, *shadow_passes, ATTACHED_PASS, *before, SHADING_PASS, *parts("color")]
+
+
 def render_frame(
     scene: Scene,
     view: MapView | PerspectiveView,
@@ -112,6 +137,7 @@ def render_frame(
     height = np.full(size, np.nan, np.float32)
     position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
     log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), KeptLayers(size)
+    scene = _under_sky(scene, plan, log)
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     for done, (part, row, col) in enumerate(parts, start=1):
         block = _render_block(scene, part, plan, log)
@@ -156,29 +182,95 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
     return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
 
 
+def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
+    """The scene with the sun where it is seen, or, without refraction, where it is."""
+    if REFRACTION_PASS not in plan.runs:
+        return scene.without_refraction
+    with log.run(REFRACTION_PASS):
+        return scene
+
+
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
+    casters = NO_CASTERS
     with log.run(GEOMETRY_PASS):
         picture = Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
         buffer, own = picture.buffer, picture.own
-    with log.run(CASTERS_PASS):
-        casters = casters_of(scene, own)
-    visibilities = {light: np.ones(buffer.there.shape, np.float32) for light in plan.lights}
-    for step in plan.steps:
-        if step.algorithm in FILLS:
-            fill = FILLS[step.algorithm]
-            visibilities[step.light] *= fill(buffer, scene, step.light, step.kinds, casters, step.settings, log)
+        if not isinstance(view, MapView):
+            casters = casters_of(scene, own)  # how far they reach; a perspective view holds them all
+    if CASTERS_PASS in plan.runs:
+        with log.run(CASTERS_PASS):
+            casters = casters_of(scene, own)
+    visibilities = _visibilities(scene, plan, buffer, casters, log)
+    block = Block(scene, view, buffer, visibilities)
+    linear = _shaded(block, plan, log)
     with log.run(SHADING_PASS):
-        for light, visibility in visibilities.items():
-            visibility[attached(buffer, scene, light)] = 0.0
-        linear = shade(buffer, scene, visibilities)
-        position = None
         if not isinstance(view, MapView):
             _put_sky(scene, view, picture, linear)
+    _run_parts("color", {"color": linear}, block, plan, log)
+    with log.run(SHADING_PASS):
+        position = None
+        if not isinstance(view, MapView):
             linear = picture.averaged(linear)
             position = own.position_frame_m @ own.frame.frame_from_earth + own.frame.origin_earth_m
         for light, visibility in visibilities.items():
             visibilities[light] = np.where(own.there, visibility[: view.rows], np.float32(np.nan))
-    return Frame(view, plan, encoded(linear), visibilities, own.height_m, position, (), casters.reach)
+        color = encoded(linear)
+    return Frame(view, plan, color, visibilities, own.height_m, position, (), casters.reach)
+
+
+def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
+    """Each light's visibility (rows, cols) float32 at a buffer's points; past what haze hides, the sun's is not looked for."""
+    visibilities = {light: np.ones(buffer.there.shape, np.float32) for light in plan.lights}
+    not_hidden = _not_hidden(scene, buffer) if "haze" in plan.runs else buffer
+    for step in plan.steps:
+        if step.algorithm in FILLS:
+            fill, seen = FILLS[step.algorithm], not_hidden if step.light == SUN else buffer
+            visibilities[step.light] *= fill(seen, scene, step.light, step.kinds, casters, step.settings, log)
+    with log.run(ATTACHED_PASS):
+        for light, visibility in visibilities.items():
+            visibility[attached(buffer, scene, light)] = 0.0
+    return visibilities
+
+
+def _not_hidden(scene: Scene, buffer: GeometryBuffer) -> GeometryBuffer:
+    """A perspective view's buffer without the points so far away that haze hides whether the sun shines on them."""
+    limit_m = hides_beyond_m(scene)
+    if isinstance(buffer.view, MapView) or np.isinf(limit_m):
+        return buffer
+    away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
+    return replace(buffer, there=buffer.there & (away_m < limit_m))
+
+
+def _shaded(block: Block, plan: Plan, log: PassLog) -> np.ndarray:
+    """Linear display colour (rows, cols, 3) of a block's surface."""
+    light: dict[Stage, np.ndarray] = {}
+    for stage in BEFORE_SHADING:
+        _run_parts(stage, light, block, plan, log)
+    with log.run(SHADING_PASS):
+        sunlight = light["sunlight"] if "sunlight" in light else _unlit(block, "sunlight")
+        return shade(block.buffer, block.scene, sunlight, *(light.get(stage) for stage in ("albedo", "skylight", "lamplight")))
+
+
+def _unlit(block: Block, stage: Stage) -> np.ndarray:
+    """What the first effect of a stage begins with."""
+    shape = block.buffer.there.shape
+    if stage == "albedo":
+        return albedo_of(block.buffer, block.scene)
+    if stage == "sunlight":
+        return block.visibilities[SUN].copy() if SUN in block.visibilities else np.zeros(shape, np.float32)
+    if stage == "skylight":
+        return open_sky(block.buffer, block.scene)
+    return np.zeros((*shape, 3), np.float32)
+
+
+def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: Block, plan: Plan, log: PassLog) -> None:
+    """Run the parts of the effects of a stage, each a pass of its own."""
+    for name, effect in EFFECTS.items():
+        if effect.stage == stage and effect.part is not None and name in plan.runs:
+            with log.run(name):
+                if stage not in values:
+                    values[stage] = _unlit(block, stage)
+                effect.part(values[stage], block)
 
 
 def _put_sky(scene: Scene, view: PerspectiveView, picture: Sampled, linear: np.ndarray) -> None:

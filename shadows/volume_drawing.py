@@ -24,7 +24,7 @@ from shadows.volume_layers import may_shade_near
 from shadows.volume_views import SeenPoints, near_plane_m, own_points, receiving, sample_points
 from shadows.volumes import Volumes
 from terrain.geometry import GeometryBuffer
-from terrain.gl import device
+from terrain.gl import Device, device
 from terrain.scene import Scene
 from terrain.stencil import MARK, Counting
 
@@ -56,6 +56,8 @@ def count(
     With ``marked`` a bit of the stencil rejects all other pixels of the view; those that are no samples always are.
     """
     counts = np.zeros(wanted.shape, np.uint8)
+    if not any(len(each.faces) for each in volumes):
+        return counts
     near_m = near_plane_m(buffer)
     for points in own_points(buffer, scene, wanted, near_m):
         counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, marked, record)
@@ -91,7 +93,7 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
                     gl.uploaded(program, each.vertices, indices) as array,
                     gl.stencil.count_pass(target, counting),
                 ):
-                    array.render(moderngl.LINES if lines else moderngl.TRIANGLES)
+                    gl.render(array, moderngl.LINES if lines else moderngl.TRIANGLES)
             top, left = divmod(int(points.at[0]), buffer.view.cols)
             top, left = top - int(points.row[0]), left - int(points.col[0])
             out[top : top + points.size[0], left : left + points.size[1]] = gl.stencil.read(target)
@@ -130,7 +132,7 @@ def _counted(
                 with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
                     for side in ("both",) if settings.stencil == "one_pass" else ("front", "back"):
                         with gl.stencil.count_pass(target, counting, side, marked, clamped, away_steps):
-                            record.draws += _render(target, array, parts, some.starts)
+                            _render(gl, target, array, parts, some.starts)
                         record.triangles += len(some.faces)
                 record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])
             counts = gl.stencil.read(target)
@@ -170,13 +172,10 @@ def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: Vol
     return [("z_pass", volumes.faces[~by_fail]), ("z_fail", volumes.faces[by_fail])]
 
 
-def _render(target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> int:
-    """Draw the faces of each rectangle of a framebuffer, and none of them outside of it; returns the number of draws."""
-    draws = 0
+def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> None:
+    """Draw the faces of each rectangle of a framebuffer, and none of them outside of it."""
     for part, first, end in zip(parts.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         if end > first:
             target.scissor = tuple(part)
-            array.render(moderngl.TRIANGLES, vertices=3 * (end - first), first=3 * first)
-            draws += 1
+            gl.render(array, vertices=3 * (end - first), first=3 * first)
     target.scissor = None
-    return draws

@@ -12,10 +12,14 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.camera import PerspectiveView
 from terrain.clip_space import bend_px
+from terrain.effects import EFFECTS
+from terrain.effects.effect import Fact, Look
+from terrain.effects.lamps import lamp_reaches
 from terrain.elevation import Elevation
 from terrain.grid import BLOCK_PX, MapView
 from terrain.ground_mesh import ground_mesh
 from terrain.level import CasterKind
+from terrain.level_parts import Weather
 from terrain.picture import Visible, buffer_of
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
@@ -29,7 +33,9 @@ NEAREST_M = 1.0
 
 
 class LampFacts(BaseModel):
-    """A light besides the sun: half angle of its cone (180: an omni light), and the distance that it is meant for."""
+    """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether any of
+    its light can be seen in the view.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -37,6 +43,7 @@ class LampFacts(BaseModel):
     kind: Literal["spot", "omni"]
     cutoff_deg: float
     reference_m: float
+    reaches: bool = True
 
 
 class Band(BaseModel):
@@ -61,6 +68,7 @@ class Descriptor(BaseModel):
     largest extent of a block's receivers in light space: right, up and along the light, metres; ``None`` without a sun.
     ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude
     anywhere over the level. ``bend_px`` is how far a map lies off what a camera could see of it (``terrain.clip_space``).
+    ``tallest_m`` is how far anything rises above its ground. ``facts`` are what effects go by besides, by effect.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -81,20 +89,28 @@ class Descriptor(BaseModel):
     receivers_light_m: tuple[float, float, float] | None
     bands: tuple[Band, ...] = ()
     bend_px: float = 0.0
+    tallest_m: float = 0.0
+    weather: Weather = Weather()
+    facts: dict[str, dict[str, Fact]] = {}
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
     """The descriptor of a view of a scene."""
     low, high = scene.height_range_m
-    facts = _map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view)
+    look = None if isinstance(view, MapView) else _look(scene, view)
     lamps = tuple(
-        LampFacts(name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m)
+        LampFacts(
+            name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
+            reaches=lamp_reaches(scene, lamp, look),
+        )
         for lamp in scene.lamps.values()
-    )
+    )  # fmt: skip
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
-        highest_sun_deg=scene.highest_sun_deg, **facts,
+        highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.population.tallest_m, weather=scene.loaded.level.weather,
+        facts={key: effect.facts(scene, view, look) for key, effect in EFFECTS.items() if effect.facts is not None},
+        **(_map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view, look)),
     )  # fmt: skip
 
 
@@ -109,19 +125,24 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
-    """From a coarse look at everything but the trees: every ``LOOK_PX``-th pixel."""
+def _look(scene: Scene, view: PerspectiveView) -> Look:
+    """Everything but the trees in every ``LOOK_PX``-th pixel."""
     coarse = replace(view, step=view.step * LOOK_PX, rows=-(-view.rows // LOOK_PX), cols=-(-view.cols // LOOK_PX))
     looked = buffer_of(scene, coarse, Visible(scene, coarse, view.frame(scene.world), kinds=("relief", "meshes")))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(looked.frame)
     away_m = np.linalg.norm(points - eye, axis=-1)
+    return Look(looked, eye, points, away_m, looked.height_m[looked.there], view.pixel * LOOK_PX)
+
+
+def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[str, Any]:
+    points, away_m = look.points_frame_m, look.away_m
     median_m = float(np.median(away_m)) if len(points) else 1.0
     bands: tuple[Band, ...] = ()
     extent = None
     if scene.light is not None:
-        light = points @ scene.light.from_frame(looked.frame)[0].T + scene.light.from_frame(looked.frame)[1]
-        bands = _bands(away_m, light, scene.population.tallest_m, view.pixel * LOOK_PX)
+        rotation, translation = scene.light.from_frame(look.buffer.frame)
+        bands = _bands(away_m, points @ rotation.T + translation, scene.population.tallest_m, look.spacing)
         whole = joined(bands) if bands else None
         span = np.full(3, median_m * view.pixel) if whole is None else np.subtract(whole.high_light_m, whole.low_light_m)
         extent = tuple(span.tolist())
@@ -129,7 +150,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView) -> dict[str, Any]:
     return {
         "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
         "pixel": view.pixel, "bands": bands,
-        "block_relief_m": float(np.ptp(looked.height_m[looked.there])) if len(points) else 0.0, "receivers_light_m": extent,
+        "block_relief_m": float(np.ptp(look.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
     }  # fmt: skip
 
 

@@ -6,6 +6,9 @@ reads the same wherever it begins; less than one such cell is lost at the south 
 
 Holes (nodata) are no surface in the picture, but they are filled for casting: smoothly from their rims, so that no wall
 and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
+
+Standing water is surface like any other: no height that is given out lies below it. Shores run where the bilinear ground rises
+out of the water, and not along cells.
 """
 
 from __future__ import annotations
@@ -60,19 +63,22 @@ class Overview:
     """The whole raster, coarsely: (m, n) cells of 2**level raster cells a side, NaN in holes.
 
     ``heights_m`` are means; ``high_m`` is the highest ground of each cell (for rasters over ``EXACT_HIGH_CELLS`` cells
-    estimated from the means: the highest of the neighbourhood plus half its range).
+    estimated from the means: the highest of the neighbourhood plus half its range). ``lowest_m`` is the lowest ground of all,
+    under water too (estimated likewise).
     """
 
     heights_m: np.ndarray
     high_m: np.ndarray
     level: int
+    lowest_m: float
 
 
 class Elevation:
     """An open raster of heights. Not to be shared between threads.
 
     ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
-    the place of the file ``source``.
+    the place of the file ``source``. ``water_m`` is the height of standing water (``None``: no water): the surface wherever the
+    ground, exaggerated, lies below it. Holes stay holes.
 
     Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
     """
@@ -84,9 +90,11 @@ class Elevation:
         exaggeration: float = 1.0,
         resolution_m: float | None = None,
         made: MemoryFile | None = None,
+        water_m: float | None = None,
     ) -> None:
         self.name = source
         self.resolution_m = resolution_m
+        self.water_m = -np.inf if water_m is None else float(np.float32(water_m))  # heights are float32
         try:
             held = BUNDLED[source]() if source in BUNDLED else made
             self._dataset = _open(source) if held is None else held.open()
@@ -232,7 +240,12 @@ class Elevation:
         else:
             row0, row1, col0, col1 = max(row0, 0), min(row1, rows), max(col0, 0), min(col1, cols)
         values, valid = self._filled(level, row0, row1, col0, col1)
-        return _bilinear(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
+        height, there = _bilinear(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
+        return self._above_water(height), there
+
+    def _above_water(self, height_m: np.ndarray) -> np.ndarray:
+        """The surface over ground (float32): water where it is higher, NaN where there is no ground."""
+        return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
     def _filled(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
         """Cells of a window, holes filled from a rim of ``FILL_CELLS``, so that the fill is the same in every window."""
@@ -294,21 +307,25 @@ class Elevation:
         mean = self._read_inside(level, 0, rows, 0, cols)
         if level == 0:
             self._settle_resampling()
-            return Overview(mean, mean, level)
+            surface = self._above_water(mean)
+            return Overview(surface, surface, level, _lowest(mean))
         if self.rows * self.cols > EXACT_HIGH_CELLS:
             self._settle_resampling()
             mean = self._read_inside(level, 0, rows, 0, cols)
             around = [f(np.nan_to_num(mean, nan=n), size=3, mode="nearest") for f, n in _NEIGHBOURHOOD]
-            high = np.where(np.isfinite(around[0]), around[0] + (around[0] - around[1]) / 2, np.nan)
-            return Overview(mean, high.astype(np.float32), level)
-        factor, high = 2**level, np.full((rows, cols), np.nan, np.float32)
+            half_range = (around[0] - around[1]) / 2
+            high = np.where(np.isfinite(around[0]), around[0] + half_range, np.nan).astype(np.float32)
+            return Overview(self._above_water(mean), self._above_water(high), level, _lowest(around[1] - half_range))
+        factor, high, lowest_m = 2**level, np.full((rows, cols), np.nan, np.float32), np.nan
         deep, wide = min(factor, self.rows), min(factor, self.cols)
         for row in range(rows):
             strip = self._read_inside(0, row * deep, row * deep + deep, 0, cols * wide)
             top = np.nan_to_num(strip, nan=-np.inf).reshape(deep, cols, wide).max(axis=(0, 2))
             high[row] = np.where(np.isfinite(top), top, np.nan)
+            lowest_m = float(np.fmin(lowest_m, _lowest(strip)))
         self._settle_resampling()
-        return Overview(self._read_inside(level, 0, rows, 0, cols), high, level)
+        mean = self._read_inside(level, 0, rows, 0, cols)
+        return Overview(self._above_water(mean), self._above_water(high), level, lowest_m)
 
     def _settle_resampling(self) -> None:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
@@ -322,6 +339,11 @@ class Elevation:
         if len(axes) == 3:
             return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))  # type: ignore[return-value]
         return None
+
+
+def _lowest(height_m: np.ndarray) -> float:
+    """The lowest of some heights, NaN without any."""
+    return float(np.fmin.reduce(height_m, axis=None))
 
 
 def _open(source: str) -> rasterio.DatasetReader:

@@ -117,9 +117,10 @@ class Stems:
 def plant(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | None:
     """All trees of a level, ``None`` where there are none.
 
-    Trees stand on the ground's full resolution; those off the terrain or over holes are left out. Stands of one density and
-    seed share their places, so that neighbours never collide; stands that overlap need seeds of their own. Raises ``LevelError`` or
-    ``SourceError`` where a stand's file or keys are wrong, a stand is wholly outside, or there are more than ``MOST_TREES``.
+    Trees stand on the ground's full resolution; those off the terrain, over holes or under water are left out. Stands of one
+    density and seed share their places, so that neighbours never collide; stands that overlap need seeds of their own. Raises
+    ``LevelError`` or ``SourceError`` where a stand's file or keys are wrong, a stand is wholly outside, or there are more than
+    ``MOST_TREES``.
     """
     site, stands, count = Site(world, elevation), [], 0
     for number, spec in enumerate(loaded.level.forest):
@@ -240,7 +241,7 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
     if len(on) and not on.any():
         raise _outside(where, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.places.x, stems.places.y]))), site)
     ground_m = site.elevation.ground_m(x, y)
-    there = np.isfinite(ground_m)
+    there = ground_m > site.elevation.water_m
     stems, x, y, ground_m = stems[there], x[there], y[there], ground_m[there]
     key = stems.places.key
     look = _looks(key, species)

@@ -91,7 +91,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     row0, col0 = int(np.floor(row[0])) - halo, int(np.floor(col[0])) - halo
     rows, cols = int(np.floor(row[-1])) + 2 + halo - row0, int(np.floor(col[-1])) + 2 + halo - col0
     window = surface.window(row0, col0, rows, cols, frame)
-    faces = _face_normals(window.position_frame_m)
+    faces = quad_normals(window.position_frame_m)
     smooth = _smooth_normals(window.position_frame_m, reach)
     there, position, height, normal, shading, crease, triangle = _pixels(
         window.position_frame_m, window.height_m, window.there, faces, smooth, row - row0, col - col0
@@ -101,7 +101,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
 
 
 @compiled
-def _face_normals(position):  # type: ignore[no-untyped-def]
+def quad_normals(position):  # type: ignore[no-untyped-def]
     """Unit normals (rows - 1, cols - 1, 2, 3) of each quad's NW (0) and SE (1) triangle; NaN where a corner is missing."""
     rows, cols, _ = position.shape
     out = np.empty((rows - 1, cols - 1, 2, 3), np.float32)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when i
 
 from terrain.depth_targets import DepthTargets  # noqa: E402
 from terrain.errors import GraphicsError  # noqa: E402
+from terrain.programs import linked, note_draw, with_constants  # noqa: E402
 from terrain.stencil import Stencil  # noqa: E402
 from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
 
@@ -84,15 +84,20 @@ class Device:
         self.require_current()
         key = (vertex, fragment, tuple((constants or {}).items()))
         if key not in self._programs:
-            for name, value in (constants or {}).items():
-                constant = rf"const \1 {name} = {str(value).lower()};"
-                fragment = re.sub(rf"^uniform (\w+) {name};", constant, fragment, flags=re.MULTILINE)
+            text, made = with_constants(fragment, constants or {})
             try:
-                self._programs[key] = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
+                program = self.ctx.program(vertex_shader=vertex, fragment_shader=text)
             except moderngl.Error as error:
                 _ = self.ctx.error  # the failed program leaves one behind; it is reported here and nowhere else
                 raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
+            program.extra = linked(program, (vertex, fragment), made)
+            self._programs[key] = program
         return self._programs[key]
+
+    @property
+    def programs(self) -> tuple[str, ...]:
+        """The labels of all programs that were compiled, in order (``terrain.programs``)."""
+        return tuple(program.extra.label for program in self._programs.values())
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:
         """A float32 texture of an array (rows, cols) or (rows, cols, 1 to 4); texel (col, row) is element (row, col)."""
@@ -226,6 +231,16 @@ class Device:
             self._layers[key] = texture
         return self._layers[key]
 
+    def render(
+        self, array: moderngl.VertexArray, mode: int = moderngl.TRIANGLES, vertices: int = -1, first: int = 0, instances: int = -1
+    ) -> None:
+        """Make a draw call, the only place that does, and put it on record with its program (one of ``program``'s).
+
+        ``vertices``, ``first`` and ``instances`` are those of ``moderngl.VertexArray.render``.
+        """
+        array.render(mode, vertices, first=first, instances=instances)
+        note_draw(array.program.extra)
+
     def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
         """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``); returns their number.
 
@@ -237,12 +252,12 @@ class Device:
         if "first" in program:
             program["first"] = first
         with self.uploaded(program, vertices, triangles) as array:
-            array.render(moderngl.TRIANGLES)
+            self.render(array)
         return len(triangles)
 
     @contextmanager
     def uploaded(self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray) -> Iterator[moderngl.VertexArray]:
-        """Vertices (n, k) float32 (attribute ``position``) and their indices on the device, to be drawn as often as one likes."""
+        """Vertices (n, k) float32 (attribute ``position``) and indices on the device, to ``render`` as often as one likes."""
         self.require_current()
         arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(indices, np.int32)
         buffers = [self.ctx.buffer(array) for array in arrays]
@@ -268,7 +283,7 @@ class Device:
             (buffer, f"{data.shape[1]}f/i", name) for buffer, (name, data) in zip(held, instances, strict=True) if name in program
         ]
         array = self.ctx.vertex_array(program, content)
-        array.render(moderngl.TRIANGLES, vertices=vertices, instances=count)
+        self.render(array, vertices=vertices, instances=count)
         for item in (array, *held):
             item.release()
         return count * vertices // 3
@@ -291,7 +306,7 @@ class Device:
             indices = self.ctx.buffer(triangles)
         vertices = self.ctx.buffer(np.ascontiguousarray(position, np.float32))
         array = self.ctx.vertex_array(program, [(vertices, f"{position.shape[2]}f", "position")], index_buffer=indices)
-        array.render(moderngl.TRIANGLES)
+        self.render(array)
         count = indices.size // 12
         for item in (array, vertices) if whole else (array, vertices, indices):
             item.release()
@@ -307,7 +322,7 @@ class Device:
     def draw_quad(self, program: moderngl.Program) -> None:
         """Run a fragment shader once for every pixel that the state of things lets through."""
         array = self.ctx.vertex_array(program, [(self._quad, "2f", "corner")])
-        array.render(moderngl.TRIANGLES, vertices=3)
+        self.render(array, vertices=3)
         array.release()
 
     def read(self, target: moderngl.Framebuffer, attachment: int = 0, kind: str = "f4", components: int = 1) -> np.ndarray:

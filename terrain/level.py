@@ -18,13 +18,27 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
-from terrain.level_parts import TIME_WORDS, ForestSpec, LightSpec, MapSpec, MeshSpec, Model, SunSpec, Terrain, ViewSpec
+from terrain.level_parts import (
+    TIME_WORDS,
+    ForestSpec,
+    LightSpec,
+    MapSpec,
+    MeshSpec,
+    Model,
+    SunSpec,
+    Terrain,
+    ViewSpec,
+    Water,
+    Weather,
+)
 
 AlgorithmName = Literal["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
-EffectName = Literal["cast_shadows"]
-"""Effects a level may name; a test holds this equal to ``terrain.effects``."""
+EffectName = Literal[
+    "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters", "snow", "clouds", "sky_view", "lamps", "water", "haze"
+]
+"""Effects: each is the file of its name in ``terrain.effects``; those of one stage run in this order."""
 
 CasterKind = Literal["relief", "meshes", "forest"]
 """What can cast: the heightfield, buildings and models, alpha-tested trees."""
@@ -69,10 +83,12 @@ class Level(Model):
     title: str = ""
     attribution: str = ""
     terrain: Terrain
+    water: Water | None = None
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
     sun: SunSpec | Literal["none"] = SunSpec(azimuth=315, altitude=45)
     lights: dict[LightName, LightSpec] = {}
+    weather: Weather = Weather()
     seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: Shadows = Shadows()

@@ -106,6 +106,29 @@ class Terrain(Model):
         return self
 
 
+class Water(Model):
+    """Standing water: whatever ground lies below ``level``, metres in the heights as drawn, is under it."""
+
+    level: float = Field(ge=-11500, le=9500)
+
+
+class Weather(Model):
+    """The weather.
+
+    ``visibility`` is the meteorological range in metres: how far a dark object can be told from the horizon (contrast 2 %);
+    ``None`` for air that is clear. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies.
+    """
+
+    visibility: float | None = Field(default=None, ge=10, le=1e7)
+    cloud_cover: float = Field(default=0.0, ge=0, le=1)
+    snow: bool = False
+
+    @property
+    def overcast(self) -> bool:
+        """Whether clouds cover the whole sky, so that no direct sun arrives."""
+        return self.cloud_cover >= 1.0
+
+
 class ForestSpec(Model):
     """A stand of trees: polygons with a density, points (one a tree), or a canopy-height raster.
 

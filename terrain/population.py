@@ -34,7 +34,9 @@ class Population:
 
     def at_second(self, seconds: float) -> Population:
         """The population at another second; what the clock does not change is shared, so that no file is read again."""
-        if seconds == self.seconds or not any(mesh.motion for mesh in self.loaded.level.meshes):
+        level = self.loaded.level
+        drifts = 0.0 < level.weather.cloud_cover < 1.0
+        if seconds == self.seconds or not (drifts or any(mesh.motion for mesh in level.meshes)):
             return self
         other = replace(self, seconds=seconds)
         other.__dict__.update({name: getattr(self, name) for name in ("trees", "placement", "solid_crease")})

@@ -64,8 +64,13 @@ class Scene:
 
     @property
     def sun_is_up(self) -> bool:
-        """Whether direct sun reaches anything of the level."""
-        return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0
+        """Whether direct sun reaches anything of the level: not by night, nor where clouds cover the whole sky."""
+        return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0 and not self.loaded.level.weather.overcast
+
+    @cached_property
+    def without_refraction(self) -> Scene:
+        """The same ground under the sun as it would be seen without an atmosphere."""
+        return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
 
     def at_second(self, seconds: float | None) -> Scene:
         """The same scene at another time of the clock of moving casters (``None`` keeps the level's)."""
@@ -229,7 +234,8 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     terrain = loaded.level.terrain
     made = None if terrain.source is not None else made_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
-    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made)
+    water_m = None if loaded.level.water is None else loaded.level.water.level
+    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m)
     world = _world(loaded, elevation)
     spec = loaded.level.sun
     sun = None if spec == "none" else sun_of(spec, world)

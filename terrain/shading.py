@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -9,8 +10,7 @@ import numpy as np
 from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.geometry import GeometryBuffer
-from terrain.level import SUN
-from terrain.lights import CONE_EDGE
+from terrain.resolve import RELIEF
 from terrain.scene import Scene
 
 TINT = (
@@ -22,6 +22,9 @@ TINT = (
     (1.00, "#efe6cf"),
 )
 """Hypsometric tint: share of the level's relief -> sRGB colour, from humid lowland to bare heights."""
+
+WATER_ALBEDO = (0.102, 0.246, 0.392)
+"""Linear albedo of standing water on a map, before what it mirrors: a calm blue (sRGB #5a88a8), darker than the tints."""
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
@@ -49,47 +52,116 @@ LEAF_GLOW = 0.3
 SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 """Linear colours of the day's sky behind a perspective view."""
 
+CLOUDY_SKY = (0.60, 0.64, 0.68)
+"""Linear colour of a sky that clouds cover."""
+
+CLOUD_LIGHT = (0.94, 0.97, 1.00)
+"""Linear colour of the light that comes through clouds."""
+
+OVERCAST_GROUND = 0.56
+"""Linear exposure of level, white ground under clouds alone."""
+
+SHORE_M = 1e-3
+"""Ground that is no farther than this from the height of the water is water."""
+
 _SRGB_STEPS = 4096
 
 
-def shade(buffer: GeometryBuffer, scene: Scene, visibilities: dict[str, np.ndarray]) -> np.ndarray:
-    """Linear display colour (rows, cols, 3) float32 in [0, 1] of a buffer's points, given each light's visibility.
+@dataclass(frozen=True)
+class Daylight:
+    """Light of the sun and of the sky, linear colours (3,): irradiance at normal incidence, and from the whole sky."""
 
-    Black where nothing is there; in perspective the sky.
+    sun: np.ndarray
+    sky: np.ndarray
+
+
+def daylight_of(scene: Scene) -> Daylight:
+    """The day's light over a level: clouds take the direct sun away where they are (all of it if there is nothing else, else
+    by the effect ``clouds``), and make the sky grey.
+    """
+    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
+    cover = scene.loaded.level.weather.cloud_cover
+    clear, grey = np.array(SKYLIGHT) * SKY_SHARE * exposure, np.array(CLOUD_LIGHT) * OVERCAST_GROUND
+    sun = np.array(SUNLIGHT) * exposure
+    return Daylight(np.zeros(3) if scene.loaded.level.weather.overcast else sun, (1.0 - cover) * clear + cover * grey)
+
+
+def shade(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    sunlight: np.ndarray,
+    albedo: np.ndarray | None = None,
+    skylight: np.ndarray | None = None,
+    lamplight: np.ndarray | None = None,
+) -> np.ndarray:
+    """Linear display colour (rows, cols, 3) float32 in [0, 1] of a buffer's points.
+
+    ``sunlight`` (rows, cols) is the share of the sun's direct light that arrives; ``albedo`` (rows, cols, 3) goes before the
+    buffer's own; ``skylight`` (rows, cols) is the share of the sky that is seen (without it: what a slope leaves of it by itself),
+    ``lamplight`` (rows, cols, 3) what comes from elsewhere. Black where nothing is there.
     """
     low, high = scene.height_range_m
-    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     to_sun = np.zeros(3) if scene.sun is None else buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    dark = np.zeros(buffer.there.shape, np.float32)
-    lamps = [lamp for name, lamp in scene.lamps.items() if name in visibilities]
-    night = LAMP_ROOM_LIGHT if lamps and scene.sun is None else NIGHT_SKY
-    numbers = np.zeros((len(lamps), 11))
-    for row, lamp in zip(numbers, lamps, strict=True):
-        position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-        axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
-        strength = lamp.intensity * lamp.reference_m**2 * exposure
-        rim = np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
-        row[:] = [*position, *axis, *(np.array(lamp.color) * strength), *rim]
-    shines = np.stack([visibilities[lamp.name] for lamp in lamps]) if lamps else np.zeros((0, *dark.shape), np.float32)
-    albedo = buffer.albedo if buffer.albedo is not None else np.zeros((0, 0, 3), np.float32)
     tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
-    linear = _shade(
-        buffer.there, buffer.kind, buffer.height_m, buffer.shading_normal_frame, albedo, visibilities.get(SUN, dark), to_sun,
-        _up_centre(scene, buffer), buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint,
-        np.array(SUNLIGHT) * exposure, np.array(SKYLIGHT) * SKY_SHARE * exposure, scene.sun is not None, night, numbers, shines,
-        LEAF_GLOW,
+    light = daylight_of(scene)
+    if albedo is None:
+        albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
+    return _shade(
+        buffer.there, buffer.kind, buffer.height_m, buffer.shading_normal_frame, albedo, sunlight, to_sun, up_centre(scene, buffer),
+        buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint, light.sun, light.sky,
+        scene.sun is not None, night_of(scene), LEAF_GLOW, skylight, lamplight,
     )  # fmt: skip
-    return linear
+
+
+def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
+    """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
+    to_up = buffer.position_frame_m - up_centre(scene, buffer)
+    cosine = np.einsum("ijk,ijk->ij", buffer.shading_normal_frame, to_up) / np.linalg.norm(to_up, axis=-1)
+    return (0.5 + 0.5 * np.nan_to_num(cosine)).astype(np.float32)
+
+
+def night_of(scene: Scene) -> float:
+    """Sky light of the night, or of a room, as a share of the day's."""
+    return LAMP_ROOM_LIGHT if scene.lamps and scene.sun is None else NIGHT_SKY
+
+
+def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
+    """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
+    low, high = scene.height_range_m
+    tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
+    albedo = _albedo(buffer.there, buffer.height_m, buffer.albedo, np.float64(low), np.float64(max(high - low, 1.0)), tint)
+    if scene.loaded.level.water is not None:
+        water = water_in(buffer, scene)
+        albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = WATER_ALBEDO
+    return albedo
+
+
+def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
+    """Where (rows, cols) a buffer shows standing water: ground at its height."""
+    return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= SHORE_M)
 
 
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     """Linear display colour (n, 3) of the sky in some pixels of a view: paler towards the horizon, dark by night."""
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    altitude = -90.0 if scene.sun is None else scene.sun.altitude_deg
-    dusk = float(np.clip((altitude + 12.0) / 18.0, 0.0, 1.0))
-    light = 0.02 + 0.98 * dusk * dusk * (3.0 - 2.0 * dusk)
     tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
-    return _sky(rows, cols, tangents, up @ view.earth_from_camera, np.array(SKY_HORIZON) * light, np.array(SKY_ZENITH) * light)
+    return _sky(rows, cols, tangents, up @ view.earth_from_camera, *sky_colors(scene))
+
+
+def sky_colors(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Linear display colours (3,) of the sky at the horizon and at the zenith, by the sun's altitude and the clouds."""
+    sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
+    light = 0.02 + 0.98 * dusk_of(sine)
+    cover = scene.loaded.level.weather.cloud_cover
+    grey = np.array(CLOUDY_SKY)
+    horizon, zenith = ((1.0 - cover) * np.array(color) + cover * grey for color in (SKY_HORIZON, SKY_ZENITH))
+    return horizon * light, zenith * light
+
+
+@compiled
+def zenith_share(sine):  # type: ignore[no-untyped-def]
+    """How far the sky's colour is the zenith's, and not the horizon's, at the sine of an altitude."""
+    return 1.0 - np.exp(-4.0 * max(sine, 0.0))
 
 
 @compiled
@@ -98,7 +170,7 @@ def _sky(rows, cols, tangents, up, horizon, zenith):  # type: ignore[no-untyped-
     for n in range(rows.size):
         x, y = tangents[0] + cols[n] * tangents[2], tangents[1] + rows[n] * tangents[2]
         sine = (x * up[0] + y * up[1] + up[2]) / np.sqrt(1.0 + x * x + y * y)
-        share = 1.0 - np.exp(-4.0 * max(sine, 0.0))
+        share = zenith_share(sine)
         for k in range(3):
             out[n, k] = (1.0 - share) * horizon[k] + share * zenith[k]
     return out
@@ -130,12 +202,15 @@ def tint_table(steps: int = 256) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _srgb_table() -> np.ndarray:
-    linear = (np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255.0 * coded).astype(np.uint8)
+    return np.rint(255.0 * srgb((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 
 
-def _up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """sRGB (IEC 61966-2-1) of linear colour, continued beyond 1."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
     """The frame point that "up" points away from: the earth's centre, or one far below a flat world."""
     if scene.world.flat:
         return np.array([0.0, 0.0, -1e12])
@@ -143,13 +218,21 @@ def _up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
 
 
 @compiled
+def dusk_of(sine):  # type: ignore[no-untyped-def]
+    """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
+    altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
+    share = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+@compiled
 def _shade(
-    there, kind, height, normal, albedo, visibility, to_sun, centre, position, low, relief, tint, sun, sky, has_sun, night,
-    lamps, shines, glow,
+    there, kind, height, normal, albedo, sunlight, to_sun, centre, position, low, relief, tint, sun, sky, has_sun, night, glow,
+    skylight, lamplight,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
+    # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
-    light = np.empty(3)
     for i in range(rows):
         for j in range(cols):
             if not there[i, j]:
@@ -158,35 +241,45 @@ def _shade(
             leaf = glow if kind[i, j] == 3 else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            up = (n[0] * ux + n[1] * uy + n[2] * uz) / length
-            # Direct light fades in over the first degree of the sun's altitude here, sky light from nautical dusk (-12) to 6.
-            sine = (to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz) / length
-            altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))) if has_sun else -90.0
-            direct = min(max(altitude, 0.0), 1.0) * visibility[i, j]
-            dusk = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
-            sky_here = night + (1.0 - night) * dusk * dusk * (3.0 - 2.0 * dusk)
+            # Direct light fades in over the first degree of the sun's altitude here.
+            sine = (to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz) / length if has_sun else -1.0
+            direct = min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0) * sunlight[i, j]
+            sky_here = night + (1.0 - night) * dusk_of(sine)
             facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0)
             facing = (leaf + (1.0 - leaf) * facing) * direct
-            for k in range(3):
-                light[k] = sun[k] * facing + sky[k] * sky_here * (0.5 + 0.5 * up)
-            for m in range(len(lamps)):
-                lamp = lamps[m]
-                x, y, z = lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
-                away = np.sqrt(x * x + y * y + z * z)
-                if away == 0.0 or shines[m, i, j] == 0.0:
-                    continue
-                across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away
-                cosine = -(lamp[3] * x + lamp[4] * y + lamp[5] * z) / away
-                rim = min(max((cosine - lamp[9]) / (lamp[10] - lamp[9]), 0.0), 1.0)
-                share = (leaf + (1.0 - leaf) * across) * rim * shines[m, i, j] / (away * away)
-                for k in range(3):
-                    light[k] += lamp[6 + k] * share
+            if skylight is None:
+                seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length
+            else:
+                seen = skylight[i, j]
             share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
             at = min(int(share), tint.shape[0] - 2)
-            plain = len(albedo) == 0 or not np.isfinite(albedo[i, j, 0])
             for k in range(3):
-                own = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at) if plain else albedo[i, j, k]
-                shown = own * light[k]
+                light = sun[k] * facing + sky[k] * sky_here * seen
+                if lamplight is not None:
+                    light += lamplight[i, j, k]
+                own = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
+                if albedo is not None:
+                    if np.isfinite(albedo[i, j, 0]):
+                        own = albedo[i, j, k]
+                shown = own * light
                 # A shoulder: slopes that face a low sun keep their tint.
                 out[i, j, k] = shown if shown <= 0.5 else 1.0 - 0.25 / shown
+    return out
+
+
+@compiled
+def _albedo(there, height, albedo, low, relief, tint):  # type: ignore[no-untyped-def]
+    rows, cols = there.shape
+    out = np.zeros((rows, cols, 3), np.float32)
+    for i in range(rows):
+        for j in range(cols):
+            if not there[i, j]:
+                continue
+            share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
+            at = min(int(share), tint.shape[0] - 2)
+            for k in range(3):
+                out[i, j, k] = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
+                if albedo is not None:
+                    if np.isfinite(albedo[i, j, 0]):
+                        out[i, j, k] = albedo[i, j, k]
     return out

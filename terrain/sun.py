@@ -21,12 +21,23 @@ YEARS = (1678, 2261)
 
 @dataclass(frozen=True, eq=False)
 class Sun:
-    """The sun: apparent angles at the anchor and the earth-fixed unit vector towards it."""
+    """The sun: angles at the anchor and the earth-fixed unit vector towards it.
+
+    ``lift_deg`` is by how much refraction raises it there, which is part of ``altitude_deg``; 0 for angles that a user gave.
+    """
 
     azimuth_deg: float
     altitude_deg: float
     to_sun_earth: np.ndarray
     time: datetime | None = None
+    lift_deg: float = 0.0
+
+    def without_refraction(self, world: World) -> Sun:
+        """The sun as it would be seen without an atmosphere."""
+        if self.lift_deg == 0.0:
+            return self
+        altitude = self.altitude_deg - self.lift_deg
+        return Sun(self.azimuth_deg, altitude, world.earth_from_anchor @ direction_enu(self.azimuth_deg, altitude), self.time)
 
 
 def sun_of(spec: SunSpec, world: World) -> Sun:
@@ -34,19 +45,21 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
 
     A time needs a place on the globe: in a flat world only angles have a meaning.
     """
+    lift = 0.0
     if spec.time is None:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
     elif world.flat:
         raise InputError("time", spec.time.isoformat(), "azimuth and altitude: an engineering CRS has no place on earth")
     else:
-        azimuth, altitude = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
+        azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
     to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)
-    return Sun(azimuth, altitude, to_sun, spec.time)
+    return Sun(azimuth, altitude, to_sun, spec.time, lift)
 
 
-def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float]:
-    """Apparent azimuth and altitude in degrees by NREL's solar position algorithm (Reda & Andreas 2004), at sea level.
+def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
+    """Apparent azimuth and altitude, and how much of the altitude is refraction, in degrees, by NREL's solar position algorithm
+    (Reda & Andreas 2004), at sea level.
 
     Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
     """
@@ -57,7 +70,8 @@ def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[f
     from pvlib.solarposition import spa_python
 
     position = spa_python(pandas.DatetimeIndex([moment]), lat_deg, lon_deg, altitude=0, pressure=101325, temperature=12)
-    return float(position["azimuth"].iloc[0]) % 360.0, float(position["apparent_elevation"].iloc[0])
+    apparent = float(position["apparent_elevation"].iloc[0])
+    return float(position["azimuth"].iloc[0]) % 360.0, apparent, apparent - float(position["elevation"].iloc[0])
 
 
 def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from terrain.foliage import THRESHOLD, foliage
 from terrain.gl import Device, device
 from terrain.grid import MapView
 from terrain.ground_mesh import GroundMesh
+from terrain.programs import joined
 from terrain.stand import Stand
 from terrain.world import LocalFrame
 
@@ -43,11 +44,11 @@ class Seen:
 @cache
 def shader(*parts: str) -> str:
     """The text of shader parts, one after another: ``terrain/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
-    texts = []
+    texts = {}
     for part in parts:
         package, name = part.split("/")
-        texts.append(files(package).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8"))
-    return "#version 430\n" + "".join(texts)
+        texts[part] = files(package).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
+    return joined(texts)
 
 
 def seen_in_perspective(

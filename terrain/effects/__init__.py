@@ -1,22 +1,17 @@
-"""Effects: one file each, with the predicate that says whether a scene calls for it, and why (or why not)."""
+"""Effects: one file each, with the predicate that says whether a scene calls for it, and why (or why not), and its part.
+
+``terrain.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from importlib import import_module
+from typing import get_args
 
-from terrain.descriptor import Descriptor
-from terrain.effects import cast_shadows
-from terrain.effects.verdict import Verdict
+from terrain.effects.effect import Effect
 from terrain.level import EffectName
 
-
-@dataclass(frozen=True)
-class Effect:
-    """An effect's name and its predicate over the descriptor."""
-
-    name: EffectName
-    called_for: Callable[[Descriptor], Verdict]
-
-
-EFFECTS: dict[EffectName, Effect] = {"cast_shadows": Effect("cast_shadows", cast_shadows.called_for)}
+EFFECTS: dict[EffectName, Effect] = {
+    name: import_module(f"terrain.effects.{name}").EFFECT for name in get_args(EffectName)
+}  # fmt: skip
+"""All effects by name."""

@@ -1,19 +1,57 @@
-"""Cast shadows: called for while a light reaches the level and there is something that can rise into it."""
+"""Cast shadows: where direct light reaches the view, and something can stand in its way.
+
+**Relief.** A ray from ground to the sun that meets ground again has on its way ground that falls away from the sun more steeply
+than the ray rises: a facet that does not face the sun. So where every facet of the ground faces the sun, none is shadowed; and
+where none does, all of it is turned away, and nothing that is cast would show. Both are read from the facets as they are drawn,
+once per ground and zoom: with the slopes (a, b) that a facet's normal (-a, -b, 1) has at the level's anchor, it faces the sun
+(e, n, u) if u > a e + b n. Of all facets only how far the slopes reach in ``DIRECTIONS`` directions is kept.
+
+**What stands on the ground** can shade anything in a map; in a perspective view, if in light space it overlaps what is seen.
+"""
 
 from __future__ import annotations
 
-from terrain.descriptor import Descriptor
-from terrain.effects.verdict import Verdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.ground_mesh import ground_mesh
+from terrain.scene import Scene
+from terrain.slopes import above_slopes, grid_slopes, mesh_slopes, nodes_of
+from terrain.stand import Stand, stand_in_perspective
+from terrain.sun import direction_enu
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+COARSE_NODES = 2**18
+"""Nodes of the coarse ground that is tried first: where it casts, the finer one does."""
+
+MOST_NODES = 2**21
+"""Ground of more nodes is not searched facet by facet (that takes about 0.3 s a million): it may cast."""
+
+MASK_CELLS = 128
+"""Cells a side in which what is seen is held against what stands before it."""
+
+GRAZING = 1e-4
+"""Slopes this near to the sun's count as turned away: float32 normals do not tell."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without a light, at night without lamps, and where nothing rises above level ground."""
+    """Left out without a light, by night and under clouds without lamps, and where nothing can stand in the light's way."""
     sun = of_sun(descriptor)
-    if sun.called_for or not descriptor.lamps:
+    if sun.called_for:
+        return sun
+    lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
+    if not lamps:
         return sun
     if not can_cast(descriptor):
         return Verdict(False, "bare ground at one height: nothing can cast")
-    return Verdict(True, f"{', '.join(lamp.name for lamp in descriptor.lamps)} shine on what can block them")
+    return Verdict(True, f"{', '.join(lamps)} shine on what can block them")
 
 
 def of_sun(descriptor: Descriptor) -> Verdict:
@@ -22,13 +60,146 @@ def of_sun(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
         return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
+    if descriptor.weather.overcast:
+        return Verdict(False, "overcast: no direct sun comes through the clouds")
     if not can_cast(descriptor):
         return Verdict(False, "bare ground at one height: nothing can cast")
-    what = [f"{descriptor.relief_m:.0f} m of relief"] if descriptor.relief_m > 0.0 else []
-    what += [kind for kind in descriptor.casters if kind != "relief"]
+    kinds = [kind for kind in descriptor.casters if kind_of_sun(descriptor, kind).called_for]
+    if not kinds:
+        return Verdict(False, "; ".join(kind_of_sun(descriptor, kind).reason for kind in descriptor.casters))
+    what = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
     return Verdict(True, f"sun at {descriptor.sun_altitude_deg:.1f} degrees over {', '.join(what)} can be blocked")
+
+
+def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
+    """Whether casters of a kind can throw the sun's shadow on anything that is seen."""
+    facts = descriptor.facts.get("cast_shadows", {})
+    if kind != "relief":
+        if facts.get(kind, True):
+            return Verdict(True, f"{kind} can shade what is seen")
+        return Verdict(False, f"no shadow of {kind} can fall on what is seen")
+    if descriptor.relief_m <= 0.0:
+        return Verdict(False, "level ground cannot cast")
+    least, most = facts.get("least_slope"), facts.get("most_slope")
+    if least is not None and least > GRAZING:
+        return Verdict(False, f"no ground rises above the sun's grazing plane: the steepest lies {least:.2g} of a slope below it")
+    if most is not None and most < -GRAZING and descriptor.casters == ("relief",):
+        return Verdict(False, f"all ground is turned away from the sun: the flattest lies {-most:.2g} of a slope behind it")
+    return Verdict(True, f"ground rises above the sun's grazing plane ({descriptor.relief_m:.0f} m of relief)")
 
 
 def can_cast(descriptor: Descriptor) -> bool:
     """Whether anything stands on the ground or the ground has any relief."""
     return descriptor.relief_m > 0.0 or len(descriptor.casters) > 1
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``least_slope`` and ``most_slope``: how much the sun's slope exceeds that of the ground's facets towards it, least and most
+    (``None``: not known); ``meshes`` and ``forest``: whether their shadows can fall on what a perspective view sees.
+    """
+    if not scene.sun_is_up:
+        return {}
+    least, most = _slopes_under_sun(scene, view, look)
+    found: dict[str, Fact] = {"least_slope": least, "most_slope": most}
+    if look is not None and isinstance(view, PerspectiveView):
+        found |= {kind: _stands_before(scene, view, kind, look) for kind in scene.population.kinds if kind != "relief"}
+    return found
+
+
+def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> tuple[float | None, float | None]:
+    assert scene.sun is not None
+    if np.ptp(scene.height_range_m) <= 0.0:
+        return None, None
+    to_sun = direction_enu(scene.sun.azimuth_deg, scene.sun.altitude_deg)
+    if isinstance(view, PerspectiveView):
+        assert look is not None
+        ground, frame = ground_mesh(scene, view), look.buffer.frame
+        return above_slopes(mesh_slopes(scene.world, ground, frame, _corridor(scene, view, look)), to_sun)
+    nodes = nodes_of(scene.world, scene.elevation, view.grid)
+    coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
+    least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
+    if coarser == 0 or (least is not None and most is not None and least <= GRAZING and most >= -GRAZING):
+        return least, most
+    if nodes > MOST_NODES:
+        return None, None
+    return above_slopes(grid_slopes(scene.world, scene.elevation, view.grid), to_sun)
+
+
+def _trees(scene: Scene, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
+    """The trees round an eye, and whether any of them is seen."""
+    stand = stand_in_perspective(scene.population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
+    if stand is None:
+        return None, False
+    eye, camera_from_frame = view.in_frame(look.buffer.frame)
+    ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
+    return stand, len(stand.in_cone(eye, camera_from_frame, np.array(ends) / view.focal_px)) > 0
+
+
+def _seen_m(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+    """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
+    return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene, view, look)[1] else 0.0)
+
+
+def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What lies between what is seen and the sun, as ``mesh_slopes`` takes it: right of the light, and towards the sun."""
+    assert scene.light is not None
+    rotation, translation = scene.light.from_frame(look.buffer.frame)
+    rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
+    offsets = np.array([translation[0], scene.light.towards_sun_m(translation)])
+    at, slack = look.points_frame_m @ rows.T + offsets, _seen_m(scene, view, look)[:, None]
+    low, high = ((at - slack).min(axis=0), (at + slack).max(axis=0)) if len(at) else (np.full(2, np.inf), np.full(2, -np.inf))
+    return rows, offsets, np.array([[low[0], high[0]], [low[1], np.inf]])
+
+
+def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -> bool:
+    """Whether trees or meshes hide, as the sun sees them, something that is seen; or are trees that are seen themselves."""
+    assert scene.light is not None
+    population, frame = scene.population, look.buffer.frame
+    if kind == "meshes":
+        solids = population.solids
+        assert solids is not None
+        at = scene.light.from_earth(solids.caster_vertices_earth_m)[solids.caster_triangles]
+        first, last = at.min(axis=1), at.max(axis=1)
+    else:
+        stand, seen = _trees(scene, view, look)
+        if stand is None or seen:
+            return seen
+        rotation, translation = scene.light.from_frame(frame)
+        at = stand.corners().reshape(len(stand), -1, 3) @ rotation.T + translation
+        first, last = at.min(axis=1), at.max(axis=1)
+    rotation, translation = scene.light.from_frame(frame)
+    return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
+
+
+@compiled
+def _hide(first, last, points, slack, cells):  # type: ignore[no-untyped-def]
+    """Whether boxes (n, 3) from ``first`` to ``last`` lie before any of some points (m, 3), as the light sees them, or within its
+    slack (m,) of one: points are entered in a grid of cells with the largest depth in each.
+    """
+    if len(points) == 0 or len(first) == 0:
+        return False
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for m in range(len(points)):
+        for k in range(2):
+            low[k], high[k] = min(low[k], points[m, k] - slack[m]), max(high[k], points[m, k] + slack[m])
+    scale = cells / np.maximum(high - low, 1e-6)
+    deepest = np.full((cells, cells), -np.inf)
+    for m in range(len(points)):
+        i0, i1 = int((points[m, 0] - slack[m] - low[0]) * scale[0]), int((points[m, 0] + slack[m] - low[0]) * scale[0])
+        j0, j1 = int((points[m, 1] - slack[m] - low[1]) * scale[1]), int((points[m, 1] + slack[m] - low[1]) * scale[1])
+        for i in range(i0, min(i1, cells - 1) + 1):
+            for j in range(j0, min(j1, cells - 1) + 1):
+                deepest[i, j] = max(deepest[i, j], points[m, 2] + slack[m])
+    for n in range(len(first)):
+        if not (last[n, 0] >= low[0] and first[n, 0] <= high[0] and last[n, 1] >= low[1] and first[n, 1] <= high[1]):
+            continue
+        i0, i1 = max(int((first[n, 0] - low[0]) * scale[0]), 0), int((last[n, 0] - low[0]) * scale[0])
+        j0, j1 = max(int((first[n, 1] - low[1]) * scale[1]), 0), int((last[n, 1] - low[1]) * scale[1])
+        for i in range(i0, min(i1, cells - 1) + 1):
+            for j in range(j0, min(j1, cells - 1) + 1):
+                if deepest[i, j] >= first[n, 2]:
+                    return True
+    return False
+
+
+EFFECT = Effect("shadows that things cast on each other", called_for, facts)

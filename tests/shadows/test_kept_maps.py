@@ -98,7 +98,7 @@ def test_cascades_and_lamps_are_kept_each_by_itself(gl, build):
     plan = planned(scene, cascades=3)
     count, _ = draws(drawn(scene, plan))
     maps = len(plan.settings["sun"]["relief"].cascades) + 1
-    assert maps > 2 and count == 3 * maps
+    assert maps > 2 and 2 * maps < count <= 3 * maps  # ground and figures, and trees where any stand in the way of a map's part
     assert draws(drawn(scene, plan)) == (0, maps)
 
 

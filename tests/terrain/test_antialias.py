@@ -143,7 +143,7 @@ def test_means_are_of_linear_light(gl, tower):
     picture = sampled(tower, view)
     frame = render(tower, view)
     lit = np.where(picture.buffer.there, 1.0, 0.0).astype(np.float32)
-    colours = shade(picture.buffer, tower, {"sun": lit})
+    colours = shade(picture.buffer, tower, lit)
     row, col = picture.pixels
     whole = picture.buffer.there.copy()
     below = whole[view.rows :].ravel()[: len(row) * picture.each].reshape(-1, picture.each)

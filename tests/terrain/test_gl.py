@@ -11,6 +11,7 @@ import pytest
 
 from terrain.depth_targets import MOST_TARGETS
 from terrain.errors import GraphicsError
+from terrain.programs import joined, recorded
 from terrain.surface import sheet_triangles
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
@@ -107,6 +108,61 @@ def test_a_shader_that_does_not_compile_is_one_line(gl):
         gl.program("#version 430\nvoid main() { nonsense }", FRAGMENT)
     assert "\n" not in str(caught.value)
     gl.check("what comes after")
+
+
+def test_a_program_is_labelled_by_its_parts_and_what_is_compiled_into_it(gl):
+    vertex = joined({"a/one": "in vec3 position;\n", "b/two.vert": "void main() { gl_Position = vec4(position, 1.0); }\n"})
+    fragment = joined({"b/two.frag": "uniform int taps;\nuniform bool lamp;\nout float c;\nvoid main() { c = lamp ? taps : 0; }\n"})
+    program = gl.program(vertex, fragment, {"taps": 3, "lamp": True, "absent": 7})
+    assert program.extra.label == "a/one b/two.vert b/two.frag taps=3 lamp=true"
+    assert "taps" not in program and program.extra.label in gl.programs
+    assert gl.program(vertex, fragment).extra.label == "a/one b/two.vert b/two.frag"
+
+
+KINDS = [
+    "sampler2D",
+    "sampler2DArray",
+    "sampler2DShadow",
+    "samplerCube",
+    "samplerCubeArray",
+    "usampler2D",
+    "isampler3D",
+    "sampler2DMS",
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_programs_textures_are_the_samplers_that_it_can_read(gl, kind):
+    """Declared is not enough: the linker drops one that nothing reads, or that a compiled-in constant rules out."""
+    size = "textureSize(one)" if kind == "sampler2DMS" else "textureSize(one, level)"
+    fragment = f"""#version 430
+uniform {kind} one;
+uniform {kind} unread;
+uniform bool looks;
+uniform int level;
+uniform float scale;
+out float c;
+void main() {{ c = scale; if (looks) c *= float({size}.x); }}
+"""
+    assert gl.program(VERTEX, fragment).extra.textures == ("one",)
+    assert gl.program(VERTEX, fragment, {"looks": True}).extra.textures == ("one",)
+    assert gl.program(VERTEX, fragment, {"looks": False}).extra.textures == ()
+
+
+def test_each_call_is_recorded_with_its_program(gl):
+    target, program, other = gl.depth_target(8, 8, 24), gl.program(VERTEX, FRAGMENT), gl.program(VERTEX, FRAGMENT + "// another\n")
+    triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
+    corners = sheet(0.5).reshape(-1, 3)
+    with recorded() as calls, gl.depth_pass(target):
+        gl.draw_sheet(program, sheet(0.5))
+        gl.draw_triangles(other, corners, triangle)
+        gl.draw_triangles(other, corners, none)  # nothing to draw: no call
+        gl.draw_sheet(program, np.full((3, 3, 3), np.nan))
+        with gl.uploaded(program, corners, triangle) as array:
+            gl.render(array)
+            gl.render(array, moderngl.LINES, vertices=2)
+    gl.draw_triangles(other, corners, triangle)
+    assert len(calls) == 4 and [call is other.extra for call in calls] == [False, True, False, False]
 
 
 def test_depth_targets_and_textures_do_not_pile_up(gl):

@@ -40,7 +40,7 @@ def test_bundled_levels_load():
     ("text", "key", "value", "allowed"),
     [
         ("terrain: {source: jacksboro}\n", "version", "nothing", "required"),
-        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, forest, meshes, sun, lights"),
+        (GOOD + "forrest: []\n", "forrest", "unknown key", "terrain, water, forest, meshes, sun, lights, weather"),
         ("version: 1\nterrain: {sourc: x}\n", "terrain.sourc", "unknown key", "source, flat, generate, bounds"),
         ("version: 2\nterrain: {source: x}\n", "version", "2", "1"),
         ("version: 1\nterrain: {source: x, units: yards}\n", "terrain.units", "yards", "'m', 'ft' or 'us-ft'"),

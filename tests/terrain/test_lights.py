@@ -13,12 +13,14 @@ from pyproj import Transformer
 
 from api.layers import layer_of
 from shadows.attached import attached
+from terrain.effects.effect import Block
+from terrain.effects.lamps import shine
 from terrain.errors import InputError, LevelError
 from terrain.level import SUN, parse_algorithm
 from terrain.lights import CONE_EDGE, axes_along
 from terrain.picture import geometry_of
 from terrain.scene import Scene
-from terrain.shading import LAMP_ROOM_LIGHT, LEVEL_ALBEDO, LEVEL_GROUND, NIGHT_SKY, SKY_SHARE, SKYLIGHT, shade
+from terrain.shading import LEVEL_ALBEDO, LEVEL_GROUND, shade
 from terrain.world import geocentric
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
@@ -59,7 +61,9 @@ def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
     """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
     buffer = geometry_of(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
-    return shade(buffer, scene, shines)
+    lamplight = np.zeros((*buffer.there.shape, 3), np.float32)
+    shine(lamplight, Block(scene, view, buffer, shines))
+    return shade(buffer, scene, shines.get("sun", np.zeros(buffer.there.shape, np.float32)), lamplight=lamplight)
 
 
 # -- where and which way
@@ -113,10 +117,9 @@ def test_an_omni_light_falls_off_with_the_square_of_the_distance(floor, make_sce
     scene = make_scene(floor, sun="none", lights=omni(10.0, intensity=0.7, color=[1.0, 0.5, 0.25]))
     view, x, y = square(scene)
     found = light_of(scene, view, ("lamp",)) - light_of(scene, view, ())
-    room = LEVEL_ALBEDO * LEVEL_GROUND * SKY_SHARE * np.array(SKYLIGHT) * (LAMP_ROOM_LIGHT - NIGHT_SKY)
     r = np.sqrt(x**2 + y**2 + 100.0)
     expected = LEVEL_ALBEDO * LEVEL_GROUND * 0.7 * np.array([1.0, 0.5, 0.25]) * (1000.0 / r**3)[..., None]
-    np.testing.assert_allclose(found - room, expected, atol=1e-5)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_a_spot_fades_out_at_its_rim_and_is_dark_beyond(floor, make_scene):
@@ -124,14 +127,13 @@ def test_a_spot_fades_out_at_its_rim_and_is_dark_beyond(floor, make_scene):
     scene = make_scene(floor, sun="none", lights=spot(20.0, 40.0, intensity=0.5))
     view, x, y = square(scene)
     found = (light_of(scene, view, ("lamp",)) - light_of(scene, view, ()))[..., 0]
-    room = LEVEL_ALBEDO * LEVEL_GROUND * SKY_SHARE * SKYLIGHT[0] * (LAMP_ROOM_LIGHT - NIGHT_SKY)
     angle = np.degrees(np.arctan2(np.hypot(x, y), 20.0))
     full = LEVEL_ALBEDO * LEVEL_GROUND * 0.5 * np.cos(np.radians(angle)) ** 3
     inside, beyond = angle < 40.0 * (1 - CONE_EDGE), angle > 40.0
-    np.testing.assert_allclose((found - room)[inside], full[inside], atol=1e-5)
-    np.testing.assert_allclose((found - room)[beyond], 0.0, atol=1e-6)
+    np.testing.assert_allclose(found[inside], full[inside], atol=1e-5)
+    np.testing.assert_allclose(found[beyond], 0.0, atol=1e-6)
     rim = ~inside & ~beyond
-    share = (found - room)[rim] / full[rim]
+    share = found[rim] / full[rim]
     assert rim.sum() > 100 and (share > -1e-4).all() and (share < 1.0001).all()
     order = np.argsort(angle[rim])
     assert (np.diff(share[order]) < 1e-3).all()
@@ -185,7 +187,7 @@ def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
     assert scene.light_names == () and scene.light is None and not scene.sun_is_up
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.there.all()
-    assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "casters", "shading"]
+    assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "attached", "shading"]
     assert frame.plan.headline == "none"
     assert 0 < frame.color.mean() < 60
 

@@ -27,7 +27,7 @@ def test_position_agrees_with_the_algorithm_s_published_example():
     Their azimuth is 194.34024 degrees; their zenith of 50.11162 holds at 1830.14 m and 820 hPa, where refraction is a
     fifth weaker than at sea level: 0.003 degrees.
     """
-    azimuth, altitude = apparent_position(datetime.fromisoformat("2003-10-17T12:30:30-07:00"), -105.1786, 39.742476)
+    azimuth, altitude, _ = apparent_position(datetime.fromisoformat("2003-10-17T12:30:30-07:00"), -105.1786, 39.742476)
     assert azimuth == pytest.approx(194.34024, abs=0.001)
     assert altitude == pytest.approx(90.0 - 50.11162, abs=0.005)
 
@@ -38,7 +38,7 @@ def test_refraction_raises_the_low_sun():
     from pvlib.solarposition import spa_python
 
     time = datetime.fromisoformat("2024-03-20T17:30:00+00:00")
-    _, apparent = apparent_position(time, 0.0, 50.0)
+    _, apparent, lift = apparent_position(time, 0.0, 50.0)
     true = float(spa_python(DatetimeIndex([time]), 50.0, 0.0)["elevation"].iloc[0])
     saemundsson = 1.02 / np.tan(np.radians(true + 10.3 / (true + 5.11))) / 60.0
     assert 1.0 < true < 12.0

@@ -1,0 +1,39 @@
+"""Which effects ran in a frame, told from its record alone: the passes, and the programs that were drawn with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from shadows.passes import PassRecord
+from terrain.effects import EFFECTS
+from terrain.level import SUN, EffectName
+
+FOLIAGE_PARTS = frozenset({"shadows/depth_tree.frag", "shadows/planar_tree.frag"})
+"""Shader parts that draw foliage as a caster."""
+
+DISC_PART = "shadows/sun_disc.frag"
+"""The shader part that draws the penumbra of the sun's disc."""
+
+
+def effects_ran(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
+    """The effects whose code ran.
+
+    An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if a program
+    that looks its texture up drew depths, and edges were soft if the sun's maps were looked up by more than one tap. Algorithms
+    that draw nothing (``sweep``, ``truth``) leave no trace of the last two.
+    """
+    found: set[EffectName] = set()
+    for record in passes:
+        if record.name in EFFECTS:
+            found.add(record.name)  # type: ignore[arg-type]
+        light, is_algorithm, _ = record.name.partition("/")
+        if not is_algorithm:
+            continue
+        found.add("cast_shadows")
+        words = {word for label in record.programs for word in label.split()}
+        if words & FOLIAGE_PARTS:
+            found.add("alpha_test")
+        taps = {word for word in words if word.startswith("taps=")}
+        if light == SUN and (taps - {"taps=1"} or DISC_PART in words):
+            found.add("soft_edges")
+    return frozenset(found)

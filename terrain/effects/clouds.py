@@ -1,0 +1,400 @@
+"""Cloud shadows: where clouds that drift with the clock keep some of the direct sun from the ground.
+
+The clouds are a layer of no thickness. A point lies under the place where its ray to the sun meets the layer, and what is there is
+fractal noise over that place in metres east and north of the anchor: the same ground is under the same cloud in every tile, view
+and frame. Clouds are no terrain: they change the colour, and no layer of visibility.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.elevation import Elevation
+from terrain.grid import MapView
+from terrain.noise import GAIN, noise_at
+from terrain.scene import Scene
+from terrain.shading import daylight_of, dusk_of, night_of
+from terrain.surface import step_at_anchor_m
+from terrain.world import LocalFrame
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+LAYER_M, CLEARANCE_M = 1500.0, 500.0
+"""Height of the clouds over the level's mean ground; over its highest they are at least this high."""
+
+DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
+"""East and north: 10 m/s towards the east-north-east."""
+
+LOWEST_SINE = np.sin(np.radians(5.0))
+"""The ray to a lower sun is followed no farther than to this one: else the shadows would race as it sets."""
+
+WIDEST_M, OCTAVES, SEED = 4000.0, 5, 71
+"""Wavelength of the coarsest octave; the finest's is 250 m."""
+
+EDGE = 0.26
+"""Difference of the noise from a cloud's rim to where it is densest."""
+
+THROUGH = 0.25
+"""Share of the direct sun that the densest cloud lets through under a broken sky."""
+
+HIGHEST, STEEPEST = 0.756, 2.32
+"""Bounds of the value and of the slope of ``terrain.noise.noise_at``, over all its gradients."""
+
+TOP = HIGHEST * (1.0 - GAIN**OCTAVES) / (1.0 - GAIN)
+"""Bound of the value of all octaves."""
+
+FADE = 1 / 16, 1 / 2
+"""Pixels as shares of ``WIDEST_M`` from which on single clouds begin to go over into their mean, and are all mean."""
+
+UNSEEN = 0.008
+"""Share of the direct sun whose loss no pixel shows.
+
+Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code, which is at most 1.055 (with
+the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading`` holds it). That is a
+step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
+"""
+
+SEEN_LEAST = 0.25
+"""Sky that a face turned to a sun at the horizon is lit by at least: half of it if upright, less if it hangs over, but then it is
+darker too."""
+
+MAX_PLACES = 2**19
+"""Places that a search for the densest cloud looks at: what is not decided by then counts as cloud."""
+
+
+@dataclass(frozen=True, eq=False)
+class CloudLayer:
+    """The clouds of a scene.
+
+    Attributes
+    ----------
+    cover
+        Share of the ground under them.
+    threshold
+        Value of the noise in the middle of their edges.
+    most
+        Share of the direct sun that the densest takes away.
+    height_m
+        Height of the layer.
+    to_sun_anchor, centre_anchor_m
+        Unit vector (3,) to the sun, and the point (3,) that "up" points away from, in the anchor's axes.
+    drift_m
+        How far (2,) they have drifted east and north.
+    """
+
+    cover: float
+    threshold: float
+    most: float
+    height_m: float
+    to_sun_anchor: np.ndarray
+    centre_anchor_m: np.ndarray
+    drift_m: np.ndarray
+
+
+def layer_of(scene: Scene) -> CloudLayer:
+    """The clouds of a scene with a sun.
+
+    The last light that comes through the densest goes as the cover nears the whole sky, so that overcast follows without a jump.
+    """
+    world, cover = scene.world, scene.loaded.level.weather.cloud_cover
+    anchor_from_earth = world.earth_from_anchor.T
+    assert scene.sun is not None
+    centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
+    return CloudLayer(
+        cover, threshold_of(cover), 1.0 - THROUGH * (1.0 - cover**4),
+        max(_mean_height_m(scene.elevation) + LAYER_M, scene.height_range_m[1] + CLEARANCE_M),
+        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.population.seconds * np.array(DRIFT_M_PER_S),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=32)
+def _mean_height_m(elevation: Elevation) -> float:
+    return float(np.nanmean(elevation.overview.heights_m))
+
+
+def threshold_of(cover: float) -> float:
+    """Value that the noise exceeds on a share ``cover`` of a plane; beyond all its values where the cover is 0 or 1."""
+    beyond = TOP + EDGE / 2.0
+    shares, values = _distribution()
+    return float(np.interp(cover, [0.0, *shares, 1.0], [beyond, *values, -beyond]))
+
+
+@lru_cache(maxsize=1)
+def _distribution() -> tuple[np.ndarray, np.ndarray]:
+    """Shares of a plane (n,) and the values of the noise exceeded there: measured on 195 x 195 coarsest wavelengths."""
+    # The golden section shares no period with the lattice.
+    values = np.sort(_noise_on(np.arange(256) * 0.76393202250021))[::-1]
+    return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
+
+
+@compiled
+def _noise_on(x):  # type: ignore[no-untyped-def]
+    out = np.empty(x.size * x.size)
+    for i in range(x.size):
+        for j in range(x.size):
+            out[i * x.size + j] = _noise(x[j] * WIDEST_M, x[i] * WIDEST_M, -np.inf, np.inf)
+    return out
+
+
+@compiled
+def _noise(x_m, y_m, low, high):  # type: ignore[no-untyped-def]
+    """The octaves at a place; what the coarse ones put below ``low`` or over ``high`` for good is not worked out further."""
+    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.noise``.
+    x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
+    total, amplitude = 0.0, 1.0
+    for k in range(OCTAVES):
+        total += amplitude * noise_at(x, y, SEED + k)
+        amplitude *= GAIN
+        left = TOP - HIGHEST * (1.0 - amplitude) / (1.0 - GAIN)
+        if total + left < low or total - left > high:
+            break
+        x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
+    return total
+
+
+@compiled
+def density_at(x_m, y_m, threshold):  # type: ignore[no-untyped-def]
+    """Share of the densest cloud at a place of the layer: 0 in gaps, 1 inside of clouds."""
+    return _density(_noise(x_m, y_m, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold)
+
+
+@compiled
+def _density(noise, threshold):  # type: ignore[no-untyped-def]
+    share = min(max((noise - threshold) / EDGE + 0.5, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+@compiled
+def _place(x, y, z, height, layer_m, to_sun, centre, drift):  # type: ignore[no-untyped-def]
+    """Metres east and north of the anchor where the ray of a point to the sun meets the clouds, before they drifted."""
+    ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
+    sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
+    away = (layer_m - height) / max(sine, LOWEST_SINE)
+    return x + away * to_sun[0] - drift[0], y + away * to_sun[1] - drift[1]
+
+
+@compiled
+def _fade(pixel_m):  # type: ignore[no-untyped-def]
+    return min(max((pixel_m / WIDEST_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
+
+
+def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
+    """Take away the share of the sun's light that clouds hold back."""
+    buffer, scene, view = block.buffer, block.scene, block.view
+    if scene.sun is None:
+        return
+    layer = layer_of(scene)
+    rotation, origin_m = _anchor_from_frame(scene, buffer.frame)
+    eye, spread = np.zeros(3), 0.0
+    if isinstance(view, PerspectiveView):
+        eye, spread = view.in_frame(buffer.frame)[0], view.pixel
+    _shade_clouds(
+        sunlight, buffer.there, buffer.position_frame_m, buffer.height_m, rotation, origin_m, layer.height_m, layer.to_sun_anchor,
+        layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, _map_pixel_m(scene, view), eye, spread,
+    )  # fmt: skip
+
+
+def _anchor_from_frame(scene: Scene, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) from a frame to the anchor's axes, and the frame's origin (3,) there, metres."""
+    anchor_from_earth = scene.world.earth_from_anchor.T
+    rotation = np.ascontiguousarray(anchor_from_earth @ frame.frame_from_earth.T)
+    return rotation, anchor_from_earth @ (frame.origin_earth_m - scene.world.anchor_earth_m)
+
+
+def _map_pixel_m(scene: Scene, view: MapView | PerspectiveView) -> float:
+    """Side of a map's pixels, metres; 0 in perspective."""
+    if isinstance(view, PerspectiveView):
+        return 0.0
+    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+
+
+@compiled
+def _shade_clouds(
+    sunlight, there, position, height, rotation, origin, layer_m, to_sun, centre, drift, threshold, cover, most, pixel_m, eye,
+    spread,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    fade = _fade(pixel_m)
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            if not there[i, j] or sunlight[i, j] == 0.0:
+                continue
+            p = position[i, j]
+            if spread > 0.0:
+                x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+                fade = _fade(spread * np.sqrt(x * x + y * y + z * z))
+            x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
+            y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
+            z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
+            density = cover * fade
+            if fade < 1.0:
+                x, y = _place(x, y, z, height[i, j], layer_m, to_sun, centre, drift)
+                density += (1.0 - fade) * density_at(x, y, threshold)
+            sunlight[i, j] *= 1.0 - most * density
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out under a clear sky and a covered one, without a sun, and where no cloud takes as much of its light as can be seen."""
+    facts = descriptor.facts["clouds"]
+    cover = facts["cover"]
+    if cover == 0.0:
+        return Verdict(False, "no clouds")
+    if cover == 1.0:
+        return Verdict(False, "overcast: no direct sun is left for single clouds to take away")
+    if descriptor.highest_sun_deg is None:
+        return Verdict(False, "the level has no sun")
+    if descriptor.highest_sun_deg <= 0.0:
+        return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
+    taken = facts["taken"]
+    if taken <= UNSEEN:
+        return Verdict(False, f"clouds over {cover:.3g} of the sky take at most {taken:.1%} of the light of anything seen")
+    return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken:.0%} of the light")
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``cover`` of the sky, and the largest share of its light that clouds take from a point: ``taken``, from above.
+
+    Of a map's level the whole ground counts, whatever is drawn of it.
+    """
+    cover = scene.loaded.level.weather.cloud_cover
+    if not 0.0 < cover < 1.0 or not scene.sun_is_up:
+        return {"cover": cover, "taken": 0.0}
+    layer, direct = layer_of(scene), _direct_share(scene)
+    if look is None:
+        boxes, nearest, farthest = [_box_of_level(scene, layer)], *2 * (_fade(_map_pixel_m(scene, view)),)
+    else:
+        away_m = look.away_m if len(look.away_m) else np.zeros(1)
+        boxes = _boxes_of_look(scene, layer, look)
+        nearest, farthest = (_fade(view.pixel * float(m)) for m in (away_m.min(), away_m.max()))  # type: ignore[union-attr]
+    densest = max((_densest(*box, layer.threshold) for box in boxes), default=0.0)
+    density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
+    return {"cover": cover, "taken": float(direct * layer.most * density)}
+
+
+def _direct_share(scene: Scene) -> float:
+    """Largest share of a point's light that comes straight from the sun, in any channel.
+
+    The sun fades in over the first degree (``terrain.shading``). Anything may face it, but for bare ground at one height.
+    """
+    light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
+    night = night_of(scene)
+    low, high = scene.height_range_m
+    bare = low == high and scene.population.kinds == ("relief",)
+    direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
+    sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else SEEN_LEAST)
+    return float((direct / (direct + sky)).max())
+
+
+Box = tuple[float, float, float, float]
+
+
+def _box_of_level(scene: Scene, layer: CloudLayer) -> Box:
+    """West, east, south, north of the places of the clouds between a level's ground, or what stands on it, and the sun."""
+    west, south, east, north = scene.elevation.bounds
+    x, y = np.meshgrid(np.linspace(west, east, 17), np.linspace(south, north, 17))
+    point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
+    low, high = scene.height_range_m
+    heights = np.repeat([low, high + scene.population.tallest_m], len(point))
+    points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
+    places = _places(points @ scene.world.earth_from_anchor, heights, layer)
+    # Between the points a meridian bends a little.
+    return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
+
+
+def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
+    """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
+    between the points looked at too; past the farthest point, under the sky, as far again.
+    """
+    rotation, origin_m = _anchor_from_frame(scene, look.buffer.frame)
+    points, away_m, height_m = look.points_frame_m, look.away_m, look.height_m
+    if not look.buffer.there.all():
+        far = away_m > away_m.max(initial=0.0) / 2.0
+        points = np.concatenate([points, 2.0 * points[far] - look.eye_frame_m])
+        away_m, height_m = np.concatenate([away_m, 2.0 * away_m[far]]), np.concatenate([height_m, height_m[far]])
+    places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
+    octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
+    stood_m = scene.population.tallest_m / LOWEST_SINE
+    found, whole, boxes = np.unique(octave), _box_of_level(scene, layer), []
+    for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
+        west, east, south, north = _box(places[(octave == near) | (octave == far)], look.spacing * 2.0**far + stood_m)
+        box = max(west, whole[0]), min(east, whole[1]), max(south, whole[2]), min(north, whole[3])
+        if box[0] <= box[1] and box[2] <= box[3]:
+            boxes.append(box)
+    return boxes
+
+
+def _box(places: np.ndarray, margin_m: float) -> Box:
+    low, high = np.nanmin(places, axis=0) - margin_m, np.nanmax(places, axis=0) + margin_m
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _places(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
+    """Places (n, 2) of the clouds between points (n, 3) and the sun, metres."""
+    return _all_places(points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m)
+
+
+@compiled
+def _all_places(points, height, layer_m, to_sun, centre, drift):  # type: ignore[no-untyped-def]
+    out = np.empty((len(points), 2))
+    for n in range(len(points)):
+        p = points[n]
+        out[n, 0], out[n, 1] = _place(p[0], p[1], p[2], height[n], layer_m, to_sun, centre, drift)
+    return out
+
+
+@lru_cache(maxsize=256)
+def _densest(west: float, east: float, south: float, north: float, threshold: float) -> float:
+    """Largest density of the clouds over a box, from above."""
+    return float(_density(_largest(west, east, south, north, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold))
+
+
+@compiled
+def _largest(west, east, south, north, low, high):  # type: ignore[no-untyped-def]
+    """Largest value of the noise over a box, from above, as far as it is between ``low`` and ``high``: by branch and bound.
+
+    A cell whose middle's value and the steepest way from there to its corners stay below what is known already is done with;
+    others are cut into four, down to a metre.
+    """
+    rows, cols = int((north - south) / (WIDEST_M / 8.0)) + 1, int((east - west) / (WIDEST_M / 8.0)) + 1
+    cells = np.empty((256, 4))
+    best, looked = low, 0
+    for i in range(rows):
+        for j in range(cols):
+            half_x, half_y = (east - west) / cols / 2.0, (north - south) / rows / 2.0
+            cells[0, 0], cells[0, 1] = west + (2 * j + 1) * half_x, south + (2 * i + 1) * half_y
+            cells[0, 2], cells[0, 3] = half_x, half_y
+            count = 1
+            while count > 0:
+                count -= 1
+                x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
+                value = _noise(x, y, -np.inf, np.inf)
+                radius = np.sqrt(half_x * half_x + half_y * half_y)
+                above, amplitude, wave_m = 0.0, 1.0, WIDEST_M
+                for _ in range(OCTAVES):
+                    above += amplitude * min(STEEPEST * radius / wave_m, 2.0 * HIGHEST)
+                    amplitude, wave_m = amplitude * GAIN, wave_m / 2.0
+                best, looked = max(best, value), looked + 1
+                if best >= high or looked > MAX_PLACES:
+                    return high
+                if value + above <= best:
+                    continue
+                if radius < 1.0:
+                    best = value + above
+                    continue
+                for quarter in range(4):
+                    cells[count, 0] = x + (quarter % 2 - 0.5) * half_x
+                    cells[count, 1] = y + (quarter // 2 - 0.5) * half_y
+                    cells[count, 2], cells[count, 3] = half_x / 2.0, half_y / 2.0
+                    count += 1
+    return best
+
+
+EFFECT = Effect("drifting clouds that shade the ground", called_for, facts, stage="sunlight", part=shade_clouds)

@@ -1,0 +1,249 @@
+"""Distance haze: air between the eye and what is seen takes light away and puts the horizon sky's in its place.
+
+With the meteorological visibility V, at which a black object's contrast with the horizon falls to 2 %, the air's extinction is
+b = ln(50) / V = 3.912 / V (H. Koschmieder 1924, "Theorie der horizontalen Sichtweite"; WMO-No. 8, part I, chapter 9). Of a
+colour c at distance d the share T = exp(-b d) arrives; the air in front of it shines with 1 - T of the horizon's colour h:
+
+    T c + (1 - T) h
+
+so that what is far away goes over into the foot of the sky without a seam. The sky itself stays as it is: h is the colour of
+air without an end. The air is taken to be the same at all heights.
+
+**What shows.** Linear colours x < y differ by no more than one of 255 where the sRGB codes of the encoder's bins that they can
+fall into do. The bins are 1/4096 wide, which at black is 0.8 of a step. Codes rise ever more slowly with the colour, and x
+times their slope with it, so that
+
+- haze that moves c towards h by the share s = 1 - T shows first on black (0 against s h) or on white (1 - s (1 - h) against 1);
+- sunlight is told from shadow most easily on what is white and else black: (1 - T) h against (1 - T) h + T g, where g is white
+  in full sun alone: more light from elsewhere only brings the two nearer. Where a part of a pixel alone shows it, and the rest
+  something black, both are that part of it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.picture import solids_in
+from terrain.scene import Scene
+from terrain.shading import daylight_of, sky_colors, srgb
+from terrain.stand import stand_in_perspective
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+CONTRAST = 0.02
+"""What is left of a black object's contrast with the horizon at the distance called visibility."""
+
+BIN = 1.0 / 4096.0
+"""Width of the bins of linear colour that ``terrain.shading.encoded`` tells apart."""
+
+SHARES = np.geomspace(1e-5, 1.0, 2048)
+"""Shares of light that are tried out, each 0.6 % more than the one before it."""
+
+PARTS = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
+"""What some of a pixel's samples (``terrain.antialias``) make up of it."""
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out in maps, in clear air, and where all that is seen is too near for the air in between to show."""
+    if descriptor.view_kind == "map":
+        return Verdict(False, "a map is seen from straight above, at no distance: there is no air to look through")
+    facts = descriptor.facts.get("haze", {})
+    visibility_m, farthest_m, shows_from_m = (facts.get(key) for key in ("visibility_m", "farthest_m", "shows_from_m"))
+    if visibility_m is None:
+        return Verdict(False, "the air is clear: the level's weather names no visibility")
+    assert isinstance(visibility_m, float) and isinstance(farthest_m, float) and isinstance(shows_from_m, float)
+    if farthest_m <= shows_from_m:
+        reason = f"nothing seen is farther than {_metres(farthest_m)}, and at {_metres(visibility_m)} of visibility"
+        return Verdict(False, f"{reason} haze shows from {_metres(shows_from_m)} on")
+    share = 100.0 * -np.expm1(-farthest_m * extinction(visibility_m))
+    return Verdict(
+        True, f"at {_metres(visibility_m)} of visibility, haze makes up {share:.2f} % of what lies {_metres(farthest_m)} away"
+    )
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """Visibility, the distance from which haze can show, and the farthest that is seen, metres.
+
+    The last is what the coarse look has met, where that is enough for haze to show; else nothing that the look may have missed
+    lies farther.
+    """
+    visibility_m = scene.loaded.level.weather.visibility
+    if look is None or visibility_m is None:
+        return {"visibility_m": visibility_m}
+    shows_from_m = _shows_from_m(scene, visibility_m)
+    farthest_m = float(look.away_m.max(initial=0.0))
+    if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
+        farthest_m = max(farthest_m, farthest_in_view_m(scene, view, look))
+    return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
+
+
+def extinction(visibility_m: float) -> float:
+    """Share of light that a metre of air takes away, per metre, by Koschmieder's formula."""
+    return float(-np.log(CONTRAST) / visibility_m)
+
+
+def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: Look) -> float:
+    """How far away, in metres, the farthest ground, mesh or tree lies that reaches into the pyramid of a view's pixels, whether or
+    not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
+    """
+    frame, ground, solids = look.buffer.frame, look.buffer.ground, scene.population.solids
+    eye, camera_from_frame = view.in_frame(frame)
+    # From a pixel before the first to one past the last: rasterisers round corners.
+    first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
+    tangents = np.stack([first - view.step, first + count * view.step], axis=1) / view.focal_px
+    (left, right), (top, bottom) = tangents
+    inward = np.array([[0, 0, 1], [1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom]]) @ camera_from_frame
+    meshes = [] if ground is None else [(ground.position_frame_m, ground.triangles)]
+    vertices = solids_in(scene.population, frame)
+    if solids is not None and vertices is not None:
+        meshes.append((vertices, solids.triangles))
+    farthest = [_farthest(position, triangles, eye, inward) for position, triangles in meshes]
+    stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+    if stand is not None:
+        seen = stand.in_cone(eye, camera_from_frame, tangents)
+        size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
+        farthest.append(np.max(np.linalg.norm(stand.base_frame_m[seen] - eye, axis=1) + size, initial=0.0))
+    return float(max(farthest, default=0.0))
+
+
+def hides_beyond_m(scene: Scene) -> float:
+    """The distance from which haze hides whether the sun shines on a point: no pixel's colour differs by more than one of 255.
+
+    Infinite in clear air, 0 where the sun is down everywhere.
+    """
+    visibility_m = scene.loaded.level.weather.visibility
+    if visibility_m is None:
+        return np.inf
+    if not scene.sun_is_up:
+        return 0.0
+    share = _hiding_share(tuple(sky_colors(scene)[0]), tuple(_white_in_sun(scene)))
+    return float(-np.log(share) / extinction(visibility_m))
+
+
+def _white_in_sun(scene: Scene) -> np.ndarray:
+    """Linear display colours (3,) of white that faces the sun, by its direct light alone; glints on water are brighter."""
+    if scene.loaded.level.water is not None:
+        return np.ones(3)
+    shown = daylight_of(scene).sun
+    return np.where(shown <= 0.5, shown, 1.0 - 0.25 / np.maximum(shown, 0.5))
+
+
+def _shows_from_m(scene: Scene, visibility_m: float) -> float:
+    """The distance up to which haze changes no pixel, black and white ones included, by more than one of 255."""
+    return float(-np.log1p(-_showing_share(tuple(sky_colors(scene)[0]))) / extinction(visibility_m))
+
+
+@lru_cache(maxsize=64)
+def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
+    """The largest share of light that arrives without telling sun from shadow."""
+    air = (1.0 - SHARES)[:, None] * np.array(horizon)
+    lit = air + SHARES[:, None] * np.array(white)
+    hidden = np.logical_and.reduce([_alike(part * air, part * lit) for part in PARTS])
+    return float(SHARES[hidden].max(initial=SHARES[0]))
+
+
+@lru_cache(maxsize=64)
+def _showing_share(horizon: tuple[float, ...]) -> float:
+    """The largest share of the horizon's light that shows neither on black nor on white."""
+    black = np.zeros((1, 3))
+    hidden = _alike(black, SHARES[:, None] * horizon) & _alike(1.0 - SHARES[:, None] * (1.0 - np.array(horizon)), black + 1.0)
+    return float(SHARES[hidden].max(initial=SHARES[0]))
+
+
+def _alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """Whether colours (n, 3) look alike when encoded, however they lie in the encoder's bins: bool (n,)."""
+    lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
+    bins = np.ceil((bright - dark) / BIN)
+    return (255.0 * (srgb(lowest + bins * BIN) - srgb(lowest)) < 1.0).all(axis=1)
+
+
+def _metres(length_m: float) -> str:
+    return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
+
+
+def veil(color: np.ndarray, block: Block) -> None:
+    """Lay the air over what is seen. A map, and air that is clear, have nothing to lay over it."""
+    visibility_m = block.scene.loaded.level.weather.visibility
+    if visibility_m is None or isinstance(block.view, MapView):
+        return
+    eye, _ = block.view.in_frame(block.buffer.frame)
+    horizon = sky_colors(block.scene)[0]
+    _veil(color, block.buffer.there, block.buffer.position_frame_m, eye, extinction(visibility_m), horizon)
+
+
+@compiled
+def _veil(color, there, position, eye, extinction, horizon):  # type: ignore[no-untyped-def]
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            if not there[i, j]:
+                continue
+            p = position[i, j]
+            x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+            share = np.exp(-extinction * np.sqrt(x * x + y * y + z * z))
+            for k in range(3):
+                color[i, j, k] = horizon[k] + (color[i, j, k] - horizon[k]) * share
+
+
+@compiled
+def _farthest(position, triangles, eye, inward):  # type: ignore[no-untyped-def]
+    """The largest distance from an eye of what lies within planes through it, of which ``inward`` (m, 3) are the normals."""
+    away, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
+    for n in range(len(position)):
+        x, y, z = position[n, 0] - eye[0], position[n, 1] - eye[1], position[n, 2] - eye[2]
+        away[n] = x * x + y * y + z * z
+        for k in range(len(inward)):
+            if inward[k, 0] * x + inward[k, 1] * y + inward[k, 2] * z < 0.0:
+                outside[n] |= 1 << k
+    farthest, polygon = 0.0, np.empty((2, 3 + len(inward), 3))
+    for n in range(len(triangles)):
+        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        if outside[a] & outside[b] & outside[c] or max(away[a], away[b], away[c]) <= farthest:
+            continue
+        if not outside[a] | outside[b] | outside[c]:
+            farthest = max(away[a], away[b], away[c])
+            continue
+        for k in range(3):
+            for m in range(3):
+                polygon[0, k, m] = position[triangles[n, k], m] - eye[m]
+        farthest = max(farthest, _farthest_corner(polygon, inward))
+    return np.sqrt(farthest)
+
+
+@compiled
+def _farthest_corner(polygon, inward):  # type: ignore[no-untyped-def]
+    """The largest squared distance of a triangle, cut off by planes one after another (I. Sutherland and G. Hodgman 1974).
+
+    ``polygon`` is room for two polygons; the triangle is in the first.
+    """
+    count = 3
+    for k in range(len(inward)):
+        whole, part, kept = polygon[k % 2], polygon[(k + 1) % 2], 0
+        for n in range(count):
+            p, q = whole[n], whole[(n + 1) % count]
+            at_p = inward[k, 0] * p[0] + inward[k, 1] * p[1] + inward[k, 2] * p[2]
+            at_q = inward[k, 0] * q[0] + inward[k, 1] * q[1] + inward[k, 2] * q[2]
+            if at_p >= 0.0:
+                part[kept] = p
+                kept += 1
+            if (at_p >= 0.0) != (at_q >= 0.0):
+                share = at_p / (at_p - at_q)
+                for m in range(3):
+                    part[kept, m] = p[m] + share * (q[m] - p[m])
+                kept += 1
+        count = kept
+    farthest = 0.0
+    for n in range(count):
+        p = polygon[len(inward) % 2, n]
+        farthest = max(farthest, p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    return farthest
+
+
+EFFECT = Effect("distance haze", called_for, facts, stage="color", part=veil)

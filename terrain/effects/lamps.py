@@ -1,0 +1,122 @@
+"""Extra lights: spots and omni lights, where one of them reaches the view."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.effects.effect import STEP, Block, Effect, Look, Verdict
+from terrain.lights import CONE_EDGE, Lamp
+from terrain.scene import Scene
+from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out without lamps, and where the light of none of them can be seen."""
+    if not descriptor.lamps:
+        return Verdict(False, "the level has no lamps")
+    reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
+    if not reaching:
+        return Verdict(False, f"too far away, or turned away from all that is seen: {_names(descriptor)}")
+    return Verdict(True, f"{', '.join(reaching)} can be seen to shine")
+
+
+def _names(descriptor: Descriptor) -> str:
+    return ", ".join(lamp.name for lamp in descriptor.lamps)
+
+
+def lamp_reaches(scene: Scene, lamp: Lamp, look: Look | None) -> bool:
+    """Whether a lamp's light can be seen: on white ground that faces it, anywhere on the level (in a map) or where a view looks.
+
+    Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
+    way to its neighbours and the height of trees allow. A plain without anything on it is known to lie flat.
+    """
+    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
+    strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
+    if look is None:
+        points, slack_m = _level_points(scene)
+    else:
+        points = look.points_frame_m @ look.buffer.frame.frame_from_earth + look.buffer.frame.origin_earth_m
+        slack_m = look.away_m * look.spacing
+    to_points = points - lamp.position_earth_m
+    slack_m = slack_m + scene.population.tallest_m
+    away_m = np.linalg.norm(to_points, axis=-1)
+    near_m = np.maximum(away_m - slack_m, 1e-3)
+    light = strength / near_m**2
+    if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.population.kinds == ("relief",):
+        light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
+    seen = light > _least_light(scene)
+    if lamp.kind == "spot":
+        off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(away_m, 1e-9), -1.0, 1.0)))
+        seen &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
+    return bool(seen.any())
+
+
+def _least_light(scene: Scene) -> float:
+    """The least light, falling on white, that can change an 8-bit channel by more than three quarters of a step.
+
+    Least light shows most where there is least else: ground has a quarter of the sky's by itself even in a gorge, the undersides
+    of meshes none. White shows it most, since what a colour c makes of a light changes as c to the power of 0.42.
+    """
+    sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
+    night = night_of(scene)
+    sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
+    least = 0.25 * sky if "meshes" not in scene.population.kinds else 0.0
+    more = np.geomspace(1e-6, 1.0, 256)
+    return float(more[np.argmax(srgb(least + more) - srgb(np.array(least)) > 0.75 * STEP)])
+
+
+@lru_cache(maxsize=4)
+def _level_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Earth-fixed points (n, 3) of the overview's cells, and how far ground of a cell lies from its point, metres (n,)."""
+    overview, elevation = scene.elevation.overview, scene.elevation
+    factor = 2**overview.level
+    row, col = np.nonzero(np.isfinite(overview.high_m))
+    high, mean = overview.high_m[row, col], overview.heights_m[row, col]
+    point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+    across_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
+    return point + up * high[:, None], across_m + 2.0 * np.nan_to_num(high - mean)
+
+
+def shine(lamplight: np.ndarray, block: Block) -> None:
+    """Add the lamps' light: their irradiance falls with the square of the distance, and over the rim of a spot's cone."""
+    buffer, scene = block.buffer, block.scene
+    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
+    for name, visibility in block.visibilities.items():
+        if name not in scene.lamps:
+            continue
+        lamp = scene.lamps[name]
+        position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+        axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
+        color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
+        rim = np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
+        _shine(
+            lamplight, buffer.there, buffer.kind, buffer.shading_normal_frame, buffer.position_frame_m, visibility, position, axis,
+            color, *rim, LEAF_GLOW,
+        )  # fmt: skip
+
+
+@compiled
+def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, outer, inner, glow):  # type: ignore[no-untyped-def]
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            n, p = normal[i, j], position[i, j]
+            x, y, z = lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
+            away = np.sqrt(x * x + y * y + z * z)
+            if not there[i, j] or away == 0.0 or visibility[i, j] == 0.0:
+                continue
+            leaf = glow if kind[i, j] == 3 else 0.0
+            across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away
+            cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / away
+            rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)
+            share = (leaf + (1.0 - leaf) * across) * rim * visibility[i, j] / (away * away)
+            for k in range(3):
+                out[i, j, k] += color[k] * share
+
+
+EFFECT = Effect("spots and omni lights", called_for, stage="lamplight", part=shine)

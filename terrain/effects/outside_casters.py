@@ -1,0 +1,51 @@
+"""Casters outside the view: ground beyond a map's block that can throw its shadow into it is looked for towards the sun.
+
+Trees and meshes are held whole, wherever they stand, and so is the ground of a perspective view: what is outside is ground beyond
+what a map shows.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.effects import cast_shadows
+from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.grid import BLOCK_PX, MapView
+from terrain.scene import Scene
+from terrain.slopes import extent_on_grid
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out where no ground is high enough, or none is outside."""
+    if descriptor.view_kind == "perspective":
+        return Verdict(False, "a perspective view holds all the ground there is, behind the eye too")
+    if not descriptor.facts["outside_casters"]["outside"]:
+        return Verdict(False, "the picture shows all the ground there is, in one block")
+    relief = cast_shadows.kind_of_sun(descriptor, "relief")
+    if relief.called_for and cast_shadows.of_sun(descriptor).called_for:
+        return Verdict(True, f"{relief.reason}, outside of what is shown too")
+    if any(lamp.reaches for lamp in descriptor.lamps) and descriptor.relief_m > 0.0:
+        return Verdict(True, "ground between what is shown and a lamp can stand in its light")
+    return Verdict(False, relief.reason if not relief.called_for else cast_shadows.of_sun(descriptor).reason)
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``outside``: whether ground lies outside of a map's picture, or, for blocks of tiles, of the one block that holds it all."""
+    if isinstance(view, PerspectiveView):
+        return {}
+    (first_row, last_row), (first_col, last_col) = extent_on_grid(scene.world, scene.elevation, view.grid)
+    if view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0):
+        rows, cols = ((first // BLOCK_PX, last // BLOCK_PX) for first, last in ((first_row, last_row), (first_col, last_col)))
+        return {"outside": rows[0] != rows[1] or cols[0] != cols[1]}
+    rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])
+    inside = rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
+    return {"outside": not inside}
+
+
+EFFECT = Effect("ground beyond a map's block casts into it", called_for, facts, needs=("cast_shadows",))

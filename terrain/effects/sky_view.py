@@ -1,0 +1,174 @@
+"""Sky view: ground that rises round a place hides a part of the sky, so that valleys get less of its light.
+
+**The part.** Of each point's share of the sky the share is taken away that ground hides below it (``terrain.sky_view``). On the
+ground itself that is the light lost; meshes and trees lose the same share as the ground that they stand on, however high they rise
+above it. Ground that is seen from afar takes means over what a pixel shows.
+
+**The predicate.** Sky light is ``albedo * sky * share``. To hide a part ``h`` of it takes ``albedo * sky * h`` at most off linear
+colour. In sRGB, which is near a root, that shows the more, the brighter what the sky alone lights is (the root of ``L`` falls by
+``h L^(1/2.4) / 2.4``), and less under further light, which lifts the colour to where the curve is flatter. So what changes most is
+the brightest ground in shadow. All shades up to it are encoded as a picture's are, with and without ``h``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.scene import Scene
+from terrain.shading import LEVEL_ALBEDO, daylight_of, dusk_of, encoded, night_of, tint_table
+from terrain.sky_view import SkyView, nodes_of, sky_view
+from terrain.surface import step_at_anchor_m
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+SHADES = 4096
+"""Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out where what ground hides of the sky moves no channel by more than a step."""
+    hidden, steps = descriptor.facts["sky_view"]["hidden"], descriptor.facts["sky_view"]["steps"]
+    assert isinstance(hidden, float) and isinstance(steps, float)
+    if hidden == 0.0:
+        return Verdict(False, "no ground rises round another that is seen: nothing hides the sky")
+    what = f"ground hides up to {100.0 * hidden:.2g} % of the sky, which darkens what is lit by it alone by "
+    return Verdict(True, f"{what}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{what}a step of 255 at most")
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``hidden``: the largest share of the sky that ground hides from any of it, anywhere on the level (in a map, as its pixels
+    show it) or where a view looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
+    """
+    low, high = scene.height_range_m
+    if high <= low:
+        return {"hidden": 0.0, "steps": 0.0}
+    baked = sky_view(scene.elevation, scene.world)
+    if isinstance(view, MapView):
+        means, table = baked.means
+        hidden = float(_level(means, table, int(_times_halved(scene, view, baked))).max())
+    else:
+        hidden = 0.0 if look is None else _largest_seen(baked, look)
+    return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene), hidden))}
+
+
+def darkened_steps(light: float, hidden: float) -> int:
+    """The most steps of 255 by which any linear colour up to ``light`` falls when the share ``hidden`` is taken off it."""
+    shades = np.linspace(0.0, light, SHADES)
+    return int((encoded(shades).astype(int) - encoded(shades * (1.0 - hidden))).max())
+
+
+def brightest(scene: Scene) -> float:
+    """The brightest linear colour of the level under the whole sky alone: of its tints, or of white, where there is more."""
+    level = scene.loaded.level
+    plain = scene.population.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
+    low, high = scene.height_range_m
+    albedo = (tint_table().max(axis=0) if high > low else np.full(3, LEVEL_ALBEDO)) if plain else np.ones(3)
+    night = night_of(scene)
+    day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
+    return float((albedo * daylight_of(scene).sky).max()) * (night + (1.0 - night) * day)
+
+
+def _times_halved(scene: Scene, view: MapView, baked: SkyView) -> float:
+    """How often nodes are to be joined by two until they are as far apart as a map's pixels."""
+    return max(float(np.log2(_pixel_m(scene, view) / baked.node_m)), 0.0)
+
+
+def _pixel_m(scene: Scene, view: MapView) -> float:
+    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+
+
+def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
+    """A level (rows, cols) of a pyramid, its last one beyond."""
+    begin, rows, cols = table[min(number, len(table) - 1)]
+    return values[begin : begin + rows * cols].reshape(rows, cols)
+
+
+def _largest_seen(baked: SkyView, look: Look) -> float:
+    """The largest share hidden from what a perspective view shows: round each point that is looked at, as far as its neighbours."""
+    buffer = look.buffer
+    if not buffer.there.any():
+        return 0.0
+    nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    reach = np.zeros(buffer.there.shape)
+    for axis in (0, 1):
+        apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
+        before, after = (np.insert(apart, at, np.nan, axis=axis) for at in (0, apart.shape[axis]))
+        # The nearer of two neighbours: across a skyline the other one lies in another valley.
+        reach = np.fmax(reach, np.fmin(before, after))
+    highest, table = baked.highest
+    known = buffer.there & np.isfinite(nodes[..., 0])
+    return float(_highest_round(highest, table, nodes[known], reach[known]))
+
+
+@compiled
+def _highest_round(values, table, nodes, reach):  # type: ignore[no-untyped-def]
+    """The largest value of a pyramid of maxima within a reach of any of some nodes: in 3 x 3 cells that are as wide as it."""
+    largest = 0.0
+    for n in range(len(nodes)):
+        number = min(max(int(np.ceil(np.log2(max(reach[n], 1.0)))), 0), len(table) - 1)
+        begin, rows, cols = table[number]
+        side = 2.0**number
+        row, col = int(np.floor((nodes[n, 0] + 0.5) / side)), int(np.floor((nodes[n, 1] + 0.5) / side))
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(col - 1, 0), min(col + 2, cols)):
+                largest = max(largest, values[begin + r * cols + c])
+    return largest
+
+
+def hide(skylight: np.ndarray, block: Block) -> None:
+    """Take from each point's share of the sky what ground hides there."""
+    buffer, view, scene = block.buffer, block.view, block.scene
+    baked = sky_view(scene.elevation, scene.world)
+    if isinstance(view, MapView):
+        eye, tangent, width_m = np.zeros(3), 0.0, _pixel_m(scene, view)
+    else:
+        eye, tangent, width_m = view.in_frame(buffer.frame)[0], view.pixel, 0.0
+    nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    _hide(skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
+
+
+@compiled
+def _hide(out, nodes, position, values, table, eye, tangent, width):  # type: ignore[no-untyped-def]
+    """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            row, col = nodes[i, j, 0] + 0.5, nodes[i, j, 1] + 0.5
+            if not (np.isfinite(row) and np.isfinite(col)):
+                continue
+            wide = width
+            if tangent > 0.0:
+                x, y, z = position[i, j, 0] - eye[0], position[i, j, 1] - eye[1], position[i, j, 2] - eye[2]
+                wide = tangent * np.sqrt(x * x + y * y + z * z)
+            number, coarser = 0, 0.0
+            if wide > 1.0 and len(table) > 1:
+                halved = min(np.log2(wide), len(table) - 1.0)
+                number = min(int(halved), len(table) - 2)
+                coarser = halved - number
+            hidden = _bilinear(values, table[number, 0], table[number, 1], table[number, 2], row, col, 2.0**-number)
+            if coarser > 0.0:
+                number += 1
+                coarse = _bilinear(values, table[number, 0], table[number, 1], table[number, 2], row, col, 2.0**-number)
+                hidden += coarser * (coarse - hidden)
+            out[i, j] *= 1.0 - hidden
+
+
+@compiled
+def _bilinear(values, begin, rows, cols, row, col, scale):  # type: ignore[no-untyped-def]
+    """A level's value at a place counted from the corner in the finest level's nodes; the outermost values beyond their middles."""
+    r, c = min(max(row * scale - 0.5, 0.0), rows - 1.0), min(max(col * scale - 0.5, 0.0), cols - 1.0)
+    r0, c0 = int(r), int(c)
+    right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
+    at = begin + r0 * cols + c0
+    north = values[at] + (c - c0) * (values[at + right] - values[at])
+    south = values[at + below] + (c - c0) * (values[at + below + right] - values[at + below])
+    return north + (r - r0) * (south - north)
+
+
+EFFECT = Effect("sky light that relief hides", called_for, facts, "skylight", hide)

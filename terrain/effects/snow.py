@@ -1,0 +1,139 @@
+"""Snow: white wherever it lies, on ground and roofs that are not too steep for it, and on the upper sides of crowns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.noise import fractal_at
+from terrain.resolve import FOREST, RELIEF
+from terrain.scene import Scene
+from terrain.shading import SHORE_M, up_centre
+from terrain.surface import step_at_anchor_m
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
+"""Linear albedos of snow that has settled, and of the rock and scree that steep ground shows."""
+
+HELD_DEG, BARE_DEG = 38.0, 52.0
+"""Slopes up to which all snow holds, and from which on none does; most avalanches start between 30 and 45 degrees."""
+
+ROUGH_DEG, ROUGH_M, OCTAVES, SEED = 6.0, 90.0, 3, 29
+"""Noise on the slope, so that the snow's edge is no contour line: its amplitude, and the wavelength of its coarsest octave."""
+
+DUSTED, CROWN_TOP = 0.6, (0.7, 1.1)
+"""Share of white on top of a crown; how upright its rounded outside is where that begins, and where
+all of it would be."""
+
+CLUMPS, CLUMP_M = 0.3, 0.9
+"""Noise on that, so that twigs show between clumps of snow: its amplitude, and the wavelength of its coarsest octave."""
+
+
+def lie_on(albedo: np.ndarray, block: Block) -> None:
+    """Whiten what snow lies on, and lay bare the rock where it slid off."""
+    buffer, scene, view = block.buffer, block.scene, block.view
+    if not scene.loaded.level.weather.snow:
+        return
+    world = scene.world
+    anchor_from_earth = world.earth_from_anchor.T
+    rotation = np.ascontiguousarray(anchor_from_earth @ buffer.frame.frame_from_earth.T)
+    origin_m = anchor_from_earth @ (buffer.frame.origin_earth_m - world.anchor_earth_m)
+    eye, spread, pixel_m = np.zeros(3), 0.0, 0.0
+    if isinstance(view, PerspectiveView):
+        eye, spread = view.in_frame(buffer.frame)[0], view.pixel
+    else:
+        pixel_m = step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    _lie_on(
+        albedo, buffer.there, buffer.kind, buffer.position_frame_m, buffer.height_m, buffer.shading_normal_frame,
+        buffer.albedo, up_centre(scene, buffer), rotation, origin_m, scene.elevation.water_m + SHORE_M, pixel_m, eye,
+        spread,
+    )  # fmt: skip
+
+
+@compiled
+def _lie_on(
+    albedo, there, kind, position, height, normal, own, centre, rotation, origin, water_m, pixel_m, eye, spread
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            if not there[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
+                continue
+            n, p = normal[i, j], position[i, j]
+            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            upright = (n[0] * ux + n[1] * uy + n[2] * uz) / np.sqrt(ux * ux + uy * uy + uz * uz)
+            away_x, away_y, away_z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+            wide_m = pixel_m + spread * np.sqrt(away_x * away_x + away_y * away_y + away_z * away_z)
+            x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
+            y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
+            if kind[i, j] == FOREST:
+                share = _dusted(upright, x, y, height[i, j], wide_m)
+            else:
+                share = _held(np.degrees(np.arccos(min(max(upright, -1.0), 1.0))), x, y, wide_m)
+            draped = False
+            if own is not None:
+                draped = np.isfinite(own[i, j, 0])
+            for k in range(3):
+                bare = albedo[i, j, k]
+                if kind[i, j] == RELIEF and not draped:
+                    bare = ROCK[k]
+                albedo[i, j, k] = bare + (SNOW[k] - bare) * share
+
+
+@compiled
+def _held(slope_deg, x_m, y_m, pixel_m):  # type: ignore[no-untyped-def]
+    """Share of the snow that a slope holds."""
+    if HELD_DEG - 2.0 * ROUGH_DEG < slope_deg < BARE_DEG + 2.0 * ROUGH_DEG:
+        slope_deg += ROUGH_DEG * _rough(x_m, y_m, ROUGH_M, pixel_m)
+    return 1.0 - _smooth((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
+
+
+@compiled
+def _dusted(upright, x_m, y_m, height_m, pixel_m):  # type: ignore[no-untyped-def]
+    """Share of snow on a crown, at a point of its outside that is so upright."""
+    if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
+        upright += CLUMPS * (_rough(x_m, height_m, CLUMP_M, pixel_m) + _rough(height_m, y_m, CLUMP_M, pixel_m))
+    return DUSTED * _smooth((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
+
+
+@compiled
+def _rough(x_m, y_m, wave_m, pixel_m):  # type: ignore[no-untyped-def]
+    """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
+    share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
+    return share * fractal_at(x_m / wave_m, y_m / wave_m, OCTAVES, SEED) if share > 0.0 else 0.0
+
+
+@compiled
+def _smooth(share):  # type: ignore[no-untyped-def]
+    share = min(max(share, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out without snow, and where there is nothing that it could lie on."""
+    facts = descriptor.facts["snow"]
+    if not facts["lies"]:
+        return Verdict(False, "no snow")
+    if not facts["on"]:
+        return Verdict(False, str(facts["why"]))
+    return Verdict(True, f"snow lies on whatever is less steep than {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``lies``: whether there is snow; ``on``: whether there is anything for it, and if not, ``why``."""
+    level = scene.loaded.level
+    why = None
+    if level.water is not None and scene.population.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
+        why = f"all ground lies under water, which stands at {level.water.level:g} m"
+    elif look is not None and len(look.points_frame_m) == 0 and scene.population.trees is None:
+        why = "nothing but the sky is seen"
+    return {"lies": level.weather.snow, "on": why is None, "why": why}
+
+
+EFFECT = Effect("snow that lies", called_for, facts, stage="albedo", part=lie_on)

@@ -1,0 +1,331 @@
+"""Standing water mirrors the sky, and the sun in a path of glint: a plane with the waves of a light wind.
+
+Slopes of the waves are Gaussian, the same in all directions (C. Cox, W. Munk, Measurement of the roughness of the sea surface from
+photographs of the sun's glitter, 1954: mean square 0.003 + 0.00512 times the wind in m/s). Facets hide each other as in B. Smith
+(Geometrical shadowing of a random rough surface, 1967): of the facets with a slope z towards an eye at the zenith angle t,
+(cos t + z sin t)+ is seen, together ``A(t) = cos t N(a) + s sin t n(a)``, a = cot t / s, with the normal distribution N, its
+density n and the slopes' standard deviation s in one direction. The mean slope seen is ``s**2 sin t N(a) / A(t)`` (C. Stein's
+lemma): near the horizon one looks at the fronts of waves, which mirror the sky well above it.
+
+- Sky: the colour where the mean facet seen mirrors to, times Schlick's Fresnel share averaged over the waves (E. Bruneton,
+  F. Neyret, N. Holzschuch, Real-time realistic ocean lighting, 2010).
+- Sun: with the irradiance E, Schlick's Fresnel share F of the facet that mirrors the sun into the eye, its tilt b and the slopes'
+  mean square m = 2 s**2, water is as bright as a white diffuser under the irradiance
+  ``E F exp(-tan(b)**2 / m) / (m cos(b)**4) cos(t_sun) / (4 A(t_eye) A(t_sun))``.
+
+Mirror images of the terrain and of lamps are not simulated: the sky is there in their place.
+"""
+
+from __future__ import annotations
+
+from math import erf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from terrain.antialias import finer_view
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.level import SUN
+from terrain.picture import Visible
+from terrain.scene import Scene
+from terrain.shading import (
+    SHORE_M,
+    WATER_ALBEDO,
+    daylight_of,
+    dusk_of,
+    encoded,
+    exposure_of,
+    night_of,
+    sky_colors,
+    up_centre,
+    water_in,
+    zenith_share,
+)
+from terrain.surface import Surface
+
+if TYPE_CHECKING:
+    from terrain.descriptor import Descriptor
+
+WIND_M_S = 3.0
+"""A light breeze."""
+
+MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
+
+FACING = 0.02
+"""Fresnel share of what is looked at along its normal: ((n - 1) / (n + 1))**2 for n = 1.333."""
+
+MOST_PIXELS = 2_000_000
+"""Pixels that are drawn at the most to see whether there is water between a look's points; else it is taken to be there."""
+
+OPEN_SKY = 0.5
+"""Share of the sky that the most enclosed water is taken to see, at least."""
+
+SHADES, ANGLES = 128, 32
+"""Colours of water, and angles under which it is seen, that are tried. The colours lie closest near black, where the entries of the
+table that encodes them are 0.8 of an 8-bit step apart: there all are met that a dark lake may have.
+"""
+
+GLINT = 0.5 / 255.0 / 12.92
+"""Linear light that cannot be seen, even on black: half a step where sRGB is steepest."""
+
+LOOKS = 33
+"""Directions along a side of a perspective view in which glint is looked for. Glint is half as bright 4 degrees off its middle, and
+of what lies between two directions the farthest is one degree off in a field of view of 60."""
+
+
+def called_for(descriptor: Descriptor) -> Verdict:
+    """Left out without water, with none in view, and where the sky that it mirrors is as dark as the water itself."""
+    facts = descriptor.facts["water"]
+    level_m, change = facts["level_m"], facts["change_steps"]
+    if level_m is None:
+        return Verdict(False, "the level has no water")
+    if not facts["covers"]:
+        return Verdict(False, f"no ground as drawn lies below the water's {level_m:.1f} m")
+    if change is None:
+        return Verdict(False, f"the water at {level_m:.1f} m is out of view")
+    if change <= 1:
+        return Verdict(False, f"what the water mirrors changes its colour by {change:.0f} of 255 at the most")
+    mirrored = "the sky and the sun" if facts["glint"] else "the sky"
+    return Verdict(True, f"water at {level_m:.1f} m mirrors {mirrored}: up to {change:.0f} of 255")
+
+
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``level_m`` of the water, whether it ``covers`` any ground, by how many 8-bit steps the sky in it changes a colour at the
+    most (``change_steps``; ``None``: nothing of it can be seen), and whether the mirrored sun can reach the eye (``glint``).
+
+    A map that is drawn from cells coarser than the overview's has as much water as the overview, and one of finer cells has some
+    if the lowest ground of all is under it.
+    """
+    water_m = scene.elevation.water_m
+    if scene.loaded.level.water is None:
+        return {"level_m": None, "covers": False, "change_steps": None, "glint": False}
+    change: int | None = None
+    covers = scene.elevation.overview.lowest_m <= water_m
+    if isinstance(view, MapView):
+        covers = covers and _wet_at(scene, view)
+        change = _change_steps(scene, np.array([1.0])) if covers else None
+    elif covers and look is not None:
+        cosines = _cosines(scene, view, look)
+        change = _change_steps(scene, cosines) if len(cosines) else None
+    return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and glints(scene, view)}
+
+
+def _wet_at(scene: Scene, view: MapView) -> bool:
+    overview = scene.elevation.overview
+    finer = Surface(scene.world, scene.elevation, view.grid).level < overview.level
+    return finer or bool(np.nanmin(overview.heights_m) <= scene.elevation.water_m)
+
+
+def _cosines(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+    """Cosines (n,) of the zenith angles under which water may be seen, less the way to a look's next point; none if none is seen.
+
+    Where a look's points show no water, it may lie between them: then those pixels are drawn where its nodes would be seen.
+    """
+    buffer, eye = look.buffer, look.eye_frame_m
+    points = buffer.position_frame_m[water_in(buffer, scene)]
+    if not len(points):
+        points = _between(scene, view, look)
+    up = points - up_centre(scene, buffer)
+    up /= np.linalg.norm(up, axis=-1, keepdims=True)
+    to_eye = eye - points
+    cosine = np.einsum("nk,nk->n", to_eye, up) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-9)
+    return np.clip(cosine - look.spacing, 0.0, 1.0)
+
+
+def _between(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+    """Nodes (n, 3) of the ground under water that are no farther than what a look shows beside them, if water is drawn there."""
+    buffer, ground = look.buffer, look.buffer.ground
+    assert ground is not None and isinstance(buffer.view, PerspectiveView)
+    coarse, wet = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= SHORE_M
+    points = ground.position_frame_m[wet]
+    eye, camera_from_frame = coarse.in_frame(buffer.frame)
+    at = (points - eye) @ camera_from_frame.T
+    points, at = points[at[:, 2] > 0.0], at[at[:, 2] > 0.0]
+    first = coarse.col0, coarse.row0
+    col, row = (np.rint((at[:, k] / at[:, 2] * coarse.focal_px - first[k]) / coarse.step) for k in (0, 1))
+    inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
+    points, at, row, col = points[inside], at[inside], row[inside].astype(int), col[inside].astype(int)
+    far_m = np.full(buffer.there.shape, np.inf)
+    far_m[buffer.there] = look.away_m
+    far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
+    seen = np.linalg.norm(at, axis=-1) <= far_m * (1.0 + look.spacing)
+    if not seen.any():
+        return points[:0]
+    each = round(coarse.step / view.step)
+    top, left = (max((int(v[seen].min()) - 1) * each, 0) for v in (row, col))
+    bottom, right = (min((int(v[seen].max()) + 2) * each, n) for v, n in ((row, view.rows), (col, view.cols)))
+    box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
+    if box.rows * box.cols > MOST_PIXELS:
+        return points[seen]
+    submerged = wet[ground.triangles].all(axis=1)
+    for drawn in (box, finer_view(box)):
+        number = Visible(scene, drawn, buffer.frame, kinds=("relief", "meshes")).seen.number
+        shown = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
+        if submerged[shown].any():
+            return points[seen]
+    return points[:0]
+
+
+def _change_steps(scene: Scene, cosines: np.ndarray) -> int:
+    """By how many 8-bit steps the mirrored sky changes water at the most, seen under zenith angles of these cosines (n,).
+
+    Tried on colours from the darkest that water may have (in shadow, half the sky hidden) to the brightest (in the sun and the
+    light of all lamps), with the loop that draws.
+    """
+    light, night = daylight_of(scene), night_of(scene)
+    sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
+    sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
+    draped = scene.loaded.level.terrain.imagery is not None
+    darkest, brightest = (0.0, 1.0) if draped else (np.array(WATER_ALBEDO), np.array(WATER_ALBEDO))
+    dark, bright = OPEN_SKY * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
+    bright = np.where(bright <= 0.5, bright, 1.0 - 0.25 / np.maximum(bright, 0.5))  # as the shading does
+    cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
+    shown = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
+    shown = np.ascontiguousarray(np.broadcast_to(shown, (SHADES, ANGLES, 3)))
+    # Points on a sphere round the eye, above a plane that is level.
+    eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
+    points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
+    color, there, below = shown.copy(), np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12])
+    _mirror(color, there, points, np.zeros(3), below, *sky_colors(scene), MEAN_SQUARE_SLOPE, None, None, None)
+    return int(np.abs(encoded(color).astype(int) - encoded(shown)).max())
+
+
+def _lamplight(scene: Scene) -> np.ndarray:
+    """Irradiance (3,) that all lamps have together on water right below them: no more arrives."""
+    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
+    total = np.zeros(3)
+    for lamp in scene.lamps.values():
+        height_m = float(scene.world.map_position(scene.elevation.crs, lamp.position_earth_m)[2]) - scene.elevation.water_m
+        total += np.array(lamp.color) * lamp.intensity * (lamp.reference_m / max(height_m, 1e-3)) ** 2 * exposure
+    return total
+
+
+def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
+    """Whether the sun that water mirrors can reach the eye: whether any direction of view shows more of it than nothing."""
+    if not scene.sun_is_up or scene.sun is None:
+        return False
+    if isinstance(view, MapView):
+        altitude = np.radians(scene.highest_sun_deg)
+        to_sun, to_eye = np.array([0.0, np.cos(altitude), np.sin(altitude)]), np.array([[0.0, 0.0, 1.0]])
+        up = np.array([0.0, 0.0, 1.0])
+    else:
+        cols, rows = (
+            (first + np.linspace(0, count - 1, LOOKS) * view.step) / view.focal_px
+            for first, count in ((view.col0, view.cols), (view.row0, view.rows))
+        )
+        x, y = (v.ravel() for v in np.meshgrid(cols, rows))
+        to_eye = -np.stack([x, y, np.ones_like(x)], axis=-1) @ view.earth_from_camera.T
+        to_eye /= np.linalg.norm(to_eye, axis=-1, keepdims=True)
+        to_sun = scene.sun.to_sun_earth
+        up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+    brightest = float(daylight_of(scene).sun.max())
+    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > GLINT)
+
+
+def mirror(color: np.ndarray, block: Block) -> None:
+    """Put the mirrored sky, and the sun's glint where it can be seen, over the water's own colour."""
+    buffer, scene, view = block.buffer, block.scene, block.view
+    eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
+    to_sun = sun = visibility = None
+    if glints(scene, view) and scene.sun is not None and SUN in block.visibilities:
+        to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+        sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
+    _mirror(
+        color, water_in(buffer, scene), buffer.position_frame_m, eye, up_centre(scene, buffer), *sky_colors(scene),
+        MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
+    )  # fmt: skip
+
+
+@compiled
+def _seen_facets(cosine, square):  # type: ignore[no-untyped-def]
+    """Area of the facets seen under a zenith angle, per area of the plane, and their mean slope towards the eye."""
+    sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * square)
+    a = cosine / (deviation * sine)
+    share = 0.5 * (1.0 + erf(a * np.sqrt(0.5)))
+    area = cosine * share + deviation * sine * np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    return area, deviation * deviation * sine * share / area
+
+
+@compiled
+def _sky_in(cosine, square):  # type: ignore[no-untyped-def]
+    """Of the sky in water under a zenith angle: its Fresnel share, how far its colour is the zenith's, and the facets' area."""
+    area, slope = _seen_facets(cosine, square)
+    deviation = np.sqrt(0.5 * square)
+    grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
+    across = slope * np.sqrt(1.0 - cosine * cosine) + cosine
+    return FACING + (1.0 - FACING) * grazing, zenith_share(2.0 * across / (1.0 + slope * slope) - cosine), area
+
+
+@compiled
+def _glint(eye_up, sun_up, eye_sun, area, square):  # type: ignore[no-untyped-def]
+    """Glint per irradiance at normal incidence, from the cosines between eye, sun and up; ``area`` of the facets the eye sees.
+
+    Over the first degree of the sun's altitude it fades in, as direct light does.
+    """
+    if sun_up <= 0.0:
+        return 0.0
+    both = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
+    tilt = min((eye_up + sun_up) / both, 1.0)
+    if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # so steep that 1e-11 of the waves are
+        return 0.0
+    fresnel = FACING + (1.0 - FACING) * (1.0 - min(0.5 * both, 1.0)) ** 5
+    slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / square) / (square * tilt**4)
+    lit, _ = _seen_facets(sun_up, square)
+    return fresnel * slopes * sun_up / (4.0 * area * lit) * min(np.degrees(sun_up), 1.0)
+
+
+@compiled
+def _largest_glint(to_eye, up, to_sun, square):  # type: ignore[no-untyped-def]
+    largest = 0.0
+    sun_up = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
+    for n in range(to_eye.shape[0]):
+        v = to_eye[n]
+        eye_up = max(v[0] * up[0] + v[1] * up[1] + v[2] * up[2], 0.0)
+        area, _ = _seen_facets(eye_up, square)
+        eye_sun = v[0] * to_sun[0] + v[1] * to_sun[1] + v[2] * to_sun[2]
+        largest = max(largest, _glint(eye_up, sun_up, eye_sun, area, square))
+    return largest
+
+
+@compiled
+def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun, sun, visibility):  # type: ignore[no-untyped-def]
+    # What is None is decided when this is compiled: an eye straight above, infinitely far; no glint.
+    fresnel, share, area = _sky_in(1.0, square)
+    for i in range(water.shape[0]):
+        for j in range(water.shape[1]):
+            if not water[i, j]:
+                continue
+            p = position[i, j]
+            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            length = np.sqrt(ux * ux + uy * uy + uz * uz)
+            ux, uy, uz = ux / length, uy / length, uz / length
+            if eye is None:
+                vx, vy, vz, cosine = ux, uy, uz, 1.0
+            else:
+                vx, vy, vz = eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]
+                length = np.sqrt(vx * vx + vy * vy + vz * vz)
+                vx, vy, vz = vx / length, vy / length, vz / length
+                cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
+                fresnel, share, area = _sky_in(cosine, square)
+            glint = 0.0
+            if to_sun is not None:
+                if visibility[i, j] > 0.0:
+                    sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
+                    eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
+                    glint = visibility[i, j] * _glint(cosine, sun_up, eye_sun, area, square)
+            for k in range(3):
+                mirrored = (1.0 - share) * horizon[k] + share * zenith[k]
+                shown = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored
+                if to_sun is not None:
+                    if glint > 0.0:
+                        white = max(sun[k] / max(sun[0], sun[1], sun[2]), shown)
+                        # A little adds up, and a path that is fifty times brighter than the land keeps its form.
+                        shown += (white - shown) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun[k]))
+                color[i, j, k] = shown
+
+
+EFFECT = Effect("mirrored sky and sun glint on standing water", called_for, facts, "color", mirror)

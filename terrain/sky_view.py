@@ -1,0 +1,312 @@
+"""The sky-view factor: the share of a place's sky light that the ground round it takes away, made once for a heightfield.
+
+Sky light is taken to be the same from all of the sky. A plane that nothing surrounds gets ``0.5 + 0.5 n.up`` of it; what is found
+here is the share of that which ground hides that rises above the plane: nothing on a plane, all of it at the bottom of a well.
+
+Source: Dozier and Frew 1990, *Rapid calculation of terrain parameters for radiation modeling from digital elevation data*, the
+sky-view factor of a slope by its horizons. These are taken in 16 azimuths, those of a lattice's neighbours and next but one: lines
+in them pass through nodes, or half-way between two. Along a line the upper convex hull of the ground passed is kept as a stack
+(Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*): the work is linear in the nodes, however far away what hides
+the sky is. The earth's curvature lowers what is far away by half the distance's square over the radius.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.elevation import Elevation
+from terrain.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
+
+LONGEST_NODES = 1024
+"""Longest side of the grid on which a raster's horizons are found."""
+
+NARROWEST = 0.01
+"""Least width of a cell as a share of its height: at a pole a cell has none."""
+
+LATTICE_NODES = 65
+"""Nodes a side of the lattice by which the cells of a projected raster are found: bilinear between, its error is below a hundredth
+of a node of the horizons' grid."""
+
+LOCAL_DEG = 20.0
+"""Rasters in degrees that span less, and leave as much to the poles, are found in the stereographic plane too, which is faster."""
+
+FLAT, DEGREES, STEREOGRAPHIC = 0, 1, 2
+"""Planes in which cells are found: a flat world's own, longitude and latitude, or the stereographic one round the anchor."""
+
+EQUATOR_M, ECCENTRICITY_SQUARED = WGS84.a, WGS84.es
+
+
+@dataclass(frozen=True, eq=False)
+class CellFinder:
+    """Where earth-fixed points lie in a raster, without PROJ: by a bilinear lattice over a plane that its map differs little from.
+
+    ``cells`` (n, m, 2) float64 are rows and columns at the nodes ``first + (j, i) * step`` (x, y) of the plane; ``axes`` (3, 3) has
+    the rows east, north and up at the anchor.
+    """
+
+    plane: int
+    axes: np.ndarray
+    first: np.ndarray
+    step: np.ndarray
+    cells: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SkyView:
+    """The share of sky light that ground hides, at the nodes of a coarse grid of a raster.
+
+    ``hidden`` (rows, cols) float32 in [0, 1]; a node is the middle of ``2**level`` raster cells a side. ``node_m`` is the nodes'
+    distance. About 7 MB for a whole grid.
+    """
+
+    hidden: np.ndarray
+    level: int
+    node_m: float
+    finder: CellFinder
+
+    @cached_property
+    def means(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pyramid of means over 2 x 2, for ground that is seen from afar."""
+        return pyramid(self.hidden, np.mean)
+
+    @cached_property
+    def highest(self) -> tuple[np.ndarray, np.ndarray]:
+        """The pyramid of maxima over 2 x 2."""
+        return pyramid(self.hidden, np.max)
+
+
+@lru_cache(maxsize=8)
+def sky_view(elevation: Elevation, world: World) -> SkyView:
+    """What ground hides of the sky, of a raster and its world; kept for the last eight. Raises ``SourceError``.
+
+    Heights are those that cast: holes are filled from their rims, and where nothing is known nothing hides.
+    """
+    detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
+    level = max(int(np.ceil(np.log2(max(elevation.shape) / LONGEST_NODES))), int(np.rint(detail)), 0)
+    side = 2**level
+    row, col = ((np.arange(max(count // side, 1)) + 0.5) * side - 0.5 for count in elevation.shape)
+    height_m, _ = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
+    half, middle = side / 2, (elevation.cols - 1) / 2
+    down_m = _apart_m(elevation, world, (row - half, middle), (row + half, middle))
+    across_m = np.maximum(_apart_m(elevation, world, (row, middle - half), (row, middle + half)), NARROWEST * down_m)
+    node_m = float(np.sqrt(across_m[len(row) // 2] * down_m[len(row) // 2]))
+    return SkyView(hidden_sky(height_m, across_m, down_m, world.curvature), level, node_m, _cell_finder(elevation, world))
+
+
+def _apart_m(elevation: Elevation, world: World, one: tuple, other: tuple) -> np.ndarray:
+    """Distances (rows,) of pairs of cells on the earth; where the CRS has no place on it, as in the row of the middle."""
+    points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
+    apart_m = np.linalg.norm(points[1] - points[0], axis=-1)
+    return np.where(np.isfinite(apart_m), apart_m, np.nanmedian(apart_m))
+
+
+def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
+    """The share of its sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
+
+    ``height_m`` (rows, cols), NaN in holes; ``across_m`` and ``down_m`` (rows,) float64 are the distances of neighbouring nodes
+    along a row and from row to row, ``curvature`` 1 over the earth's radius, per metre.
+    """
+    height_m = np.ascontiguousarray(height_m, np.float64)
+    slope = _slopes(height_m, across_m, down_m)
+    turned = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
+    hidden, hidden_turned = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
+    for way in (1, -1):
+        for aside in (-2, -1, 0, 1, 2):
+            _along(height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, way, curvature, hidden)
+        for aside in (-1, 0, 1):
+            _along(*turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, way, curvature, hidden_turned)
+    return np.clip(hidden + hidden_turned.T, 0.0, 1.0).astype(np.float32)
+
+
+def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
+    """Widths (rows,) of the sector of azimuths, radians, that a line stands for which goes ``aside`` half-nodes aside for each node
+    ahead: half-way to the neighbouring lines. ``narrow`` (rows,) is how far apart nodes lie aside, over how far ahead.
+    """
+    angles = {0: np.arctan(narrow / 2), 1: np.arctan(narrow) / 2}
+    if abs(aside) < 2:
+        return angles[abs(aside)]
+    return (np.arctan(narrow * 2) - np.arctan(narrow / 2)) / 2
+
+
+@compiled
+def _slopes(height, across_m, down_m):  # type: ignore[no-untyped-def]
+    """Rise per metre (rows, cols, 2) along rows and from row to row: central differences, one-sided beside holes and at borders."""
+    rows, cols = height.shape
+    out = np.zeros((rows, cols, 2))
+    for r in range(rows):
+        for c in range(cols):
+            if not np.isfinite(height[r, c]):
+                continue
+            west = 1 if c > 0 and np.isfinite(height[r, c - 1]) else 0
+            east = 1 if c < cols - 1 and np.isfinite(height[r, c + 1]) else 0
+            north = 1 if r > 0 and np.isfinite(height[r - 1, c]) else 0
+            south = 1 if r < rows - 1 and np.isfinite(height[r + 1, c]) else 0
+            if west + east > 0:
+                out[r, c, 0] = (height[r, c + east] - height[r, c - west]) / (across_m[r] * (west + east))
+            if north + south > 0:
+                out[r, c, 1] = (height[r + south, c] - height[r - north, c]) / (down_m[r] * (north + south))
+    return out
+
+
+@compiled
+def _light(tangent, rise):  # type: ignore[no-untyped-def]
+    """What a sector of the sky above a tangent gives a plane that rises by ``rise`` towards it: Dozier and Frew's integrand over
+    the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)`` with the horizon H counted from the zenith.
+    """
+    flat = 1.0 / (1.0 + tangent * tangent)
+    return flat - rise * (0.5 * np.pi - np.arctan(tangent) - tangent * flat)
+
+
+@compiled
+def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvature, out):  # type: ignore[no-untyped-def]
+    """Add what is hidden behind, along all lines that go ``aside`` half-rows for each column, by ``way`` to or fro.
+
+    ``by_row`` is whether the distances, which are a raster row's, are those of this array's rows or of its columns.
+    """
+    rows, cols = height.shape
+    low, high = min(0, -aside * (cols - 1)), 2 * (rows - 1) + max(0, -aside * (cols - 1))
+    hull_m, hull_level = np.empty(cols), np.empty(cols)
+    for line in range(low, high + 1, 1 if aside % 2 else 2):  # of lines without bend aside, every other one has no node
+        depth, at_m = 0, 0.0
+        for n in range(cols):
+            c = n if way > 0 else cols - 1 - n
+            half = line + aside * c
+            if half < 0 or half > 2 * (rows - 1):
+                continue
+            r, on_node = half // 2, half % 2 == 0
+            here = r if by_row else c
+            ahead, beside = ahead_m[here], 0.5 * aside * aside_m[here]
+            length = np.sqrt(ahead * ahead + beside * beside)
+            at_m += length
+            level = height[r, c] if on_node else 0.5 * (height[r, c] + height[r + 1, c])
+            if not np.isfinite(level):
+                continue
+            level -= 0.5 * curvature * at_m * at_m
+            while depth >= 2:
+                last, before = depth - 1, depth - 2
+                if (hull_level[before] - level) / (at_m - hull_m[before]) < (hull_level[last] - level) / (at_m - hull_m[last]):
+                    break
+                depth -= 1
+            if on_node and depth > 0:
+                # Lowered ground leans, by the way from where the line begins; this takes the lean out again.
+                tangent = (hull_level[depth - 1] - level) / (at_m - hull_m[depth - 1]) - curvature * at_m
+                east, south = slope[r, c, 0], slope[r, c, 1]
+                rise = -way * (east * ahead + south * beside) / length
+                own = max(rise, 0.0)
+                if tangent > own:
+                    cosine = 1.0 / np.sqrt(1.0 + east * east + south * south)
+                    lost = _light(own, rise) - _light(tangent, rise)
+                    out[r, c] += sector[here] * lost * cosine / (np.pi * (1.0 + cosine))
+            hull_m[depth], hull_level[depth] = at_m, level
+            depth += 1
+    return out
+
+
+def pyramid(values: np.ndarray, of_four) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+    """All levels (k,) float32 of a grid, each joining 2 x 2 nodes of the one before, down to one node; and where each begins, its
+    rows and its columns (levels, 3) int64. A last odd row or column is joined with itself.
+    """
+    levels = [values]
+    while levels[-1].size > 1:
+        last = np.pad(levels[-1], [(0, n % 2) for n in levels[-1].shape], mode="edge")
+        levels.append(of_four(last.reshape(last.shape[0] // 2, 2, last.shape[1] // 2, 2), axis=(1, 3)))
+    begins = np.cumsum([0, *(level.size for level in levels[:-1])])
+    table = np.array([(begin, *level.shape) for begin, level in zip(begins, levels, strict=True)], np.int64)
+    return np.concatenate([level.ravel() for level in levels]).astype(np.float32), table
+
+
+def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
+    axes = world.earth_from_anchor.T
+    rim = np.linspace(-0.5, elevation.rows - 0.5, 33), np.linspace(-0.5, elevation.cols - 0.5, 33)
+    x, y = elevation.xy(*np.meshgrid(*rim, indexing="ij"))
+    if world.flat:
+        plane, count = FLAT, 2
+        x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
+    elif elevation.crs.is_geographic and not _local(elevation.bounds):
+        plane, count = DEGREES, 2
+    else:
+        plane, count = STEREOGRAPHIC, LATTICE_NODES
+        _, up = world.ground(elevation.crs, x, y)
+        east, north, away = np.moveaxis(up @ axes.T, -1, 0)
+        x, y = east / (1.0 + away), north / (1.0 + away)
+    first = np.array([np.nanmin(x), np.nanmin(y)])
+    step = (np.array([np.nanmax(x), np.nanmax(y)]) - first) / (count - 1)
+    nodes = np.meshgrid(*(first[k] + np.arange(count) * step[k] for k in (0, 1)))
+    return CellFinder(plane, axes, first, step, np.stack(_cells_at(elevation, world, plane, axes, *nodes), axis=-1))
+
+
+def _local(bounds_deg: tuple[float, float, float, float]) -> bool:
+    west, south, east, north = bounds_deg
+    return max(east - west, north - south) <= LOCAL_DEG and max(-south, north) <= 90.0 - LOCAL_DEG
+
+
+def _cells_at(
+    elevation: Elevation, world: World, plane: int, axes: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns in a raster of places in a finder's plane."""
+    if plane == FLAT:
+        return elevation.cell_of(x / world.metres_per_unit + world.anchor_x, y / world.metres_per_unit + world.anchor_y)
+    if plane == DEGREES:
+        return elevation.cell_of(x, y)
+    square = x * x + y * y
+    up = np.stack([2.0 * x, 2.0 * y, 1.0 - square], axis=-1) / (1.0 + square)[..., None] @ axes
+    lon, lat = np.degrees(np.arctan2(up[..., 1], up[..., 0])), np.degrees(np.arcsin(np.clip(up[..., 2], -1.0, 1.0)))
+    if elevation.crs.is_geographic:
+        middle = float(elevation.xy(0, (elevation.cols - 1) / 2)[0])
+        return elevation.cell_of(lon + 360.0 * np.rint((middle - lon) / 360.0), lat)
+    return elevation.cell_of(*transformer(LONGITUDE_LATITUDE, elevation.crs).transform(lon, lat))
+
+
+def nodes_of(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    """Rows and columns (..., 2) float64 in the grid ``hidden`` of the ground below frame points (..., 3) with heights (...)."""
+    finder = view.finder
+    cells = _cells(
+        position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m, finder.plane,
+        finder.axes, finder.first, finder.step, finder.cells,
+    )  # fmt: skip
+    cells += 0.5
+    cells /= 2**view.level
+    cells -= 0.5
+    return cells.reshape(*height_m.shape, 2)
+
+
+@compiled
+def _cells(position, height, frame_from_earth, origin, plane, axes, first, step, lattice):  # type: ignore[no-untyped-def]
+    """Rows and columns (n, 2) in the raster.
+
+    Latitude by EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius for the prime vertical's in the height's part.
+    """
+    m = frame_from_earth
+    out = np.empty((len(position), 2))
+    for n in range(len(position)):
+        px, py, pz = position[n, 0], position[n, 1], position[n, 2]
+        x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
+        y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
+        if plane != FLAT:
+            z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
+            z *= (EQUATOR_M + height[n]) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height[n])
+            if plane == DEGREES:
+                longitude, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.sqrt(x * x + y * y)))
+                x = longitude - 360.0 * np.rint((longitude - first[0] - 0.5 * step[0]) / 360.0)
+                y = latitude
+            else:
+                east = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+                north = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+                up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+                away = np.sqrt(x * x + y * y + z * z) + up
+                x, y = east / away, north / away
+        across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
+        if not (np.isfinite(across) and np.isfinite(down)):
+            out[n, 0], out[n, 1] = np.nan, np.nan
+            continue
+        j, i = min(max(int(across), 0), lattice.shape[1] - 2), min(max(int(down), 0), lattice.shape[0] - 2)
+        u, v = across - j, down - i
+        for k in range(2):
+            one = lattice[i, j, k] + u * (lattice[i, j + 1, k] - lattice[i, j, k])
+            other = lattice[i + 1, j, k] + u * (lattice[i + 1, j + 1, k] - lattice[i + 1, j, k])
+            out[n, k] = one + v * (other - one)
+    return out

@@ -1,0 +1,161 @@
+"""The slopes of a ground's facets: how far they reach in every direction, so that any sun can be held against all of them at once.
+
+A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, faces the sun (e, n, u) if u > a e + b n. Over
+all facets the right side is largest and least at a corner of the convex hull of the slopes (a, b). Kept is the hull's support in
+``DIRECTIONS`` directions: the polygon that these bound holds the hull, and exceeds it by 0.12 % at most.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.elevation import Elevation
+from terrain.geometry import quad_normals
+from terrain.grid import BLOCK_PX, Grid
+from terrain.ground_mesh import GroundMesh
+from terrain.reach import overview_on_grid
+from terrain.surface import Surface
+from terrain.world import LocalFrame, World
+
+DIRECTIONS = 64
+
+STEEPEST = 50.0
+"""Slopes beyond this (89 degrees, or ground on another side of the earth) are not told apart: nothing is known then."""
+
+
+def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
+    """u - (a e + b n) over all facets, least and most, for slopes that reach so far: whether they face the sun.
+
+    ``None`` where nothing is known of the slopes.
+    """
+    if reach is None:
+        return None, None
+    if np.isneginf(reach).any():  # no facet at all
+        return np.inf, np.inf
+    turn = 2.0 * np.pi / DIRECTIONS
+    angle, after = np.arange(DIRECTIONS) * turn, np.roll(reach, -1)
+    # Corners of the polygon: where the lines of two neighbouring directions meet.
+    across = (after - reach * np.cos(turn)) / np.sin(turn)
+    corners = np.column_stack([reach * np.cos(angle) - across * np.sin(angle), reach * np.sin(angle) + across * np.cos(angle)])
+    along = corners @ to_sun_enu[:2]
+    return float(to_sun_enu[2] - along.max()), float(to_sun_enu[2] - along.min())
+
+
+def mesh_slopes(
+    world: World, ground: GroundMesh, frame: LocalFrame, corridor: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> np.ndarray | None:
+    """How far the slopes of some of a perspective view's ground reach, (``DIRECTIONS``,); ``None`` if it cannot be said.
+
+    Of the ground in its frame those facets count that reach into a ``corridor``: rows (2, 3) and offsets (2,) of two coordinates
+    of a point, and the least and largest values (2, 2) of each. Minus infinity where there are none.
+    """
+    reach, (rows, offsets, bounds) = _nothing(), corridor
+    _take_some(
+        ground.position_frame_m, ground.triangles, rows, offsets, bounds, _anchor_from_frame(world, frame), _directions(), reach
+    )
+    return None if np.isposinf(reach).any() else reach
+
+
+@lru_cache(maxsize=8)
+def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
+    """How far the slopes of a map's ground, all of the level's, reach, (``DIRECTIONS``,); ``None`` if it cannot be said."""
+    surface, reach, directions = Surface(world, elevation, grid), _nothing(), _directions()
+    (first_row, last_row), (first_col, last_col) = extent_on_grid(world, elevation, grid)
+    for row in range(first_row, last_row, BLOCK_PX):
+        for col in range(first_col, last_col, BLOCK_PX):
+            rows, cols = min(BLOCK_PX, last_row - row) + 1, min(BLOCK_PX, last_col - col) + 1
+            middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
+            frame = world.frame_near(grid.crs, *middle)
+            normals = quad_normals(surface.window(row, col, rows, cols, frame).position_frame_m)
+            _take(normals.reshape(-1, 3), _anchor_from_frame(world, frame), directions, reach)
+            if _known(reach) is None and np.isposinf(reach).any():
+                return None
+    return _known(reach)
+
+
+@lru_cache(maxsize=16)
+def nodes_of(world: World, elevation: Elevation, grid: Grid) -> int:
+    """How many nodes of a grid lie on a raster, about."""
+    rows, cols = extent_on_grid(world, elevation, grid)
+    return (rows[1] - rows[0] + 1) * (cols[1] - cols[0] + 1)
+
+
+def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row and column of a grid that a raster covers."""
+    row, col, half = overview_on_grid(world, elevation, grid)
+    known = np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
+    if not known.any():
+        return (0, 0), (0, 0)
+    rows, cols = (
+        (int(np.floor((v - half)[known].min())), int(np.ceil((v + half)[known].max()))) for v in (row, col)
+    )  # fmt: skip
+    return rows, cols
+
+
+def _directions() -> np.ndarray:
+    angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _nothing() -> np.ndarray:
+    return np.full(DIRECTIONS, -np.inf)
+
+
+def _known(reach: np.ndarray) -> np.ndarray | None:
+    return reach if np.isfinite(reach).all() else None
+
+
+def _anchor_from_frame(world: World, frame: LocalFrame) -> np.ndarray:
+    return world.earth_from_anchor.T @ frame.frame_from_earth.T
+
+
+@compiled
+def _take(normals, anchor_from_frame, directions, reach):  # type: ignore[no-untyped-def]
+    """Stretch ``reach`` to the slopes of normals (n, 3) of any length; all of it to infinity where one is too steep to have any."""
+    inner = 0.0  # no slope shorter than this can stretch anything
+    t = anchor_from_frame
+    for i in range(len(normals)):
+        x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+        up = t[2, 0] * x + t[2, 1] * y + t[2, 2] * z
+        if not (np.isfinite(up) and (x != 0.0 or y != 0.0 or z != 0.0)):
+            continue
+        east = t[0, 0] * x + t[0, 1] * y + t[0, 2] * z
+        north = t[1, 0] * x + t[1, 1] * y + t[1, 2] * z
+        if up * STEEPEST < np.sqrt(x * x + y * y + z * z):
+            reach[:] = np.inf
+            return
+        a, b = -east / up, -north / up
+        if a * a + b * b < inner * inner:
+            continue
+        stretched = False
+        for k in range(len(directions)):
+            along = a * directions[k, 0] + b * directions[k, 1]
+            if along > reach[k]:
+                reach[k] = along
+                stretched = True
+        if stretched:
+            inner = max(reach.min(), 0.0)
+
+
+@compiled
+def _take_some(position, triangles, rows, offsets, bounds, anchor_from_frame, directions, reach):  # type: ignore[no-untyped-def]
+    normal = np.empty((1, 3))
+    for t in range(len(triangles)):
+        o, p, q = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
+        inside = True
+        for k in range(2):
+            r = rows[k]
+            first = r[0] * o[0] + r[1] * o[1] + r[2] * o[2] + offsets[k]
+            second = r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + offsets[k]
+            third = r[0] * q[0] + r[1] * q[1] + r[2] * q[2] + offsets[k]
+            if min(first, second, third) > bounds[k, 1] or max(first, second, third) < bounds[k, 0]:
+                inside = False
+        if not inside:
+            continue
+        ax, ay, az = p[0] - o[0], p[1] - o[1], p[2] - o[2]
+        bx, by, bz = q[0] - o[0], q[1] - o[1], q[2] - o[2]
+        normal[0, 0], normal[0, 1], normal[0, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        _take(normal, anchor_from_frame, directions, reach)

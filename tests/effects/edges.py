@@ -1,0 +1,251 @@
+"""Scenes at the edge of each effect's predicate, and what the effect changes in them.
+
+A case is a level and one of its views; the cases of an effect differ in the one thing that its predicate goes by, in steps that lie
+densely round where it turns over. What is compared are the 8-bit pictures with the effect forced on and forced off.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+import trimesh
+from pyogrio import raw
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.level import LoadedLevel, load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+
+UTM, CORNER_M = "EPSG:32633", (500_000.0, 5_300_000.0)
+
+CELLS, CELL_M = 64, 20.0
+"""Ground of 64 x 64 cells of 20 m."""
+
+SIZE = 96, 72
+"""Pixels of a picture."""
+
+PLACE = (15.0086, 47.8475)
+"""Longitude and latitude of the ground's middle, about."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A level (its keys but for version) and the view of it that is drawn."""
+
+    name: str
+    keys: dict[str, Any]
+    view: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What an effect did in a case: whether the plan runs it and why, by how many steps of 255 a pixel differs at most, and by how
+    many where it is held against all of the pixel's neighbours in the other picture.
+    """
+
+    case: str
+    runs: bool
+    reason: str
+    steps: int
+    steps_beside: int
+
+    def __str__(self) -> str:
+        says = "runs" if self.runs else "left out"
+        return f"{self.case:34} {says:8} {self.steps:4d} {self.steps_beside:4d}  {self.reason}"
+
+
+class Lab:
+    """Builds levels in a folder and draws them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        y, x = np.mgrid[0:CELLS, 0:CELLS] * CELL_M
+        grounds = {
+            "hills": 60.0 * np.sin(x / 150.0 + 0.4) * np.sin(y / 190.0) + 20.0 * np.sin((x + 2 * y) / 110.0),
+            "slope": 0.2 * x,
+            "plain": np.where((x == 0.0) & (y == 0.0), 0.3, 0.0),
+            "hill": 120.0 * np.exp(-((x - 320.0) ** 2 + (y - 640.0) ** 2) / 120.0**2),
+        }
+        grounds |= {f"valley{percent}": percent / 100.0 * np.abs(x - 640.0) for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35)}
+        for name, heights in grounds.items():
+            write_geotiff(folder / f"{name}.tif", heights.astype(np.float32), UTM, *CORNER_M, CELL_M)
+        floor = np.zeros((CELLS, CELLS), np.float32)
+        write_geotiff(folder / "floor.tif", floor, ENGINEERING, -CELLS / 2 * CELL_M, CELLS / 2 * CELL_M, CELL_M)
+        trimesh.creation.box((4.0, 4.0, 12.0)).export(folder / "post.obj")
+        tree = shapely.to_wkb(np.array([shapely.Point(0.0, 0.0)], object))
+        raw.write(folder / "tree.gpkg", tree, [np.array([12.0])], ["height"], geometry_type="Point", crs=ENGINEERING)
+
+    def scene(self, keys: dict[str, Any]) -> Scene:
+        """The scene of a level of some keys."""
+        path = self.folder / "level.yaml"
+        path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    def found(self, effect: str, case: Case) -> Found:
+        """What an effect does in a case."""
+        scene = self.scene({**case.keys, "views": {"view": case.view}})
+        view = scene.view("view")
+        plan = choose(describe(scene, view, "view"), scene.loaded.level)
+        on, off = (self._picture(scene, effect, wish) for wish in ("on", "off"))
+        reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
+        far = max(_beyond_neighbours(on, off), _beyond_neighbours(off, on))
+        return Found(case.name, effect in plan.runs, reason, int(np.abs(on - off).max()), far)
+
+    @staticmethod
+    def _picture(scene: Scene, effect: str, wish: str) -> np.ndarray:
+        level = scene.loaded.level
+        forced = level.model_copy(update={"effects": {effect: wish}})
+        loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
+        view = scene.view("view")
+        frame = render_frame(replace(scene, loaded=loaded), view, choose(describe(scene, view, "view"), forced))
+        return frame.color.astype(np.int32)
+
+
+def _beyond_neighbours(picture: np.ndarray, other: np.ndarray) -> int:
+    """By how much a picture (rows, cols, 3) leaves the range of the other one's pixel and the eight round it."""
+    low, high = (filter(other, size=(3, 3, 1), mode="nearest") for filter in (minimum_filter, maximum_filter))
+    return int(np.maximum(low - picture, picture - high).max())
+
+
+def eye(at: tuple[float, float, float], target: tuple[float, float, float], fov: float = 50.0, times: int = 1) -> dict[str, Any]:
+    size = [times * SIZE[0], times * SIZE[1]]
+    return {"kind": "perspective", "eye": list(at), "target": list(target), "fov": fov, "size": size}
+
+
+MAP = {"kind": "map", "size": [SIZE[1], SIZE[1]]}
+
+ACROSS = eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, 0.0))
+"""Over the ground towards the north-east."""
+
+
+def ground(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
+    return {"terrain": {"source": f"{name}.tif"}, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
+
+
+def cast_shadows() -> Iterator[Case]:
+    for view_name, view, azimuth in (("map", MAP, 250.0), ("perspective", ACROSS, 70.0)):
+        for altitude in (-1.0, 0.3, 12.0, 24.0, 29.0, 31.0, 34.0, 40.0, 60.0, 88.0):
+            yield Case(f"hills {view_name} {altitude}", ground("hills", azimuth, altitude), view)
+        for altitude in (8.0, 11.0, 11.6, 15.0):
+            yield Case(f"slope turned away {view_name} {altitude}", ground("slope", 90.0, altitude), view)
+        for cover in (0.99, 1.0):
+            yield Case(f"clouds {view_name} {cover}", ground("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
+    for away in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high throws 20.8 m at 30 degrees
+        post = [{"source": "post.obj", "at": [0.0, -away]}]
+        yield Case(f"post {away} m before", ground("floor", 180.0, meshes=post), eye((0, 12, 30), (0, 12.5, 0), 40.0, 3))
+
+
+def alpha_test() -> Iterator[Case]:
+    stand = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
+    post = [{"source": "post.obj", "at": [3.0, 1.0]}]
+    for north in (-60.0, -30.0, -14.0, -8.0, 0.0, 8.0, 16.0, 22.0, 28.0, 34.0, 42.0, 60.0):
+        keys = ground("floor", 180.0, forest=stand, meshes=post)
+        yield Case(f"looking {north} m north of a tree", keys, eye((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
+    yield Case("no tree", ground("floor", 180.0, meshes=post), eye((0, 8, 24), (0, 8.5, 0), 30.0, 3))
+
+
+def soft_edges() -> Iterator[Case]:
+    post = [{"source": "post.obj", "at": [0.0, -20.0]}]
+    for altitude in (80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0):
+        for half_m in (10.0, 40.0):
+            bounds = [-half_m, -20.0 - half_m, half_m, half_m - 20.0]
+            keys = ground("floor", 180.0, altitude, meshes=post)
+            yield Case(f"post {altitude} degrees, {half_m} m", keys, {**MAP, "bounds": bounds})
+
+
+def outside_casters() -> Iterator[Case]:
+    west, north = CORNER_M
+    for altitude in (2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 14.0, 18.0, 23.0, 28.0, 40.0, 50.0, 70.0):
+        # A window of the hill's east side, which the sun in the west throws its shadow on.
+        bounds = [west + 420.0, north - 900.0, west + 900.0, north - 420.0]
+        yield Case(f"beside a hill {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": bounds})
+        whole = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
+        yield Case(f"all there is {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": whole})
+
+
+def refraction() -> Iterator[Case]:
+    for hour in ("05:35", "06:00", "06:30", "07:30", "08:30", "09:30", "11:00", "12:00"):
+        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+            keys = {
+                "terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"},
+                "shadows": {"algorithm": "sweep"},  # no map whose texels turn with the sun
+            }  # fmt: skip
+            yield Case(f"hills {view_name} {hour}", keys, view)
+    yield Case("angles", ground("hills", 100.0, 10.0), MAP)
+
+
+def lamps() -> Iterator[Case]:
+    for away in (30.0, 100.0, 250.0, 500.0):
+        for intensity in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0):
+            lamp = {"kind": "omni", "position": [0, 0, 20.0], "intensity": intensity}
+            view = eye((0, -away - 10.0, 20.0), (0, -away, 0), 20.0)
+            for hour, altitude in (("day", 30.0), ("night", -20.0)):
+                yield Case(f"omni {intensity} at {away} m by {hour}", ground("floor", 180.0, altitude, lights={"lamp": lamp}), view)
+    for turn in (0.0, 20.0, 40.0, 44.0, 47.0, 50.0, 60.0, 90.0):
+        target = [100.0 * float(np.sin(np.radians(turn))), 0.0, 100.0 - 100.0 * float(np.cos(np.radians(turn)))]
+        lamp = {"kind": "spot", "position": [0, 0, 100.0], "target": target, "cutoff": 35.0}
+        keys = {**ground("floor"), "sun": "none", "lights": {"lamp": lamp}}
+        yield Case(f"spot turned {turn}", keys, eye((0, -10, 60), (0, 0, 0), 20.0))
+
+
+def snow() -> Iterator[Case]:
+    for name in ("plain", "hills", "slope"):
+        for lies in (False, True):
+            for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+                yield Case(f"{name} {view_name} {lies}", ground(name, weather={"snow": lies}), view)
+
+
+def clouds() -> Iterator[Case]:
+    for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
+        for view_name, view, seconds in (("map", MAP, 0), ("perspective", ACROSS, 300)):
+            yield Case(f"{view_name} {cover}", ground("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
+    for altitude in (-1.0, 0.01, 0.5):
+        yield Case(f"half the sky, sun at {altitude}", ground("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
+
+
+def sky_view() -> Iterator[Case]:
+    for percent in (1, 2, 3, 4, 6, 8, 12, 20, 35):
+        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+            yield Case(f"valley of {percent} % {view_name}", ground(f"valley{percent}"), view)
+    for name in ("plain", "slope"):
+        yield Case(name, ground(name), MAP)
+    for altitude in (-20.0, -3.0, 70.0):
+        yield Case(f"shallow valley, sun at {altitude}", ground("valley4", altitude=altitude), MAP)
+
+
+def water() -> Iterator[Case]:
+    for level in (-90.0, -80.0, -70.0, -60.0, -40.0, 0.0, 70.0):
+        for view_name, view in (("map", MAP), ("perspective", ACROSS)):
+            yield Case(f"level {level} {view_name}", ground("hills", 40.0, 20.0, water={"level": level}), view)
+    for altitude in (-30.0, -10.0, -3.0):
+        yield Case(f"lake by night {altitude}", ground("hills", 40.0, altitude, water={"level": -40.0}), MAP)
+    yield Case("no water", ground("hills", 40.0, 20.0), ACROSS)
+
+
+def haze() -> Iterator[Case]:
+    for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
+        yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), ACROSS)
+    yield Case("clear", ground("hills", 220.0, 20.0), ACROSS)
+    yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
+
+
+CASES: dict[str, Callable[[], Iterator[Case]]] = {
+    "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
+    "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view, "lamps": lamps, "water": water,
+    "haze": haze,
+}  # fmt: skip
+"""Effect -> its cases."""
+
+MOVES_EDGES = frozenset({"refraction", "soft_edges"})
+"""Effects that move edges, and that are left out where they do so by less than a pixel: a pixel on an edge is on its other side
+then. There a picture is held against the other one's pixel and those beside it.
+"""

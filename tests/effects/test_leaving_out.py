@@ -1,0 +1,51 @@
+"""Leaving an effect out is right: where the plan does, forcing it on would change nothing; where it runs, it changes something."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from terrain.level import EffectName
+from tests.effects.edges import CASES, MOVES_EDGES, Found, Lab
+
+TIMID = 0.1
+"""Share of an effect's runs that may have changed nothing."""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return Lab(Path(tmp_path_factory.mktemp("effects")))
+
+
+def test_every_effect_has_cases():
+    assert set(CASES) == set(get_args(EffectName))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("effect", CASES)
+def test_what_is_left_out_would_not_be_seen(gl, lab: Lab, effect: str):
+    found = [lab.found(effect, case) for case in CASES[effect]()]
+    print("\n".join(map(str, found)))
+    _check(effect, found)
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_both_sides_of_the_edge_are_right(gl, lab: Lab, effect: str):
+    """The last case in which the effect is left out, and the first in which it runs, of every fourth."""
+    some = list(CASES[effect]())[::4]
+    found = [lab.found(effect, case) for case in some]
+    assert not [str(one) for one in found if not one.runs and _difference(effect, one) > 1]
+
+
+def _difference(effect: str, found: Found) -> int:
+    return found.steps_beside if effect in MOVES_EDGES else found.steps
+
+
+def _check(effect: str, found: list[Found]) -> None:
+    runs, left_out = ([one for one in found if one.runs is which] for which in (True, False))
+    assert runs and left_out, "cases on both sides of the edge"
+    assert not [str(one) for one in left_out if _difference(effect, one) > 1], "left out, and missed"
+    idle = [str(one) for one in runs if one.steps == 0]
+    assert len(idle) <= TIMID * len(runs), "run for nothing"

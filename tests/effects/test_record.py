@@ -1,0 +1,73 @@
+"""What ran is what was planned, over all bundled levels: passes, effects, and no code of an effect that was left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import configs
+from selector.rules import choose
+from shadows.render import Frame, render_frame
+from terrain.descriptor import describe
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+LEVELS = sorted(Path(configs.__file__).parent.glob("*.yaml"), key=lambda path: path.stem)
+
+SIZE = {"map": (96, 72), "perspective": (160, 120)}
+
+
+@pytest.fixture(scope="module")
+def scene_of():
+    made: dict[Path, Scene] = {}
+
+    def of(path: Path) -> Scene:
+        if path not in made:
+            made.clear()
+            made[path] = build_scene(load_level(path))
+        return made[path]
+
+    return of
+
+
+def drawn(scene: Scene, name: str) -> Frame:
+    spec = scene.loaded.level.views.get(name)
+    view = scene.view(name, size=SIZE["map" if spec is None else spec.kind])
+    return render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level))
+
+
+def views_of(path: Path) -> list[str]:
+    return list({"map": None, **load_level(path).level.views})
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=lambda path: path.stem)
+def test_the_record_equals_the_plan(gl, scene_of, path: Path):
+    """Passes by name and order, effects as told from passes and programs, and nothing drawn or read that no effect calls for."""
+    scene = scene_of(path)
+    for name in views_of(path):
+        frame = drawn(scene, name)
+        plan, records = frame.plan, {record.name: record for record in frame.passes}
+        assert list(records) == plan.passes, name
+        assert frame.effects == plan.runs, (name, plan.left_out)
+        assert plan.runs.isdisjoint(effect.name for effect in plan.left_out)
+        assert all(item.reason for item in (*plan.effects, *plan.left_out))
+        shadows = [record for key, record in records.items() if "/" in key]
+        assert all(record.draws > 0 for record in shadows), name
+        depth = [record for record in shadows if record.name.endswith("depth map")]
+        if "alpha_test" not in plan.runs:
+            assert not any(record.textures for record in depth), (name, depth)
+        words = {word for record in shadows for label in record.programs for word in label.split()}
+        assert "shadows/sun_disc.frag" not in words
+        for key in ("snow", "clouds", "sky_view", "lamps", "water", "haze", "outside_casters", "refraction"):
+            assert (key in records) == (key in plan.runs)
+
+
+def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
+    scene = scene_of(next(path for path in LEVELS if path.stem == "jacksboro"))
+    view = scene.view("map", size=(64, 48))
+    frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"filter": "sun"}))
+    words = {word for record in frame.passes for label in record.programs for word in label.split()}
+    assert "shadows/sun_disc.frag" in words and "soft_edges" in frame.effects
+    reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")
+    assert "filter sun is asked for" in reason

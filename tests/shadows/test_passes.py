@@ -1,0 +1,222 @@
+"""What passes put on record of their draw calls: as many as were really made, the programs, and the textures these can read."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+
+from shadows.passes import PassLog, PassRecord
+from shadows.plan import Plan
+from shadows.render import Frame, forget_kept, render_frame
+from terrain import gl as gl_module
+from terrain.level import load_level
+from terrain.programs import Linked, note_draw
+from terrain.scene import Scene, build_scene
+from tests.rasters import ENGINEERING
+from tests.render import plan_of
+
+TREES, GROUND = Linked("trees", ("foliage",)), Linked("ground", ())
+LOOK_UP = Linked("look-up", ("position", "depth_map"))
+
+VIEWS: dict[str, Any] = {
+    "eye": {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [96, 72]},
+    "map": {"kind": "map", "bounds": [-40, -40, 40, 40], "size": [96, 96]},
+}
+SPOT = {"kind": "spot", "position": [-20, 10, 25], "target": [0, 0, 0], "cutoff": 40}
+
+Build = Callable[..., Scene]
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory) -> Build:
+    """``build(trees, **keys)`` builds a level floor with a figure on it, and with some trees or none."""
+    folder: Path = tmp_path_factory.mktemp("passes")
+    points = shapely.to_wkb([shapely.Point(12.0 - 9.0 * n, 14.0 - 4.0 * n) for n in range(3)])
+    pyogrio.raw.write(folder / "trees.gpkg", points, [np.full(3, 6.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
+
+    def level(trees: bool = False, **keys: Any) -> Scene:
+        path = folder / "level.yaml"
+        whole = {
+            "version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [20, 20]}}, "views": VIEWS,
+            "meshes": [{"generate": "tetrahedra", "at": [2, -6]}], "sun": {"azimuth": 215, "altitude": 32},
+            "forest": [{"source": "trees.gpkg", "height": "height"}] if trees else [], **keys,
+        }  # fmt: skip
+        path.write_text(json.dumps(whole), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return level
+
+
+def drawn(scene: Scene, view: str = "eye", **asked: Any) -> Frame:
+    """A frame of which nothing was kept from before."""
+    forget_kept()
+    return again(scene, view, plan_of(scene, scene.view(view), **asked))
+
+
+def again(scene: Scene, view: str, plan: Plan) -> Frame:
+    return render_frame(scene, scene.view(view), plan)
+
+
+def record_of(frame: Frame, ending: str) -> PassRecord:
+    (record,) = (record for record in frame.passes if record.name.endswith(ending))
+    return record
+
+
+# -- the record
+
+
+def test_a_pass_has_the_draws_between_its_beginning_and_its_end():
+    """Programs in the order of their first use, textures by the alphabet, neither twice."""
+    log = PassLog()
+    note_draw(TREES)
+    with log.run("map") as record:
+        for program in (LOOK_UP, GROUND, LOOK_UP, GROUND, TREES):
+            note_draw(program)
+    note_draw(TREES)
+    assert record is log.records["map"] and record.draws == 5
+    assert record.programs == ("look-up", "ground", "trees")
+    assert record.textures == ("depth_map", "foliage", "position")
+
+
+def test_a_pass_that_is_entered_again_adds_up():
+    log = PassLog()
+    for programs in ((GROUND,), (), (TREES, GROUND), (LOOK_UP, TREES)):
+        with log.run("map"):
+            for program in programs:
+                note_draw(program)
+    with log.run("rays"):
+        pass
+    map_record, rays = log.records.values()
+    assert (map_record.draws, map_record.programs) == (5, ("ground", "trees", "look-up"))
+    assert map_record.textures == ("depth_map", "foliage", "position")
+    assert (rays.draws, rays.programs, rays.textures) == (0, (), ())
+
+
+def test_a_pass_within_another_counts_in_both():
+    log = PassLog()
+    with log.run("outer"):
+        note_draw(GROUND)
+        with log.run("inner"):
+            note_draw(TREES)
+        note_draw(GROUND)
+    assert [(record.draws, record.programs) for record in log.records.values()] == [(3, ("ground", "trees")), (1, ("trees",))]
+
+
+def test_a_pass_that_fails_leaves_its_draws_on_record_and_no_more():
+    log = PassLog()
+    with pytest.raises(ZeroDivisionError), log.run("map"):
+        note_draw(GROUND)
+        _ = 1 / 0
+    note_draw(GROUND)
+    assert log.records["map"].draws == 1 and log.records["map"].ms > 0.0
+
+
+def test_what_another_thread_draws_is_not_this_ones():
+    log = PassLog()
+    with log.run("rays"):
+        thread = threading.Thread(target=note_draw, args=(GROUND,))
+        thread.start()
+        thread.join()
+    assert log.records["rays"].draws == 0
+
+
+def test_records_survive_json():
+    record = PassRecord("map", draws=2, programs=("a b", "c"), textures=("foliage",))
+    assert json.loads(json.dumps(asdict(record))) | {"programs": record.programs, "textures": record.textures} == asdict(record)
+
+
+# -- frames
+
+
+ASKED: list[tuple[str, bool, dict[str, Any]]] = [
+    ("eye", True, {"algorithm": "shadow_map", "cascades": 3, "map_size": 256}),
+    ("eye", False, {"algorithm": "shadow_map", "filter": "sun", "map_size": 256}),
+    ("eye", False, {"algorithm": "shadow_map", "culling": "front", "map_size": 256}),
+    ("map", True, {"algorithm": "shadow_map", "map_size": 256}),
+    ("eye", True, {"algorithm": "perspective_shadow_map", "map_size": 256}),
+    ("eye", False, {"algorithm": "shadow_volume"}),
+    ("map", False, {"algorithm": "shadow_volume"}),
+    ("eye", False, {"algorithm": "hybrid"}),
+    ("eye", True, {"algorithm": "planar"}),
+    ("map", True, {"algorithm": "planar"}),
+    ("eye", True, {"algorithm": "truth"}),
+]
+
+
+@pytest.mark.parametrize(
+    ("view", "trees", "asked"), ASKED, ids=lambda each: each.get("algorithm") if isinstance(each, dict) else None
+)
+def test_every_call_that_draws_is_on_record(gl, build, monkeypatch, view, trees, asked):
+    """Counted where OpenGL is called: none beside the record, none twice, nor one that was never made."""
+    scene = build(trees, lights={"spot": SPOT} if asked["algorithm"] != "truth" else {})
+    plan = plan_of(scene, scene.view(view), **asked)
+    forget_kept()
+    calls: list[moderngl.Program] = []
+    original = moderngl.VertexArray.render
+    monkeypatch.setattr(
+        moderngl.VertexArray, "render", lambda self, *of, **by: calls.append(self.program) or original(self, *of, **by)
+    )
+    frame = again(scene, view, plan)
+    assert sum(record.draws for record in frame.passes) == len(calls) > 0
+    assert {label for record in frame.passes for label in record.programs} == {program.extra.label for program in calls}
+    assert all((record.draws > 0) == bool(record.programs) for record in frame.passes)
+    assert json.loads(json.dumps([asdict(record) for record in frame.passes]))
+
+
+def test_what_runs_without_opengl_opens_no_device_and_draws_nothing(write_raster, make_scene, monkeypatch):
+    heights = np.zeros((40, 40), np.float32)
+    heights[18:22] = 30.0
+    scene = make_scene(write_raster(heights, ENGINEERING, 0, 40, 1.0))
+    monkeypatch.setattr(gl_module, "_device", None)
+    frame = render_frame(scene, scene.view(), plan_of(scene, scene.view(), algorithm="sweep"))
+    assert not gl_module.is_open() and len(frame.passes) > 2
+    assert all((record.draws, record.programs, record.textures) == (0, (), ()) for record in frame.passes)
+
+
+def test_a_kept_map_is_not_drawn(gl, build):
+    scene = build(trees=True)
+    plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map", map_size=256)
+    forget_kept()
+    first, second = (record_of(again(scene, "eye", plan), "depth map") for _ in range(2))
+    assert first.draws > 0 and first.programs and first.textures
+    assert (second.draws, second.programs, second.textures, second.kept > 0) == (0, (), (), True)
+
+
+def test_a_depth_map_reads_a_texture_for_its_leaves_alone(gl, build):
+    """Without a forest no texture unit can be read at all: nothing is alpha-tested."""
+    bare, wooded = (record_of(drawn(build(trees), algorithm="shadow_map", map_size=256), "depth map") for trees in (False, True))
+    assert bare.draws > 0 and bare.textures == () and bare.programs == ("shadows/light shadows/depth.vert shadows/depth.frag",)
+    assert wooded.textures == ("foliage",) and wooded.programs[0] == bare.programs[0]
+    assert wooded.programs[1:] == ("shadows/light terrain/tree shadows/depth_tree.vert shadows/depth_tree.frag",)
+
+
+def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
+    """The sun's disc where soft edges are asked for, the leaves where there are trees."""
+    monkeypatch.setattr(gl, "_programs", {})
+    frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
+    assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
+    without = {part for label in gl.programs for part in label.split()}
+    assert "shadows/shadow_map.frag" in without and not any("disc" in part or "tree" in part for part in without)
+    frame = drawn(build(), algorithm="shadow_map", filter="sun", map_size=256)
+    assert any("shadows/sun_disc.frag" in label.split() for label in gl.programs)
+    soft = record_of(frame, "visibility")
+    assert "least_depth" in soft.textures and any("shadows/sun_disc.frag" in label.split() for label in soft.programs)
+    drawn(build(trees=True), algorithm="shadow_map", filter=3, map_size=256)
+    assert any("shadows/depth_tree.frag" in label.split() for label in gl.programs)
+
+
+def test_labels_name_the_constants_compiled_in(gl, build):
+    for taps in (1, 3):
+        visibility = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility")
+        assert f"taps={taps}" in visibility.programs[0].split() and "shadows/shadow_map.frag" in visibility.programs[0].split()
+        assert {"depth_map", "position_frame_m"} <= set(visibility.textures)

@@ -1,0 +1,225 @@
+"""Cloud shadows: how much ground they shade, where they lie, and when they are called for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from selector.rules import choose
+from shadows.plan import Plan
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.effects import clouds
+from terrain.effects.clouds import EDGE, HIGHEST, LAYER_M, STEEPEST, TOP, density_at, layer_of, shade_clouds, threshold_of
+from terrain.effects.effect import Block
+from terrain.noise import noise_at
+from terrain.picture import geometry_of
+from terrain.population import Population
+from terrain.scene import Scene
+from tests.rasters import ENGINEERING
+
+UTM = "EPSG:32616"
+
+
+@pytest.fixture
+def cloudy(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
+    """A plain with a low rise under clouds; ``size`` nodes of 50 m a side."""
+
+    def make(cover: float, size: int = 120, **keys) -> Scene:
+        x = np.arange(size) - size / 2
+        heights = 300.0 + 60.0 * np.exp(-(x[:, None] ** 2 + x**2) / size)
+        return make_scene(
+            write_raster(heights.astype(np.float32), UTM, 700_000.0, 4_000_000.0, 50.0), weather={"cloud_cover": cover}, **keys
+        )
+
+    return make
+
+
+def densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarray:
+    threshold = threshold_of(cover)
+    return np.array([density_at(x * step_m, y * step_m, threshold) for x in range(side) for y in range(side)])
+
+
+def sunlight_of(scene: Scene, view=None) -> np.ndarray:
+    """The share of the sun that the clouds alone let through."""
+    view = view or scene.view()
+    buffer = geometry_of(scene, view)
+    light = np.ones(buffer.there.shape, np.float32)
+    shade_clouds(light, Block(scene, view, buffer, {}))
+    return light
+
+
+def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
+    level = scene.loaded.level.model_copy(update={"effects": {"clouds": wish}})
+    return choose(describe(scene, view), level, {})
+
+
+def at_second(scene: Scene, seconds: float) -> Scene:
+    return replace(scene, population=Population(scene.loaded, scene.world, scene.elevation, seconds))
+
+
+@pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])
+def test_the_share_of_shaded_ground_is_the_cover(cover: float) -> None:
+    density = densities(cover)
+    assert np.mean(density > 0.5) == pytest.approx(cover, abs=0.03)
+    assert density.mean() == pytest.approx(cover, abs=0.03)
+
+
+def test_no_cloud_at_no_cover_and_no_gap_at_a_whole_one() -> None:
+    assert threshold_of(0.0) - EDGE / 2 >= TOP
+    assert threshold_of(1.0) + EDGE / 2 <= -TOP
+    covers = np.linspace(0.0, 1.0, 401)
+    thresholds = [threshold_of(cover) for cover in covers]
+    assert all(a > b for a, b in pairwise(thresholds))
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.0, 0.999))
+def test_little_more_cover_is_little_more_cloud(x: float, y: float, cover: float) -> None:
+    less, more = (density_at(x, y, threshold_of(c)) for c in (cover, cover + 1e-6))
+    assert 0.0 <= less <= more <= less + 0.05
+
+
+@given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(0.0, 2 * np.pi), st.integers(0, 99))
+@settings(max_examples=300)
+def test_bounds_of_the_noise(x: float, y: float, turn: float, seed: int) -> None:
+    step = 1e-5
+    here, there = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
+    assert abs(here) <= HIGHEST
+    assert abs(there - here) <= STEEPEST * step * (1.0 + 1e-3)
+
+
+@given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
+@settings(max_examples=20)
+def test_no_place_in_a_box_is_denser_than_its_densest(west: float, south: float, side: float, cover: float) -> None:
+    threshold = threshold_of(cover)
+    found = max(
+        density_at(x, y, threshold) for x in np.linspace(west, west + side, 60) for y in np.linspace(south, south + side, 60)
+    )
+    bound = clouds._densest(west, west + side, south, south + side, threshold)
+    assert found <= bound
+    fine = side / 59.0
+    slope = clouds.OCTAVES * STEEPEST / clouds.WIDEST_M * 1.5 / EDGE
+    assert bound <= found + slope * (fine + 1.0)
+
+
+def test_what_is_not_worked_out_changes_nothing() -> None:
+    threshold = threshold_of(0.3)
+    for x in range(0, 40_000, 997):
+        whole = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
+        assert density_at(float(x), 0.7 * x, threshold) == clouds._density(whole, threshold)
+
+
+def test_the_shadow_lies_where_the_ray_to_the_sun_meets_the_layer(make_scene, write_raster) -> None:
+    heights = np.full((40, 40), 300.0, np.float32)
+    scene = make_scene(write_raster(heights, UTM, 500_000.0, 1000.0, 50.0), 90.0, 45.0, weather={"cloud_cover": 0.4})
+    layer, view = layer_of(scene), scene.view()
+    assert layer.height_m == pytest.approx(300.0 + LAYER_M)
+    light, buffer = sunlight_of(scene, view), geometry_of(scene, view)
+    points = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m - scene.world.anchor_earth_m
+    east, north, _ = np.moveaxis(points @ scene.world.earth_from_anchor, -1, 0)
+    # The sun stands in the east at 45 degrees: the cloud over a point is as far to the east as it is high.
+    for i, j in ((3, 5), (500, 500), (1000, 900)):
+        expected = 1.0 - layer.most * density_at(east[i, j] + LAYER_M, north[i, j], layer.threshold)
+        assert light[i, j] == pytest.approx(expected, abs=2e-3)
+
+
+def test_same_ground_same_cloud_in_every_view(cloudy) -> None:
+    scene = cloudy(0.4)
+    whole = scene.view()
+    part = whole.part(200, 300, 150, 170)
+    assert np.array_equal(sunlight_of(scene, whole)[200:350, 300:470], sunlight_of(scene, part))
+
+
+def test_clouds_drift_by_the_clock(cloudy) -> None:
+    scene = cloudy(0.4)
+    layer, later = layer_of(scene), layer_of(at_second(scene, 60.0))
+    east, north = later.drift_m - layer.drift_m
+    assert np.hypot(east, north) == pytest.approx(600.0)
+    assert np.degrees(np.arctan2(east, north)) == pytest.approx(67.5)
+    assert not np.array_equal(sunlight_of(scene), sunlight_of(at_second(scene, 60.0)))
+
+
+def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
+    scene = cloudy(0.4, size=600)
+    view = scene.view(size=(12, 12))
+    light = sunlight_of(scene, view)[geometry_of(scene, view).there]
+    assert light.size > 50
+    assert light == pytest.approx(1.0 - 0.4 * layer_of(scene).most, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        ({"weather": {"cloud_cover": 0.0}}, "no clouds"),
+        ({"weather": {"cloud_cover": 1.0}}, "overcast"),
+        ({"weather": {"cloud_cover": 0.4}, "sun": "none"}, "no sun"),
+        ({"weather": {"cloud_cover": 0.4}, "sun": {"azimuth": 90.0, "altitude": -3.0}}, "night"),
+        ({"weather": {"cloud_cover": 1e-5}}, "take at most 0.0%"),
+    ],
+)
+def test_left_out(make_scene, write_raster, keys: dict, reason: str) -> None:
+    heights = np.zeros((40, 40), np.float32)
+    scene = make_scene(write_raster(heights, UTM, 700_000.0, 4_000_000.0, 50.0), **keys)
+    view = scene.view(size=(60, 60))
+    verdict = clouds.called_for(describe(scene, view))
+    assert not verdict.called_for and reason in verdict.reason
+    on, off = (render_frame(scene, view, plan_of(scene, view, wish)).color for wish in ("on", "off"))
+    assert np.array_equal(on, off)
+
+
+def test_left_out_where_it_cannot_be_seen_and_called_for_where_it_can(cloudy) -> None:
+    # A cover at which there is a cloud over this ground at some times, and none at others.
+    scene = cloudy(0.02, size=40)
+    called, vain = 0, 0
+    for second in range(0, 8000, 400):
+        later = at_second(scene, float(second))
+        view = later.view(size=(120, 120))
+        on, off = (render_frame(later, view, plan_of(later, view, wish)).color.astype(int) for wish in ("on", "off"))
+        difference = np.abs(on - off).max()
+        if "clouds" in plan_of(later, view).runs:
+            called, vain = called + 1, vain + (difference == 0)
+        else:
+            assert difference <= 1
+    assert 5 <= called <= 15
+    assert vain <= 0.1 * called + 1
+
+
+@pytest.mark.parametrize("altitude", [0.0001, 0.003, 0.1, 0.5, 1.0])
+def test_a_low_sun_over_a_plain(make_scene, write_raster, altitude: float) -> None:
+    heights = np.zeros((40, 40), np.float32)
+    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 2000.0, 50.0), 90.0, altitude, weather={"cloud_cover": 0.6})
+    view = scene.view(size=(160, 160))
+    on, off = (render_frame(scene, view, plan_of(scene, view, wish)).color.astype(int) for wish in ("on", "off"))
+    if "clouds" not in plan_of(scene, view).runs:
+        assert np.abs(on - off).max() <= 1
+
+
+def test_clouds_are_no_shadows_of_the_terrain(cloudy) -> None:
+    scene = cloudy(0.5)
+    view = scene.view(size=(160, 160))
+    on, off = (render_frame(scene, view, plan_of(scene, view, wish)) for wish in ("on", "off"))
+    assert np.array_equal(on.visibility, off.visibility)
+    assert not np.array_equal(on.color, off.color)
+
+
+def test_perspective_counts_what_is_seen(cloudy) -> None:
+    anchor = {"kind": "perspective", "fov": 40, "size": [96, 64]}
+    scene = cloudy(0.4, views={"down": {**anchor, "eye": [-84.77, 36.09, 400], "target": [-84.7701, 36.0901, 0]}})
+    level = scene.loaded.level
+    lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
+    spec = level.views["down"].model_copy(update={"eye": (lon, lat, 400.0), "target": (lon, lat + 1e-5, 0.0)})
+    verdicts = []
+    for second in range(0, 3000, 300):
+        later = at_second(scene, float(second))
+        view = later._perspective_view("down", spec, None)
+        light = sunlight_of(later, view)
+        seen = clouds.called_for(describe(later, view, "down")).called_for
+        assert seen or np.nanmin(light) > 1.0 - clouds.UNSEEN
+        verdicts.append(seen)
+    assert any(verdicts) and not all(verdicts)

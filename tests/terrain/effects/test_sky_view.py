@@ -1,0 +1,219 @@
+"""Sky view: horizons against closed forms, places in rasters, and the predicate against the pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.effects.effect import Block
+from terrain.effects.sky_view import EFFECT, darkened_steps, hide
+from terrain.grid import MapView
+from terrain.picture import frame_of, geometry_of
+from terrain.sky_view import hidden_sky, nodes_of, pyramid, sky_view
+from tests.render import plan_of, render
+
+ALONG = np.arange(129) - 64.0
+
+
+def hidden(height_m: np.ndarray, across_m: float = 1.0, down_m: float = 1.0, curvature: float = 0.0) -> np.ndarray:
+    rows = len(height_m)
+    return hidden_sky(height_m, np.full(rows, across_m), np.full(rows, down_m), curvature)
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.3, 3))
+def test_nothing_hides_the_sky_from_a_plane(east: float, south: float, down_m: float) -> None:
+    """A plane has its own slope for a horizon: nothing is lost but rounding; lying flat, nothing at all."""
+    height = east * np.arange(24.0) + south * np.arange(20.0)[:, None]
+    assert hidden(height, down_m=down_m).max() < 1e-6
+    assert not hidden(np.full((20, 24), 7.0)).any()
+
+
+@pytest.mark.parametrize("slope_deg", [10.0, 30.0, 45.0, 70.0])
+@pytest.mark.parametrize("way", ["rows", "columns", "diagonal"])
+def test_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
+    """From the bottom line of an endless valley with straight sides the share cos(slope) of the sky is seen."""
+    away = {"rows": ALONG[:, None] + 0 * ALONG, "columns": ALONG + 0 * ALONG[:, None]}.get(way)
+    away = (ALONG + ALONG[:, None]) / np.sqrt(2.0) if away is None else away
+    seen = 1.0 - hidden(np.abs(away) * np.tan(np.radians(slope_deg)))[64, 64]
+    assert seen == pytest.approx(np.cos(np.radians(slope_deg)), abs=0.012)
+
+
+@pytest.mark.parametrize("slope_deg", [10.0, 45.0, 70.0])
+def test_the_bottom_of_a_funnel(slope_deg: float) -> None:
+    """From its tip cos^2(slope) is seen; ground between nodes is straight, which bends the tip's inmost ring up."""
+    seen = 1.0 - hidden(np.hypot(ALONG, ALONG[:, None]) * np.tan(np.radians(slope_deg)))[64, 64]
+    assert seen == pytest.approx(np.cos(np.radians(slope_deg)) ** 2, abs=0.02)
+
+
+def test_a_hollow_half_sphere_sees_the_same_everywhere() -> None:
+    """In an integrating sphere every place sees the same share of the opening: half of the sky for a half sphere."""
+    radius = 60.0
+    square = ALONG**2 + (ALONG**2)[:, None]
+    height = -np.sqrt(np.maximum(radius**2 - square, 0.0))
+    own = 0.5 + 0.5 * np.sqrt(np.maximum(1.0 - square / radius**2, 0.0))
+    seen = own * (1.0 - hidden(height))
+    assert seen[square < (0.8 * radius) ** 2] == pytest.approx(0.5, abs=0.012)
+
+
+def test_before_a_wall() -> None:
+    """Before an endless wall the elevation angle h of its top leaves (1 + cos h) / 2 of level ground's sky."""
+    height = np.zeros((1025, 65))
+    height[:, 40:] = 10.0
+    for away in (4, 10, 30):
+        expected = 0.5 - 0.5 * np.cos(np.arctan2(10.0, away))
+        assert hidden(height)[512, 40 - away] == pytest.approx(expected, abs=0.012)
+    assert not hidden(height)[512, 45:].any()
+
+
+@given(st.sampled_from([(0, 0), (1, 0), (0, 1), (1, 1)]), st.booleans(), st.floats(0.4, 2.5))
+def test_mirrored_and_turned_ground(mirrored: tuple[int, int], turned: bool, down_m: float) -> None:
+    """What is hidden goes with the ground: no azimuth is treated in another way."""
+    height = np.random.default_rng(3).normal(size=(19, 23)).cumsum(axis=1)
+    other, cells = height[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]], (1.0, down_m)
+    found = hidden(other.T if turned else other, *(cells[::-1] if turned else cells))
+    back = (found.T if turned else found)[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]]
+    np.testing.assert_allclose(back, hidden(height, *cells), atol=1e-6)
+
+
+def test_the_earth_bends_away() -> None:
+    """A ridge 1000 m high and 120 km away lies below the horizon of the earth (113 km), but not of a plane."""
+    height = np.zeros((3, 121))
+    height[:, 120] = 1000.0
+    assert hidden(height, 1000.0, 1000.0)[1, 0] > 0.0
+    assert hidden(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 0] == 0.0
+    assert hidden(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 20] > 0.0
+
+
+def test_holes_hide_nothing() -> None:
+    """Where nothing is known the sky is open, and beyond a hole the ground still counts."""
+    height = np.zeros((65, 65))
+    height[:, 40:] = 10.0
+    holes = height.copy()
+    holes[:, 35:45] = np.nan
+    assert not hidden(holes)[:, 35:45].any()
+    assert 0.0 < hidden(holes)[32, 30] < hidden(height)[32, 30]
+
+
+def test_pyramid() -> None:
+    """Every level joins two by two, down to one node; an odd last one is joined with itself."""
+    values, table = pyramid(np.arange(15, dtype=np.float32).reshape(3, 5), np.max)
+    assert table[:, 1:].tolist() == [[3, 5], [2, 3], [1, 2], [1, 1]]
+    assert values[table[1, 0] : table[2, 0]].tolist() == [6.0, 8.0, 9.0, 11.0, 13.0, 14.0]
+    assert values[-1] == 14.0
+
+
+@pytest.mark.parametrize(
+    ("crs", "x0", "y0", "cell"),
+    [
+        ("EPSG:32633", 500_000.0, 5_300_000.0, 900.0),
+        ("EPSG:4326", 10.0, 47.0, 0.01),
+        ("EPSG:4326", 179.8, 85.0, 0.01),
+        ("EPSG:3413", -20_000.0, 30_000.0, 900.0),
+        ('ENGCRS["floor",EDATUM["floor"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]', 5.0, 9.0, 2.0),
+    ],
+)
+def test_cells_are_found_without_proj(write_raster, make_scene, crs: str, x0: float, y0: float, cell: float) -> None:
+    """Ground points at any height lie in the cells that PROJ says, to a hundredth of a node."""
+    rng = np.random.default_rng(1)
+    scene = make_scene(write_raster(rng.normal(size=(60, 80)) * 100.0 + 1000.0, crs, x0, y0, cell))
+    row, col, height = rng.uniform(0, 59, 200), rng.uniform(0, 79, 200), rng.uniform(0, 4000, 200)
+    point, up = scene.world.ground(scene.elevation.crs, *scene.elevation.xy(row, col))
+    frame = scene.world.frame_near_earth(point[0])
+    position = (point + height[:, None] * up - frame.origin_earth_m) @ frame.frame_from_earth.T
+    nodes = nodes_of(sky_view(scene.elevation, scene.world), frame, position, height)
+    np.testing.assert_allclose(nodes, np.stack([row, col], axis=-1), atol=0.01)
+
+
+def valley(depth_m: float) -> np.ndarray:
+    """A valley along a level's middle in an otherwise level plain."""
+    return np.broadcast_to(-depth_m * np.exp(-((np.arange(96) - 48.0) ** 2) / 50.0), (96, 96)).astype(np.float32)
+
+
+@pytest.mark.parametrize("weather", [{}, {"cloud_cover": 1.0}])
+@pytest.mark.parametrize("altitude", [40.0, 8.0, -3.0, -30.0])
+def test_the_predicate_holds_in_pictures(write_raster, make_scene, altitude: float, weather: dict) -> None:
+    """From too shallow to well deep enough: left out, it would change no channel by more than a step; run, it changes some."""
+    verdicts = set()
+    for depth_m in (2.0, 12.0, 18.0, 25.0, 35.0, 50.0, 70.0, 120.0):
+        path = write_raster(valley(depth_m), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0, name=f"valley{depth_m:g}.tif")
+        pictures = []
+        for forced in ("on", "off"):
+            scene = make_scene(path, 90.0, altitude, weather=weather, effects={"sky_view": forced})
+            pictures.append(render(scene, scene.view(size=(96, 96)), algorithm="sweep").color.astype(int))
+        verdict = EFFECT.called_for(describe(scene, scene.view(size=(96, 96))))
+        change = np.abs(pictures[0] - pictures[1]).max()
+        assert change >= 1 if verdict.called_for else change <= 1, (depth_m, change, verdict.reason)
+        verdicts.add(verdict.called_for)
+    assert verdicts == {True, False}
+
+
+def test_perspective_goes_by_what_is_seen(write_raster, make_scene) -> None:
+    """A camera over the plain that does not look into the valley does not call for what the one that does calls for."""
+    path = write_raster(valley(400.0), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0)
+    scene = make_scene(path)
+    lon, lat = (float(v) for v in scene.world.lon_lat(scene.elevation.crs, np.array(501_440.0), np.array(5_298_560.0)))
+    views = {
+        "valley": {"kind": "perspective", "eye": [lon, lat, 3000], "target": [lon + 1e-4, lat, 0], "fov": 40, "size": [96, 80]},
+        "plain": {
+            "kind": "perspective",
+            "eye": [lon + 0.015, lat, 20],
+            "target": [lon + 0.018, lat, 0],
+            "fov": 30,
+            "size": [96, 80],
+        },
+    }
+    scene = make_scene(path, views=views)
+    assert EFFECT.called_for(describe(scene, scene.view("valley"))).called_for
+    assert not EFFECT.called_for(describe(scene, scene.view("plain"))).called_for
+    pictures = []
+    for forced in ("on", "off"):
+        scene = make_scene(path, views=views, effects={"sky_view": forced})
+        pictures.append(render(scene, scene.view("plain"), algorithm="shadow_map").color.astype(int))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    scene = make_scene(path, views=views)
+    view = scene.view("valley")
+    assert "sky_view" in [record.name for record in render_frame(scene, view, plan_of(scene, view)).passes]
+
+
+def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
+    """The same ground loses the same share of the sky, whichever part of a map asks, in whichever frame."""
+    scene = make_scene(write_raster(valley(400.0), "EPSG:4326", 10.0, 47.0, 0.004))
+    whole = scene.view(size=(128, 128))
+
+    def seen(view: MapView) -> np.ndarray:
+        skylight = np.ones((view.rows, view.cols), np.float32)
+        hide(skylight, Block(scene, view, geometry_of(scene, view), {}))
+        return skylight
+
+    part = whole.part(96, 44, 32, 40)
+    assert frame_of(scene, part).key != frame_of(scene, whole).key
+    assert seen(whole).min() < 0.99
+    np.testing.assert_allclose(seen(part), seen(whole)[96:128, 44:84], atol=2e-7)
+
+
+def test_level_ground_hides_nothing(write_raster, make_scene) -> None:
+    """Nothing is searched on a floor, and the reason says so."""
+    scene = make_scene(write_raster(np.full((8, 8), 3.0, np.float32), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
+    verdict = EFFECT.called_for(describe(scene, scene.view()))
+    assert not verdict.called_for and "nothing hides the sky" in verdict.reason
+
+
+def test_zoomed_out_the_pixels_show_means(write_raster, make_scene) -> None:
+    """A narrow gorge is lost in large pixels: what is hidden falls with the zoom, and ends at the level's mean."""
+    height = np.zeros((256, 256), np.float32)
+    height[:, 128] = -60.0
+    scene = make_scene(write_raster(height, "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
+    shares = [describe(scene, scene.view(size=(n, n))).facts["sky_view"]["hidden"] for n in (256, 64, 16)]
+    assert shares[0] > 1.5 * shares[1] > 2.0 * shares[2] > 0.0
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_more_hidden_darkens_more(light: float, share: float) -> None:
+    """Steps grow with what is hidden and with the light that is there to hide."""
+    assert darkened_steps(light, 0.0) == 0
+    assert darkened_steps(light, share) <= darkened_steps(light, 1.0) == darkened_steps(light, 1.0)
+    assert darkened_steps(light / 2.0, share) <= darkened_steps(light, share) + 1

@@ -1,0 +1,151 @@
+"""Snow: where it lies, what steep ground shows, and when it is called for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.effects import snow
+from terrain.effects.effect import Block
+from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, lie_on
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.picture import geometry_of
+from terrain.resolve import FOREST, MESHES, RELIEF
+from terrain.scene import Scene
+from terrain.shading import albedo_of
+from tests.rasters import ENGINEERING
+
+
+@pytest.fixture
+def slope(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
+    """A plane that rises eastwards at an angle from height 0, 10 m a node."""
+
+    def make(slope_deg: float, **keys) -> Scene:
+        heights = np.tile(10.0 * np.tan(np.radians(slope_deg)) * np.arange(64), (64, 1)).astype(np.float32)
+        return make_scene(write_raster(heights, ENGINEERING, 0.0, 640.0, 10.0), **{"weather": {"snow": True}, **keys})
+
+    return make
+
+
+def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
+    """Albedo before and after, and the buffer, of a small map."""
+    view = scene.view(size=(100, 100))
+    assert isinstance(view, MapView)
+    buffer = geometry_of(scene, view)
+    albedo = albedo_of(buffer, scene)
+    before = albedo.copy()
+    lie_on(albedo, Block(scene, view, buffer, {}))
+    return before, albedo, buffer
+
+
+@pytest.mark.parametrize("slope_deg", [0.0, 15.0, HELD_DEG - 1.6 * ROUGH_DEG])
+def test_white_where_snow_holds(slope, slope_deg: float) -> None:
+    _, albedo, buffer = snowed(slope(slope_deg))
+    assert np.allclose(albedo[buffer.there], SNOW, atol=0.01)
+
+
+@pytest.mark.parametrize("slope_deg", [BARE_DEG + 2 * ROUGH_DEG, 75.0])
+def test_rock_and_no_tint_where_it_slid_off(slope, slope_deg: float) -> None:
+    _, albedo, buffer = snowed(slope(slope_deg))
+    assert np.allclose(albedo[buffer.there], ROCK, atol=0.01)
+
+
+def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
+    _, albedo, buffer = snowed(slope((HELD_DEG + BARE_DEG) / 2))
+    share = (albedo[buffer.there][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
+    assert 0.3 < share.mean() < 0.7
+    assert share.std() > 0.1
+    assert share.min() >= -1e-6 and share.max() <= 1 + 1e-6
+
+
+def test_steeper_holds_less() -> None:
+    shares = [snow._held(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
+    assert shares[0] == 1.0 and shares[-1] == 0.0
+    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < HELD_DEG - 2 * ROUGH_DEG] == 0.0).all()
+
+
+def test_noise_goes_where_pixels_are_wide() -> None:
+    middle = (HELD_DEG + BARE_DEG) / 2
+    assert {float(snow._held(middle, 37.0 * k, 11.0 * k, snow.ROUGH_M)) for k in range(9)} == {0.5}
+    assert len({float(snow._held(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
+
+
+def test_none_on_water(slope) -> None:
+    scene = slope(10.0, water={"level": 40.0})
+    before, albedo, buffer = snowed(scene)
+    wet = buffer.there & (buffer.height_m <= 40.0)
+    assert 0.2 < wet.mean() < 0.8
+    assert np.array_equal(albedo[wet], before[wet])
+    assert np.allclose(albedo[buffer.there & (buffer.height_m > 40.1)], SNOW, atol=0.01)
+
+
+def test_roofs_but_no_walls_and_crowns_from_above() -> None:
+    normal = np.array([[[0, 0, 1], [1, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1]]], np.float32)
+    kind = np.array([[MESHES, MESHES, FOREST, FOREST, RELIEF]], np.uint8)
+    own = np.full((1, 5, 3), 0.1, np.float32)
+    albedo = own.copy()
+    snow._lie_on(
+        albedo, np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal, own,
+        np.array([0.0, 0.0, -1e12]), np.eye(3), np.zeros(3), -np.inf, 100.0, np.zeros(3), 0.0,
+    )  # fmt: skip
+    roof, wall, top, side, ground = albedo[0]
+    assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
+    assert np.allclose(wall, 0.1) and np.allclose(side, 0.1)
+    assert (top > 0.2).all() and (top < SNOW).all()
+
+
+def test_imagery_shows_its_own_rock() -> None:
+    own = np.full((1, 1, 3), 0.3, np.float32)
+    albedo = own.copy()
+    snow._lie_on(
+        albedo, np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
+        np.array([[[1, 0, 0]]], np.float32), own, np.array([0.0, 0.0, -1e12]), np.eye(3), np.zeros(3), -np.inf, 1.0, np.zeros(3),
+        0.0,
+    )  # fmt: skip
+    assert np.allclose(albedo, 0.3)
+
+
+def test_same_ground_same_snow_in_every_part(slope) -> None:
+    scene = slope((HELD_DEG + BARE_DEG) / 2)
+    whole = scene.view(size=(100, 100))
+    part = whole.part(20, 30, 40, 50)
+    drawn = []
+    for view in (whole, part):
+        buffer = geometry_of(scene, view)
+        albedo = albedo_of(buffer, scene)
+        lie_on(albedo, Block(scene, view, buffer, {}))
+        drawn.append(albedo)
+    assert np.array_equal(drawn[0][20:60, 30:80], drawn[1])
+
+
+@pytest.mark.parametrize(
+    ("keys", "called", "reason"),
+    [
+        ({}, True, "38 to 52 degrees"),
+        ({"weather": {"snow": False}}, False, "no snow"),
+        ({"water": {"level": 500.0}}, False, "all ground lies under water"),
+        ({"water": {"level": 50.0}}, True, "less steep"),
+    ],
+)
+def test_called_for(slope, keys: dict, called: bool, reason: str) -> None:
+    scene = slope(10.0, **keys)
+    view = scene.view(size=(60, 60))
+    verdict = snow.called_for(describe(scene, view))
+    assert verdict.called_for is called and reason in verdict.reason
+    frames = []
+    for wish in ("on", "off"):
+        level = scene.loaded.level.model_copy(update={"effects": {"snow": wish}})
+        frames.append(render_frame(scene, view, choose(describe(scene, view), level, {})).color.astype(int))
+    assert (np.abs(frames[0] - frames[1]).max() > 1) == called
+
+
+def test_snow_under_the_sun_does_not_blow_out(slope) -> None:
+    scene = slope(20.0, azimuth=270.0, altitude=30.0)
+    frame = render_frame(scene, scene.view(size=(60, 60)), choose(describe(scene, scene.view()), scene.loaded.level, {}))
+    assert 200 < frame.color[30, 30].min() <= frame.color[30, 30].max() < 250

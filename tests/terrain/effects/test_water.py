@@ -1,0 +1,273 @@
+"""Standing water: the surface wherever ground lies below it, its paint, and what it mirrors."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import dblquad
+
+from selector.rules import choose
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.effects import water
+from terrain.effects.effect import Block
+from terrain.elevation import Elevation
+from terrain.level_parts import SunSpec
+from terrain.picture import geometry_of
+from terrain.shading import WATER_ALBEDO, albedo_of, water_in
+
+UTM = "EPSG:32633"
+LEVEL_M = 100.0
+
+
+@pytest.fixture
+def bowl_m() -> np.ndarray:
+    """Heights (60, 80) of a round bowl, 60 m at its middle and 180 m at the corners' height."""
+    row, col = np.mgrid[:60, :80]
+    return (60.0 + 0.06 * ((row - 29.5) ** 2 + (col - 39.5) ** 2)).astype(np.float32)
+
+
+@pytest.fixture
+def make_lake(write_raster, make_scene, bowl_m):
+    """A scene with water in the bowl, seen from above and from its rim."""
+
+    def make(altitude: float = 40.0, level_m: float = LEVEL_M, heights_m: np.ndarray = bowl_m, **keys):
+        path = write_raster(heights_m, UTM, 500_000, 5_000_600, 10)
+        views = {
+            "map": {"kind": "map", "size": [80, 60]},
+            "rim": {
+                "kind": "perspective",
+                "eye": [15.0020, 45.1562, 40],
+                "target": [15.0065, 45.1562, 0],
+                "fov": 45,
+                "size": [96, 64],
+            },
+            "down": {
+                "kind": "perspective",
+                "eye": [15.0051, 45.1562, 300],
+                "target": [15.0052, 45.1562, 0],
+                "fov": 30,
+                "size": [64, 64],
+            },
+            "away": {
+                "kind": "perspective",
+                "eye": [15.0005, 45.1562, 40],
+                "target": [15.0001, 45.1562, 30],
+                "fov": 45,
+                "size": [96, 64],
+            },
+        }
+        return make_scene(path, 90.0, altitude, water={"level": level_m}, views=views, **keys)
+
+    return make
+
+
+def drawn(scene, name: str, water_on: bool):
+    view = scene.view(name)
+    level = scene.loaded.level.model_copy(update={"effects": {"water": "on" if water_on else "off"}})
+    return render_frame(scene, view, choose(describe(scene, view, name), level, {})).color.astype(int)
+
+
+def verdict(scene, name: str):
+    return water.called_for(describe(scene, scene.view(name), name))
+
+
+def test_no_height_lies_below_the_water_and_ground_above_it_is_as_it_was(write_raster, bowl_m):
+    path = str(write_raster(bowl_m, UTM, 0, 600, 10))
+    dry, wet = Elevation(path), Elevation(path, water_m=LEVEL_M)
+    row, col = np.meshgrid(np.linspace(-0.5, 59.5, 130), np.linspace(-0.5, 79.5, 170), indexing="ij")
+    for level in (0, 1, 2):
+        ground_m, there = dry.heights_at(level, row, col)
+        height_m, still_there = wet.heights_at(level, row, col)
+        np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(LEVEL_M)))
+        np.testing.assert_array_equal(still_there, there)
+    assert wet.ground_m(395.0, 305.0) == LEVEL_M == wet.filled_ground_m(395.0, 305.0)
+    assert wet.overview.heights_m.min() == LEVEL_M and wet.overview.lowest_m == bowl_m.min()
+
+
+def test_overviews_of_large_rasters_are_flooded_in_means_and_heights(write_raster):
+    heights_m = np.full((600, 1100), 120.0, np.float32)
+    heights_m[:300] = 40.0
+    heights_m[5, 5] = 10.0
+    overview = Elevation(str(write_raster(heights_m, UTM, 0, 6000, 10)), water_m=LEVEL_M).overview
+    assert overview.level == 2 and overview.lowest_m == 10.0
+    for values in (overview.heights_m, overview.high_m):
+        assert set(np.unique(values)) == {100.0, 120.0}
+
+
+def test_holes_stay_holes(write_raster):
+    heights_m = np.full((40, 40), 50.0, np.float32)
+    heights_m[10:20, 10:20] = -9999
+    elevation = Elevation(str(write_raster(heights_m, UTM, 0, 400, 10, nodata=-9999)), water_m=LEVEL_M)
+    height_m, there = elevation.heights_at(0, np.array([[15.0, 30.0]]), np.array([[15.0, 30.0]]))
+    np.testing.assert_array_equal(there, [[False, True]])
+    assert height_m[0, 1] == LEVEL_M and np.isnan(elevation.ground_m(155.0, 245.0))
+
+
+def test_exaggeration_lifts_the_ground_and_not_the_water(write_raster):
+    elevation = Elevation(str(write_raster(np.full((9, 9), 60.0), UTM, 0, 90, 10)), exaggeration=2.0, water_m=LEVEL_M)
+    assert elevation.ground_m(45.0, 45.0) == 120.0
+
+
+def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
+    path = str(write_raster(bowl_m, UTM, 0, 600, 10))
+    row, col = np.mgrid[0:59:0.7, 0:79:0.7]
+    for a, b in zip(Elevation(path).heights_at(0, row, col), Elevation(path, water_m=-50.0).heights_at(0, row, col), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_shore_is_round_and_painted_to_it(make_lake):
+    scene = make_lake()
+    buffer = geometry_of(scene, scene.view("map", size=(800, 600)))
+    wet = water_in(buffer, scene)
+    albedo = albedo_of(buffer, scene)
+    np.testing.assert_allclose(albedo[wet], np.broadcast_to(WATER_ALBEDO, albedo[wet].shape), atol=1e-6)
+    assert not np.isclose(albedo[~wet & buffer.there], WATER_ALBEDO, atol=1e-3).all(axis=-1).any()
+    area_m2 = wet.sum() * 100.0 / 100.0
+    assert area_m2 == pytest.approx(np.pi * (LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
+
+
+def test_trees_do_not_stand_in_water(make_lake, tmp_path):
+    places = [[15.0051, 45.1562], [15.0009, 45.1562]]  # the middle of the bowl, its rim
+    features = [{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": place}} for place in places]
+    path = tmp_path / "trees.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+    trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).population.trees for m in (0.0, LEVEL_M)]
+    assert [len(found.rank) for found in trees] == [2, 1]
+
+
+@given(cosine=st.floats(0.0, 1.0))
+def test_facets_seen_and_their_slope_are_the_integrals_over_all_facets(cosine):
+    s = np.sqrt(0.5 * water.MEAN_SQUARE_SLOPE)
+    sine = np.sqrt(1.0 - cosine * cosine)
+    z = np.linspace(-8.0 * s, 8.0 * s, 20001)
+    seen = np.exp(-0.5 * (z / s) ** 2) / (s * np.sqrt(2.0 * np.pi)) * np.maximum(cosine + z * sine, 0.0)
+    area, slope = water._seen_facets(cosine, water.MEAN_SQUARE_SLOPE)
+    assert area == pytest.approx(np.trapezoid(seen, z), rel=1e-4, abs=1e-6)
+    assert slope == pytest.approx(np.trapezoid(z * seen, z) / np.trapezoid(seen, z), rel=1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("altitude_deg", [90.0, 50.0, 20.0])
+def test_glint_over_all_directions_carries_the_fresnel_share_of_the_suns_light(altitude_deg):
+    """White paint sends pi times its radiance up. Waves hide some of the light from each other."""
+    sun_up = np.sin(np.radians(altitude_deg))
+    sun = np.array([np.sqrt(1.0 - sun_up * sun_up), 0.0, sun_up])
+
+    def radiance(azimuth, eye_up):
+        across = np.sqrt(1.0 - eye_up * eye_up)
+        eye_sun = across * np.cos(azimuth) * sun[0] + eye_up * sun[2]
+        area, _ = water._seen_facets(eye_up, water.MEAN_SQUARE_SLOPE)
+        return water._glint(eye_up, sun_up, eye_sun, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up
+
+    power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
+    flat = sun_up * (water.FACING + (1.0 - water.FACING) * (1.0 - sun_up) ** 5)
+    assert 0.8 * flat < power < 1.25 * flat
+
+
+def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
+    color = np.full((1, 1, 3), 0.4, np.float32)
+    sky = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
+    there, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
+    water._mirror(color, there, np.zeros((1, 1, 3)), None, centre, *sky, water.MEAN_SQUARE_SLOPE, None, None, None)
+    share = 1.0 - np.exp(-4.0)
+    np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * sky[0] + share * sky[1]), atol=1e-6)
+
+
+def test_the_glint_lies_under_the_sun_and_fades_to_both_sides():
+    sun_up, eye_up = np.sin(np.radians([30.0, 25.0]))
+    area, _ = water._seen_facets(eye_up, water.MEAN_SQUARE_SLOPE)
+    across = np.sqrt((1.0 - sun_up**2) * (1.0 - eye_up**2))
+    off_deg = np.arange(-90.0, 91.0, 5.0)  # how far the eye looks past the sun's azimuth
+    bright = [
+        water._glint(eye_up, sun_up, sun_up * eye_up - across * np.cos(np.radians(off)), area, water.MEAN_SQUARE_SLOPE)
+        for off in off_deg
+    ]
+    np.testing.assert_allclose(bright, bright[::-1], rtol=1e-9)
+    assert np.argmax(bright) == len(off_deg) // 2 and (np.diff(bright[: len(off_deg) // 2]) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["map", "rim", "down"])
+def test_water_is_called_for_by_day_and_changes_water_alone(make_lake, name):
+    scene = make_lake()
+    assert verdict(scene, name).called_for
+    on, off = (drawn(scene, name, way) for way in (True, False))
+    changed = (on != off).any(axis=-1)
+    buffer = geometry_of(scene, scene.view(name))
+    assert changed.any() and (np.abs(on - off).max() > 1)
+    far = ~water_in(buffer, scene)
+    if name == "map":
+        assert not (changed & far).any()
+
+
+@pytest.mark.parametrize("name", ["map", "rim", "down"])
+@pytest.mark.parametrize("altitude", [20.0, -3.0, -8.0, -9.0, -9.5, -10.0, -10.5, -11.0, -12.0, -40.0])
+def test_what_the_plan_leaves_out_cannot_be_seen(make_lake, name, altitude):
+    scene = make_lake().with_sun(SunSpec(azimuth=90.0, altitude=altitude))
+    change = np.abs(drawn(scene, name, True) - drawn(scene, name, False)).max()
+    if verdict(scene, name).called_for:
+        assert change > 0
+    else:
+        assert change <= 1
+
+
+def test_a_map_by_night_needs_no_mirror(make_lake):
+    found = verdict(make_lake(altitude=-30.0), "map")
+    assert not found.called_for and "of 255" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("level_m", "name", "reason"),
+    [(20.0, "map", "no ground as drawn lies below the water's 20.0 m"), (LEVEL_M, "away", "the water at 100.0 m is out of view")],
+)
+def test_reasons_of_what_is_left_out(make_lake, level_m, name, reason):
+    scene = make_lake(level_m=level_m)
+    found = verdict(scene, name)
+    assert (found.called_for, found.reason) == (False, reason)
+    np.testing.assert_array_equal(drawn(scene, name, True), drawn(scene, name, False))
+
+
+def test_a_level_without_water_has_none(write_raster, make_scene, bowl_m):
+    scene = make_scene(write_raster(bowl_m, UTM, 500_000, 5_000_600, 10))
+    assert verdict(scene, "map").reason == "the level has no water"
+
+
+def test_glint_is_computed_only_where_the_sun_can_be_mirrored_to_the_eye(make_lake):
+    scene = make_lake(altitude=70.0)
+    assert water.glints(scene, scene.view("map"))
+    low, night = (scene.with_sun(SunSpec(azimuth=90.0, altitude=a)) for a in (20.0, -5.0))
+    assert not water.glints(low, low.view("map")) and not water.glints(night, night.view("rim"))
+    towards, from_behind = (scene.with_sun(SunSpec(azimuth=a, altitude=20.0)) for a in (90.0, 270.0))
+    assert water.glints(towards, towards.view("rim")) and not water.glints(from_behind, from_behind.view("rim"))
+
+
+def test_glint_stays_out_of_shadow(make_lake):
+    scene = make_lake(altitude=25.0)
+    view = scene.view("rim")
+    buffer = geometry_of(scene, view)
+    wet = water_in(buffer, scene)
+    shown = []
+    for lit in (0.0, 1.0):
+        color = np.full((*wet.shape, 3), 0.2, np.float32)
+        water.mirror(color, Block(scene, view, buffer, {"sun": np.full(wet.shape, lit, np.float32)}))
+        shown.append(color[wet])
+    assert (shown[1] >= shown[0]).all() and (shown[1] - shown[0]).max() > 0.2
+    assert shown[1].max() <= 1.0
+
+
+def test_a_pond_between_the_points_of_the_look_is_not_missed(make_lake, bowl_m):
+    """Water of a few pixels, far off, whichever way the camera is moved."""
+    heights_m = np.full_like(bowl_m, 100.3)
+    heights_m[28:31, 38:41] = 90.0
+    scene = make_lake(heights_m=heights_m, level_m=100.0)
+    eye = scene.view("rim")
+    seen = 0
+    for shift in range(8):
+        view = eye.shifted(shift, 3 * shift)
+        on_water = water_in(geometry_of(scene, view), scene).any()
+        assert water.called_for(describe(scene, view, "rim")).called_for >= on_water
+        seen += on_water
+    assert seen > 0
