@@ -17,7 +17,7 @@ from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, Choice, Level, Shadows, algorithm_choice, override, spelt
+from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Level, Shadows, algorithm_choice, override, spelt
 
 MOST_BEND_PX = 0.25
 """How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
@@ -31,7 +31,8 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     overrides = overrides or {}
     asked = override(level.shadows, overrides)
     effects, left_out = _effects(descriptor, level, asked)
-    run, missing = {effect.name for effect in effects}, {effect.name: effect.reason for effect in left_out}
+    missing = {effect.name: effect.reason for effect in left_out}
+    forced = {name for name in EFFECTS if _wish(level, name) == "on"}
     try:
         choice = algorithm_choice(asked.algorithm, level.light_names)
     except PydanticCustomError as error:
@@ -45,7 +46,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     for light, kind_of_light in kinds_of.items():
         for caster in descriptor.casters:
             wish = choice.get(light, {}).get(caster)
-            name, reason = _algorithm(descriptor, light, caster, wish, who, missing)
+            name, reason = _algorithm(descriptor, light, caster, wish, who, missing, forced)
             _check(name, light, caster, _parts(descriptor, kind_of_light, caster), who)
             algorithm.setdefault(light, {})[caster] = name
             reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
@@ -57,6 +58,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
                 reasons += why
             if (its := resolved[name]) is not None:
                 settings.setdefault(light, {})[caster] = its
+    effects, left_out = _with_work(effects, left_out, algorithm, settings)
     used = {name for per_kind in algorithm.values() for name in per_kind.values()}
     wanted = [_parts(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
     plan = Plan(
@@ -68,7 +70,7 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
         passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
     passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
-    return plan.model_copy(update={"passes": passes_of(run, passes)})
+    return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
 
 
 def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
@@ -76,8 +78,8 @@ def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
-        verdict = effect.called_for(descriptor)
-        wish = "auto" if level.effects == "auto" else level.effects.get(name, "auto")
+        verdict = effect.verdict(name, descriptor)
+        wish = _wish(level, name)
         runs, reason = verdict.called_for, verdict.reason
         if wish != "auto":
             runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
@@ -90,26 +92,62 @@ def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list
     return effects, left_out
 
 
+def _wish(level: Level, name: EffectName) -> str:
+    return "auto" if level.effects == "auto" else level.effects.get(name, "auto")
+
+
+def _with_work(
+    effects: list[Reasoned],
+    left_out: list[Reasoned],
+    algorithm: dict[str, dict[CasterKind, AlgorithmName]],
+    settings: dict[str, dict[CasterKind, Settings]],
+) -> tuple[list[Reasoned], list[Reasoned]]:
+    """The effects that run, and those left out, when the algorithms are chosen: some have nothing to do with some algorithms."""
+    casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != "none"}
+    sun = algorithm.get(SUN, {})
+    filtered = any(getattr(its, "filter", 1) != 1 for its in settings.get(SUN, {}).values())
+    idle = {}
+    if not casting:
+        idle["cast_shadows"] = "the algorithm is none for all that there is"
+    if "forest" not in casting:
+        idle["alpha_test"] = "foliage casts by no algorithm"
+    if not filtered:
+        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()))) or 'lamps'} are sharp"
+    if "relief" not in casting:
+        idle["outside_casters"] = "ground casts by no algorithm"
+    stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]
+    order = list(EFFECTS)
+    return (
+        [one for one in effects if one.name not in idle],
+        sorted([*left_out, *stopped], key=lambda one: order.index(one.name)),  # type: ignore[arg-type]
+    )
+
+
 def _algorithm(
-    descriptor: Descriptor, light: str, caster: CasterKind, wish: AlgorithmName | None, who: str, missing: dict[str, str]
+    descriptor: Descriptor,
+    light: str,
+    caster: CasterKind,
+    wish: AlgorithmName | None,
+    who: str,
+    missing: dict[str, str],
+    forced: set[EffectName],
 ) -> tuple[AlgorithmName, str]:
-    """The algorithm of a light for a kind of casters, and the reason; ``missing`` are the effects left out, with theirs."""
-    if "cast_shadows" in missing:
-        return "none", missing["cast_shadows"]
+    """The algorithm of a light for a kind of casters, and the reason; ``missing`` are the effects left out, with theirs, ``forced``
+    those that the level forces on.
+    """
+    needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
+    for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
+        if effect in missing:
+            return "none", missing[effect]
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
         return "none", of_sun(descriptor).reason
-    if light != SUN and "lamps" in missing:
-        return "none", missing["lamps"]
-    if caster == "forest" and "alpha_test" in missing:
-        return "none", missing["alpha_test"]
     if wish is not None:
         return wish, f"asked for by {who}"
-    verdict = kind_of_sun(descriptor, caster)
-    if light == SUN and not verdict.called_for:
-        return "none", verdict.reason
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return "none", "level ground cannot cast"
-    if light != SUN and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
+    if light == SUN and not forced & needed and not kind_of_sun(descriptor, caster).called_for:
+        return "none", kind_of_sun(descriptor, caster).reason
+    if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return "none", f"{light} reaches nothing that is seen"
     return "shadow_map", f"the algorithm at hand for {caster} under {'the sun' if light == SUN else light}"
 

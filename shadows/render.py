@@ -26,7 +26,7 @@ from terrain.gl import device, is_open
 from terrain.grid import MapView, blocks_of
 from terrain.level import SUN, EffectName
 from terrain.picture import geometry_of
-from terrain.reach import NO_CASTERS, Casters, Reach, casters_of
+from terrain.reach import Casters, Reach, casters_of, reach_of
 from terrain.scene import Scene
 from terrain.shading import albedo_of, encoded, open_sky, shade, sky
 
@@ -191,15 +191,15 @@ def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 
 
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
-    casters = NO_CASTERS
     with log.run(GEOMETRY_PASS):
         picture = Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
         buffer, own = picture.buffer, picture.own
-        if not isinstance(view, MapView):
-            casters = casters_of(scene, own)  # how far they reach; a perspective view holds them all
-    if CASTERS_PASS in plan.runs:
+        reach = reach_of(scene, own) if CASTERS_PASS not in plan.runs else None
+    if reach is None:
         with log.run(CASTERS_PASS):
             casters = casters_of(scene, own)
+    else:
+        casters = Casters((), reach)
     visibilities = _visibilities(scene, plan, buffer, casters, log)
     block = Block(scene, view, buffer, visibilities)
     linear = _shaded(block, plan, log)

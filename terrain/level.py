@@ -36,8 +36,9 @@ AlgorithmName = Literal["shadow_map", "perspective_shadow_map", "shadow_volume",
 """Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
 EffectName = Literal[
-    "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters", "snow", "clouds", "sky_view", "lamps", "water", "haze"
-]
+    "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
+    "snow", "clouds", "sky_view", "lamps", "water", "haze",
+]  # fmt: skip
 """Effects: each is the file of its name in ``terrain.effects``; those of one stage run in this order."""
 
 CasterKind = Literal["relief", "meshes", "forest"]

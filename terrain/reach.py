@@ -81,26 +81,44 @@ NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
 def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
-    """The ground outside a block that can shade it, and the reach. In perspective all ground is in the buffer already."""
-    towards_lamps = _lamp_patches(scene, buffer) if isinstance(buffer.view, MapView) and buffer.there.any() else ()
-    if scene.light is None or not scene.sun_is_up or not buffer.there.any():
+    """The ground outside a map's block that can shade it, and the reach. In perspective all ground is in the buffer already."""
+    if not isinstance(buffer.view, MapView):
+        return Casters((), reach_of(scene, buffer))
+    towards_lamps = _lamp_patches(scene, buffer) if buffer.there.any() else ()
+    if not _sun_shines(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
+    patches, known_m = _patches(scene, buffer, _can_shade(scene, buffer))
+    return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, known_m))
+
+
+def reach_of(scene: Scene, buffer: GeometryBuffer) -> Reach:
+    """How far ground that can shade a buffer's points was looked for, where all there is of it is in the buffer."""
+    if not _sun_shines(scene, buffer):
+        return NO_CASTERS.reach
+    return _reach(scene, buffer, _towards_m(scene, buffer, _can_shade(scene, buffer)))
+
+
+def _sun_shines(scene: Scene, buffer: GeometryBuffer) -> bool:
+    return scene.light is not None and scene.sun_is_up and bool(buffer.there.any())
+
+
+def _can_shade(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
+    """Which of the overview's cells lie, as the sun sees them, before a buffer's points, bool (rows, cols)."""
+    assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
     light, slack = _overview_in_light(scene)  # a cell's ground lies within its own width of its centre
-    can = (
+    return (
         (light[..., 0] >= low[0] - slack) & (light[..., 0] <= high[0] + slack)
         & (light[..., 1] >= low[1] - slack) & (light[..., 2] <= high[2] + slack)
     )  # fmt: skip
-    if isinstance(buffer.view, MapView):
-        patches, known_m = _patches(scene, buffer, can)
-        patches = tuple(dict.fromkeys((*patches, *towards_lamps)))
-    else:
-        patches, known_m = (), _towards_m(scene, buffer, can)
+
+
+def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
     made = scene.loaded.level.terrain.source is None  # a made ground ends where it ends: nothing is unknown beyond
     limit_m, unknown_m = (known_m, known_m) if made else _data_limit(scene, buffer)
     if limit_m >= unknown_m:
-        return Casters(patches, Reach(known_m, known_m, False))
-    return Casters(patches, Reach(limit_m, unknown_m, True))
+        return Reach(known_m, known_m, False)
+    return Reach(limit_m, unknown_m, True)
 
 
 def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:

@@ -115,9 +115,19 @@ def shade(
 
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
-    to_up = buffer.position_frame_m - up_centre(scene, buffer)
-    cosine = np.einsum("ijk,ijk->ij", buffer.shading_normal_frame, to_up) / np.linalg.norm(to_up, axis=-1)
-    return (0.5 + 0.5 * np.nan_to_num(cosine)).astype(np.float32)
+    return _open_sky(buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, up_centre(scene, buffer))
+
+
+@compiled
+def _open_sky(there, normal, position, centre):  # type: ignore[no-untyped-def]
+    out = np.zeros(there.shape, np.float32)
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            if there[i, j]:
+                n, p = normal[i, j], position[i, j]
+                x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+                out[i, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
+    return out
 
 
 def night_of(scene: Scene) -> float:

@@ -165,7 +165,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)
-        at = stand.corners().reshape(len(stand), -1, 3) @ rotation.T + translation
+        at = stand.corners().reshape(len(stand), 12, 3) @ rotation.T + translation
         first, last = at.min(axis=1), at.max(axis=1)
     rotation, translation = scene.light.from_frame(frame)
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
@@ -202,4 +202,4 @@ def _hide(first, last, points, slack, cells):  # type: ignore[no-untyped-def]
     return False
 
 
-EFFECT = Effect("shadows that things cast on each other", called_for, facts)
+EFFECT = Effect("shadows that things cast on each other", called_for, facts, unknown=None)

@@ -67,7 +67,7 @@ SEEN_LEAST = 0.25
 """Sky that a face turned to a sun at the horizon is lit by at least: half of it if upright, less if it hangs over, but then it is
 darker too."""
 
-MAX_PLACES = 2**19
+MAX_PLACES = 2**17
 """Places that a search for the densest cloud looks at: what is not decided by then counts as cloud."""
 
 
@@ -311,17 +311,17 @@ def _box_of_level(scene: Scene, layer: CloudLayer) -> Box:
 
 def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
     """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
-    between the points looked at too; past the farthest point, under the sky, as far again.
+    between the points looked at too; past the farthest points, under the sky, a quarter farther.
     """
     rotation, origin_m = _anchor_from_frame(scene, look.buffer.frame)
     points, away_m, height_m = look.points_frame_m, look.away_m, look.height_m
     if not look.buffer.there.all():
-        far = away_m > away_m.max(initial=0.0) / 2.0
-        points = np.concatenate([points, 2.0 * points[far] - look.eye_frame_m])
-        away_m, height_m = np.concatenate([away_m, 2.0 * away_m[far]]), np.concatenate([height_m, height_m[far]])
+        far = away_m > away_m.max(initial=0.0) / 1.25
+        points = np.concatenate([points, 1.25 * points[far] - 0.25 * look.eye_frame_m])
+        away_m, height_m = np.concatenate([away_m, 1.25 * away_m[far]]), np.concatenate([height_m, height_m[far]])
     places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
-    stood_m = scene.population.tallest_m / LOWEST_SINE
+    stood_m = scene.population.tallest_m / max(layer.to_sun_anchor[2], LOWEST_SINE)
     found, whole, boxes = np.unique(octave), _box_of_level(scene, layer), []
     for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
         west, east, south, north = _box(places[(octave == near) | (octave == far)], look.spacing * 2.0**far + stood_m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -49,8 +49,7 @@ class Look:
     """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
 
     ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
-    their heights, ``up_frame`` (3,) the vertical at the eye, ``spacing`` the angle (a tangent) between neighbours. ``whole`` is
-    False where the view shows sky.
+    their heights, ``up_frame`` (3,) the vertical at the eye, ``spacing`` the angle (a tangent) between neighbours.
     """
 
     buffer: GeometryBuffer
@@ -92,6 +91,8 @@ class Effect:
         shadows (``shadows`` does what they say) or of placing the sun.
     needs
         Effects without which it has nothing to do.
+    unknown
+        The answer for descriptors without its facts, as somebody may have written them by hand; ``None``: the predicate copes.
     """
 
     about: str
@@ -99,4 +100,11 @@ class Effect:
     facts: Callable[[Scene, MapView | PerspectiveView, Look | None], dict[str, Fact]] | None = None
     stage: Stage | None = None
     part: Callable[[np.ndarray, Block], None] | None = None
-    needs: tuple[str, ...] = field(default=())
+    needs: tuple[str, ...] = ()
+    unknown: Verdict | None = Verdict(False, "the descriptor says nothing of it")
+
+    def verdict(self, name: str, descriptor: Descriptor) -> Verdict:
+        """Whether a scene calls for it; ``name`` is its own."""
+        if self.facts is not None and self.unknown is not None and name not in descriptor.facts:
+            return self.unknown
+        return self.called_for(descriptor)

@@ -55,7 +55,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     """Left out in maps, in clear air, and where all that is seen is too near for the air in between to show."""
     if descriptor.view_kind == "map":
         return Verdict(False, "a map is seen from straight above, at no distance: there is no air to look through")
-    facts = descriptor.facts.get("haze", {})
+    facts = descriptor.facts["haze"]
     visibility_m, farthest_m, shows_from_m = (facts.get(key) for key in ("visibility_m", "farthest_m", "shows_from_m"))
     if visibility_m is None:
         return Verdict(False, "the air is clear: the level's weather names no visibility")

@@ -16,6 +16,7 @@ from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
 
+
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out without lamps, and where the light of none of them can be seen."""
     if not descriptor.lamps:

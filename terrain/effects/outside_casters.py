@@ -25,7 +25,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where no ground is high enough, or none is outside."""
     if descriptor.view_kind == "perspective":
         return Verdict(False, "a perspective view holds all the ground there is, behind the eye too")
-    if not descriptor.facts["outside_casters"]["outside"]:
+    if not descriptor.facts.get("outside_casters", {}).get("outside", True):
         return Verdict(False, "the picture shows all the ground there is, in one block")
     relief = cast_shadows.kind_of_sun(descriptor, "relief")
     if relief.called_for and cast_shadows.of_sun(descriptor).called_for:
@@ -48,4 +48,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     return {"outside": not inside}
 
 
-EFFECT = Effect("ground beyond a map's block casts into it", called_for, facts, needs=("cast_shadows",))
+EFFECT = Effect("ground beyond a map's block casts into it", called_for, facts, needs=("cast_shadows",), unknown=None)

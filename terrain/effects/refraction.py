@@ -39,6 +39,8 @@ def called_for(descriptor: Descriptor) -> Verdict:
     moves_px = moves_m / pixel_m
     steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / STEP
     said = f"the air lifts the sun by {lift_deg:.2g} degrees"
+    if 0.0 < descriptor.weather.cloud_cover < 1.0:
+        return Verdict(True, f"{said}, which moves the shadows of clouds")
     if moves_px > 1.0:
         return Verdict(True, f"{said}, which moves the end of the longest shadow by {moves_px:.2g} pixels")
     if steps > 1.0:

@@ -21,7 +21,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
 from terrain.grid import MapView
 from terrain.scene import Scene
-from terrain.shading import LEVEL_ALBEDO, daylight_of, dusk_of, encoded, night_of, tint_table
+from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
 from terrain.sky_view import SkyView, nodes_of, sky_view
 from terrain.surface import step_at_anchor_m
 
@@ -65,11 +65,10 @@ def darkened_steps(light: float, hidden: float) -> int:
 
 
 def brightest(scene: Scene) -> float:
-    """The brightest linear colour of the level under the whole sky alone: of its tints, or of white, where there is more."""
+    """The brightest linear colour of ground under the whole sky alone: of tints, or of white where a level shows other things."""
     level = scene.loaded.level
     plain = scene.population.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
-    low, high = scene.height_range_m
-    albedo = (tint_table().max(axis=0) if high > low else np.full(3, LEVEL_ALBEDO)) if plain else np.ones(3)
+    albedo = tint_table().max(axis=0) if plain else np.ones(3)
     night = night_of(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
     return float((albedo * daylight_of(scene).sky).max()) * (night + (1.0 - night) * day)

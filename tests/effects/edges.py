@@ -21,6 +21,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
+from terrain.effects import EFFECTS
 from terrain.level import LoadedLevel, load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
@@ -48,13 +49,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Found:
-    """What an effect did in a case: whether the plan runs it and why, by how many steps of 255 a pixel differs at most, and by how
-    many where it is held against all of the pixel's neighbours in the other picture.
+    """What an effect did in a case: whether the plan runs it and why, whether it ran when forced on, by how many steps of 255 a
+    pixel differs at most, and by how many where it is held against all of the pixel's neighbours in the other picture.
     """
 
     case: str
     runs: bool
     reason: str
+    ran: bool
     steps: int
     steps_beside: int
 
@@ -95,19 +97,20 @@ class Lab:
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
         plan = choose(describe(scene, view, "view"), scene.loaded.level)
-        on, off = (self._picture(scene, effect, wish) for wish in ("on", "off"))
+        (on, ran), (off, ran_off) = (self._picture(scene, effect, wish) for wish in ("on", "off"))
+        assert not ran_off
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
         far = max(_beyond_neighbours(on, off), _beyond_neighbours(off, on))
-        return Found(case.name, effect in plan.runs, reason, int(np.abs(on - off).max()), far)
+        return Found(case.name, effect in plan.runs, reason, ran, int(np.abs(on - off).max()), far)
 
     @staticmethod
-    def _picture(scene: Scene, effect: str, wish: str) -> np.ndarray:
+    def _picture(scene: Scene, effect: str, wish: str) -> tuple[np.ndarray, bool]:
         level = scene.loaded.level
-        forced = level.model_copy(update={"effects": {effect: wish}})
+        forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: wish}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
         frame = render_frame(replace(scene, loaded=loaded), view, choose(describe(scene, view, "view"), forced))
-        return frame.color.astype(np.int32)
+        return frame.color.astype(np.int32), effect in frame.plan.runs
 
 
 def _beyond_neighbours(picture: np.ndarray, other: np.ndarray) -> int:

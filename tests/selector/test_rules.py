@@ -23,7 +23,8 @@ def scene() -> Scene:
 def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     plan = plan_of(scene, scene.view())
     assert plan.algorithm == {"sun": {"relief": "shadow_map"}} and plan.headline == "shadow_map"
-    assert [effect.name for effect in plan.effects] == ["cast_shadows"]
+    assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "soft_edges", "outside_casters", "sky_view"]
+    assert [effect.name for effect in plan.left_out] == ["alpha_test", "snow", "clouds", "lamps", "water", "haze"]
     assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
     assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "shadow_map"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
@@ -33,7 +34,8 @@ def test_night_needs_nothing_and_says_so(scene):
     night = scene.with_sun(SunSpec(time="2024-10-21T23:00:00-04:00"))
     plan = plan_of(night, night.view())
     assert plan.algorithm == {"sun": {"relief": "none"}} and plan.settings == {}
-    assert plan.left_out[0].name == "cast_shadows" and "night" in plan.left_out[0].reason
+    assert "night" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
+    assert not plan.runs & {"cast_shadows", "alpha_test", "soft_edges", "outside_casters", "clouds"}
     assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "none"]
 
 
@@ -41,6 +43,7 @@ def test_overrides_win_and_are_named(scene):
     view = scene.view()
     plan = plan_of(scene, view, algorithm="none")
     assert plan.headline == "none" and "asked for by the request" in plan.reasons[0].reason
+    assert "the algorithm is none" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
     plan = plan_of(scene, view, map_size=777, depth_bits=32, filter=5)
     settings = plan.settings["sun"]["relief"]
     assert (settings.map_size, settings.depth_bits, settings.filter) == (777, 32, 5)
@@ -49,7 +52,9 @@ def test_overrides_win_and_are_named(scene):
     assert "asked for by the level" in choose(describe(scene, view), level).reasons[0].reason
     level = Level.model_validate({"version": 1, "terrain": terrain, "effects": {"cast_shadows": "off"}})
     plan = choose(describe(scene, view), level)
-    assert plan.headline == "none" and "forced off by the level" in plan.left_out[0].reason
+    left_out = {item.name: item.reason for item in plan.left_out}
+    assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
+    assert "without cast_shadows there is nothing to do" in left_out["soft_edges"]
 
 
 def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_scene):

@@ -181,7 +181,7 @@ def test_perspective_goes_by_what_is_seen(write_raster, make_scene) -> None:
 
 def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
     """The same ground loses the same share of the sky, whichever part of a map asks, in whichever frame."""
-    scene = make_scene(write_raster(valley(400.0), "EPSG:4326", 10.0, 47.0, 0.004))
+    scene = make_scene(write_raster(valley(4000.0), "EPSG:4326", 10.0, 47.0, 0.004))
     whole = scene.view(size=(128, 128))
 
     def seen(view: MapView) -> np.ndarray:

@@ -1,0 +1,348 @@
+"""What effects cost, and what leaving them out saves: ratios within one run, for milliseconds do not travel between machines.
+
+    python benchmarks/effects.py levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
+    python benchmarks/effects.py plain [--repeats 5] [--json FILE] [--markdown FILE]
+    python benchmarks/effects.py each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
+
+`levels` draws the bundled levels' main views, and the map where there is relief: the plan's frame against the frame with all
+effects forced on, taking turns. Forced on are those effects that the level's own weather calls for as well as those that it does
+not: there is no snow or haze to draw in a level that names none, so what is saved there is what their code costs in vain.
+
+`plain` draws a plain at noon without trees, as a map and as a camera sees it, against a frame made without any code of effects or
+plans: geometry, attached shadow and shading alone, and a frame's data layers. Both are the same picture to the bit. The target is
+for the frame with its plan.
+
+`each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is its own pass, ``of shading`` that as a ratio to
+the frame's pass of shading, ``facts_ms`` what the plan spends on its facts; shadows have no pass of their own, and theirs is the
+frame's ratio alone.
+
+Whole frames are timed by the CPU time of all threads (llvmpipe draws with several), which a machine's other work disturbs little;
+``wall`` is the same ratio by the clock on the wall. Passes and facts are one thread's work, timed by the wall and compared in one
+frame. Before every frame all shadow maps kept from the one before are forgotten. The first round, which compiles and bakes what
+a level keeps (as the horizons of ``sky_view``), does not count. All figures are medians.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import numpy as np
+import rasterio
+from affine import Affine
+
+from api.catalogue import bundled_levels, find_level
+from selector.rules import choose
+from shadows.attached import attached
+from shadows.render import SHADING_PASS, Frame, bands_of, forget_kept, render_frame
+from terrain.antialias import Sampled, sampled
+from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.effects import EFFECTS
+from terrain.gl import device
+from terrain.grid import MapView, blocks_of
+from terrain.level import EffectName, load_level
+from terrain.picture import geometry_of
+from terrain.scene import Scene, build_scene
+from terrain.shading import encoded, shade, sky
+
+SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
+"""The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
+
+MOST_PLAIN = 1.15
+"""What a plain at noon may take at most, as a ratio to a frame without any code of effects."""
+
+SIZE = [800, 500]
+
+RIDGE = {"kind": "perspective", "eye": [-84.12, 36.47, 900], "target": [-84.22, 36.56, 0], "fov": 34, "size": SIZE}
+LAKE = {"kind": "perspective", "eye": [-84.093, 36.478, 320], "target": [-84.17, 36.492, 0], "fov": 34, "size": SIZE}
+WINDOW = {"kind": "map", "crs": "EPSG:32616", "bounds": [735_000, 4_040_000, 755_000, 4_052_500], "size": SIZE}
+"""Views of the Jacksboro fault: over its ridges, over what a lake would fill, and from above."""
+
+EVENING = {"azimuth": 250, "altitude": 15}
+
+JACKSBORO: dict[EffectName, dict[str, Any]] = {
+    "refraction": {"sun": {"time": "2024-10-21T17:45:00-04:00"}},
+    "cast_shadows": {},
+    "outside_casters": {},
+    "snow": {"weather": {"snow": True}},
+    "clouds": {"weather": {"cloud_cover": 0.4}},
+    "sky_view": {"weather": {"cloud_cover": 1.0}},
+    "lamps": {"sun": "none", "lights": {"mast": {"kind": "omni", "position": [-84.17, 36.50, 300]}}},
+    "water": {"water": {"level": 311}},
+    "haze": {"weather": {"visibility": 45_000}},
+}
+"""What calls for an effect on the Jacksboro fault."""
+
+ELSEWHERE: dict[EffectName, tuple[str, str]] = {
+    "alpha_test": ("jacksboro_wooded", "valley"),
+    "soft_edges": ("jacksboro_wooded", "valley"),
+}
+"""Bundled levels, and their views, that call for others."""
+
+Row = dict[str, Any]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A frame, and milliseconds of all threads: its plan's, and both together; ``wall_ms`` is their time by the wall."""
+
+    frame: Frame
+    plan_ms: float
+    ms: float
+    wall_ms: float
+
+
+def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> Drawn:
+    """A frame that pays for all that it needs, its plan among it."""
+    forget_kept()
+    wall, start = time.perf_counter(), time.process_time()
+    plan = choose(describe(scene, view, name), scene.loaded.level)
+    chosen = time.process_time()
+    frame = render_frame(scene, view, plan)
+    done = time.process_time()
+    return Drawn(frame, 1000.0 * (chosen - start), 1000.0 * (done - start), 1000.0 * (time.perf_counter() - wall))
+
+
+def timed(work: Callable[..., object], *of: object) -> float:
+    """Milliseconds that all threads spend on something."""
+    start = time.process_time()
+    work(*of)
+    return 1000.0 * (time.process_time() - start)
+
+
+def in_turns(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
+    """What each returns, time after time; who begins takes turns, and the first round does not count."""
+    taken: list[list[T]] = [[] for _ in works]
+    for number in range(repeats + 1):
+        for which in [*range(len(works))][:: 1 if number % 2 else -1]:
+            result = works[which]()
+            if number:
+                taken[which].append(result)
+    return taken
+
+
+def forced(scene: Scene, effects: dict[EffectName, str]) -> Scene:
+    """The same scene in a level that forces effects."""
+    level = scene.loaded.level.model_copy(update={"effects": effects})
+    return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
+
+
+def levels(given: argparse.Namespace) -> list[Row]:
+    """The plan's frame against the frame with all effects on."""
+    rows = []
+    for path in [find_level(name) for name in given.levels] or bundled_levels():
+        scene = build_scene(load_level(path))
+        everything = forced(scene, dict.fromkeys(get_args(EffectName), "on"))
+        low, high = scene.height_range_m
+        names = {"map": None} if high > low else {}
+        for name in [*dict.fromkeys([next(iter(scene.loaded.level.views)), *names])]:
+            view = scene.view(name)
+            some, all_on = in_turns(given.repeats, *(partial(planned, each, view, name) for each in (scene, everything)))
+            rows.append({
+                "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
+                "runs": f"{len(some[0].frame.effects)} of {len(EFFECTS)}",
+                "plan_ms": _median(one.plan_ms for one in some), "planned_ms": _median(one.ms for one in some),
+                "all_on_ms": _median(one.ms for one in all_on),
+                "planned / all on": _ratio(some, all_on, "ms"), "wall": _ratio(some, all_on, "wall_ms"),
+                "effects": sorted(some[0].frame.effects),
+            })  # fmt: skip
+            print(path.stem, name, f"{rows[-1]['planned / all on']:.2f}", flush=True)
+    return rows
+
+
+def plain(given: argparse.Namespace) -> list[Row]:
+    """A plain at noon, against geometry, attached shadow and shading alone."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        scene = flat_land(Path(folder))
+        for name in scene.loaded.level.views:
+            view = scene.view(name)
+            drawn, bare = in_turns(given.repeats, partial(planned, scene, view, name), partial(timed, bare_frame, scene, view))
+            frame = drawn[0].frame
+            if frame.effects or (frame.color != bare_frame(scene, view)[0]).any():
+                raise AssertionError(f"{name}: not the bare frame; it ran {sorted(frame.effects)}")
+            ratio = _median(one.ms / ms for one, ms in zip(drawn, bare, strict=True))
+            rows.append({
+                "view": name, "bare_ms": _median(bare), "plan_ms": _median(one.plan_ms for one in drawn),
+                "without plan": _median((one.ms - one.plan_ms) / ms for one, ms in zip(drawn, bare, strict=True)),
+                "with plan": ratio, "at most": MOST_PLAIN, "met": "yes" if ratio <= MOST_PLAIN else "NO",
+            })  # fmt: skip
+    return rows
+
+
+def flat_land(folder: Path) -> Scene:
+    """A plain with decimetres of relief in UTM, under a clear sky at noon."""
+    y, x = np.mgrid[0:SIDE_PX, 0:SIDE_PX] * (2.0 * np.pi * CELL_M / WAVE_M)
+    heights = (100.0 + 0.5 * RELIEF_M * np.sin(x) * np.sin(y)).astype(np.float32)
+    transform = Affine(CELL_M, 0.0, 500_000.0, 0.0, -CELL_M, 5_300_000.0)
+    shape = {"height": SIDE_PX, "width": SIDE_PX, "count": 1, "dtype": "float32", "crs": "EPSG:32633", "transform": transform}
+    with rasterio.open(folder / "plain.tif", "w", driver="GTiff", **shape) as dataset:
+        dataset.write(heights, 1)
+    views = {
+        "map": {"kind": "map", "size": [SIDE_PX, SIDE_PX]},
+        "camera": {"kind": "perspective", "eye": [15.04, 47.79, 60], "target": [15.08, 47.82, 0], "fov": 45, "size": [1280, 1024]},
+    }
+    return _scene_of(folder, {"terrain": {"source": "plain.tif"}, "sun": {"azimuth": 180, "altitude": 60}, "views": views})
+
+
+def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
+    """Colours, visibility, heights and, in perspective, places of a view, as in a ``Frame``, by geometry, attached shadow and
+    shading: no cast shadows, no effects.
+    """
+    blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    whole: list[np.ndarray] = []
+    for part, row, col in blocks:
+        pieces = _bare_block(scene, part)
+        whole = whole or [np.zeros((view.rows, view.cols, *piece.shape[2:]), piece.dtype) for piece in pieces]
+        ours = tuple(slice(max(at, 0), end) for at, end in ((row, view.rows), (col, view.cols)))
+        for out, piece in zip(whole, pieces, strict=True):
+            inside = piece[max(-row, 0) : view.rows - row, max(-col, 0) : view.cols - col]
+            out[ours][: inside.shape[0], : inside.shape[1]] = inside
+    return whole
+
+
+def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
+    above = isinstance(view, MapView)
+    picture = Sampled(geometry_of(scene, view), view.rows) if above else sampled(scene, view)
+    buffer, own = picture.buffer, picture.own
+    visibility = 1.0 - attached(buffer, scene).astype(np.float32)
+    linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own.height_m]
+    if not above:
+        row, col = np.nonzero(~buffer.there)
+        linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
+        linear = picture.averaged(linear)
+        layers.append(own.position_frame_m @ own.frame.frame_from_earth + own.frame.origin_earth_m)
+    return [encoded(linear), *layers]
+
+
+def each(given: argparse.Namespace) -> list[Row]:
+    """Every effect by itself, where it is called for."""
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for effect in given.effects or get_args(EffectName):
+            for scene, name in _calling(effect, Path(folder)):
+                if effect in choose(describe(scene, scene.view(name), name), scene.loaded.level).runs:
+                    rows.append(_with_and_without(effect, scene, name, given.repeats))
+                    print(effect, name, f"{rows[-1]['on / off']:.2f}", flush=True)
+    return rows
+
+
+def _calling(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
+    """Scenes and names of their views that call for an effect, if such a view can."""
+    if effect in ELSEWHERE:
+        level, name = ELSEWHERE[effect]
+        yield build_scene(load_level(find_level(level))), name
+        return
+    keys = {"terrain": {"source": "jacksboro"}, "sun": EVENING, **JACKSBORO[effect]}
+    views = {"map": WINDOW, "camera": LAKE if effect == "water" else RIDGE}
+    scene = _scene_of(folder, {**keys, "views": views})
+    for name in views:
+        yield scene, name
+
+
+def _scene_of(folder: Path, keys: dict[str, Any]) -> Scene:
+    path = folder / "level.yaml"
+    path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int) -> Row:
+    view, off = scene.view(name), forced(scene, {effect: "off"})
+    run, left_out = in_turns(repeats, *(partial(planned, its, view, name) for its in (scene, off)))
+    row: Row = {"effect": effect, "view": name, "on / off": _ratio(run, left_out, "ms"), "wall": _ratio(run, left_out, "wall_ms")}
+    row |= {"ms/Mpx": "", "of shading": "", "facts_ms": ""}
+    if EFFECTS[effect].part is not None:
+        passes = [{record.name: record.ms for record in one.frame.passes} for one in run]
+        row["ms/Mpx"] = _median(one[effect] for one in passes) / (view.rows * view.cols / 1e6)
+        row["of shading"] = _median(one[effect] / one[SHADING_PASS] for one in passes)
+    if EFFECTS[effect].facts is not None:
+        row["facts_ms"] = _median(facts_ms(scene, view)[effect] for _ in range(repeats))
+    return row
+
+
+def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, float]:
+    """Milliseconds that effects' facts take in one description."""
+    with _facts_timed() as taken:
+        describe(scene, view)
+    return taken
+
+
+@contextmanager
+def _facts_timed() -> Iterator[dict[EffectName, float]]:
+    """Effects whose facts put the milliseconds that they take on record."""
+    taken: dict[EffectName, float] = {}
+    untimed = dict(EFFECTS)
+
+    def watched(name: EffectName, facts: Callable[..., T]) -> Callable[..., T]:
+        def found(*of: Any) -> T:
+            start = time.perf_counter()
+            result = facts(*of)
+            taken[name] = 1000.0 * (time.perf_counter() - start)
+            return result
+
+        return found
+
+    EFFECTS.update({name: replace(its, facts=its.facts and watched(name, its.facts)) for name, its in untimed.items()})
+    try:
+        yield taken
+    finally:
+        EFFECTS.update(untimed)
+
+
+def _median(values: Iterable[float]) -> float:
+    return float(np.median([*values]))
+
+
+def _ratio(some: Sequence[Drawn], others: Sequence[Drawn], key: str) -> float:
+    """The median of the ratios of one round's frames."""
+    return _median(getattr(one, key) / getattr(other, key) for one, other in zip(some, others, strict=True))
+
+
+MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {"levels": levels, "plain": plain, "each": each}
+
+
+def table(rows: list[Row]) -> str:
+    """Rows as a Markdown table; what is no number or word is left to the JSON."""
+    keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
+    lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def _cell(value: float | str) -> str:
+    return (f"{value:.3g}" if value < 100.0 else f"{value:.0f}") if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=tuple(MEASUREMENTS))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--levels", nargs="+", default=[], help="bundled levels or level files, of levels")
+    parser.add_argument("--effects", nargs="+", choices=get_args(EffectName), help="of each")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    given = parser.parse_args()
+    rows = MEASUREMENTS[given.what](given)
+    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; CPU time of all threads, {given.repeats} repeats"
+    text = f"{where}\n\n{table(rows)}"
+    print(text, end="")
+    if given.markdown:
+        given.markdown.write_text(text, encoding="utf-8")
+    if given.json:
+        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": given.repeats, "rows": rows}
+        given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
