@@ -18,20 +18,20 @@ DISC_PART = "shadows/sun_disc.frag"
 def effects_ran(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     """The effects whose code ran.
 
-    An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if a program
-    that looks its texture up drew depths, and edges were soft if the sun's maps were looked up by more than one tap. Algorithms
-    that draw nothing (``sweep``, ``truth``) leave no trace of the last two.
+    An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if one took
+    it on (also where none stood in the light's way) or a program that looks its texture up drew depths, and edges were soft if the
+    sun's maps were looked up by more than one tap. Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of that.
     """
     found: set[EffectName] = set()
     for record in passes:
         if record.name in EFFECTS:
             found.add(record.name)  # type: ignore[arg-type]
-        light, is_algorithm, _ = record.name.partition("/")
+        light, is_algorithm, work = record.name.partition("/")
         if not is_algorithm:
             continue
         found.add("cast_shadows")
         words = {word for label in record.programs for word in label.split()}
-        if words & FOLIAGE_PARTS:
+        if words & FOLIAGE_PARTS or "forest" in work.partition(":")[0].split("+"):
             found.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}
         if light == SUN and (taps - {"taps=1"} or DISC_PART in words):

@@ -6,13 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from shadows.truth import SUN_RADIUS_DEG
 from terrain.casting import caster_meshes, caster_sheets
 from terrain.geometry import GeometryBuffer
 from terrain.level import CasterKind
 from terrain.reach import Casters
 from terrain.scene import Scene
 from terrain.stand import Stand
+from terrain.sun import SUN_RADIUS_DEG
 
 DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 """Half the disc's width at distance 1."""

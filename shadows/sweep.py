@@ -31,7 +31,6 @@ from shadows.plan import SweepSettings
 from shadows.sweep_grid import NO_LEVELS, Points, passed, sweep
 from shadows.sweep_lines import LOWEST
 from shadows.sweep_rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
-from shadows.truth import SUN_RADIUS_DEG
 from terrain.geometry import GeometryBuffer
 from terrain.grid import MapView
 from terrain.level import CasterKind
@@ -39,6 +38,7 @@ from terrain.light_space import light_bounds
 from terrain.reach import Casters
 from terrain.resolve import RELIEF
 from terrain.scene import Scene
+from terrain.sun import SUN_RADIUS_DEG
 
 PASSES = ("sweep",)
 

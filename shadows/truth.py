@@ -30,6 +30,7 @@ from terrain.rays import RayScene, trees_as_mesh
 from terrain.reach import Casters, casters_of
 from terrain.resolve import FOREST, RELIEF
 from terrain.scene import Scene
+from terrain.sun import SUN_RADIUS_DEG
 from terrain.surface import Cut
 
 UNLIMITED_TRIANGLES = 2**31
@@ -38,9 +39,6 @@ UNLIMITED_TRIANGLES = 2**31
 PASSES = ("rays",)
 
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
-
-SUN_RADIUS_DEG = 0.265
-"""The sun's disc spans 0.53 degrees."""
 
 
 @dataclass(frozen=True, eq=False)

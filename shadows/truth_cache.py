@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.truth import ALL_KINDS, SUN_RADIUS_DEG, Truth, truth_of
+from shadows.truth import ALL_KINDS, Truth, truth_of
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_meshes, caster_sheets, caster_trees
 from terrain.foliage import foliage
@@ -19,6 +19,7 @@ from terrain.level import SUN
 from terrain.rays import OFFSET_ULPS
 from terrain.reach import Casters
 from terrain.scene import Scene
+from terrain.sun import SUN_RADIUS_DEG
 
 LIMIT_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""

@@ -101,7 +101,7 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
-            reaches=lamp_reaches(scene, lamp, look),
+            reaches=lamp_reaches(scene, lamp, view, look),
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip
@@ -126,13 +126,18 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
 
 
 def _look(scene: Scene, view: PerspectiveView) -> Look:
-    """Everything but the trees in every ``LOOK_PX``-th pixel."""
-    coarse = replace(view, step=view.step * LOOK_PX, rows=-(-view.rows // LOOK_PX), cols=-(-view.cols // LOOK_PX))
+    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone."""
+    look = _look_every(scene, view, LOOK_PX)
+    return look if len(look.points_frame_m) else _look_every(scene, view, 1)
+
+
+def _look_every(scene: Scene, view: PerspectiveView, px: int) -> Look:
+    coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     looked = buffer_of(scene, coarse, Visible(scene, coarse, view.frame(scene.world), kinds=("relief", "meshes")))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(looked.frame)
     away_m = np.linalg.norm(points - eye, axis=-1)
-    return Look(looked, eye, points, away_m, looked.height_m[looked.there], view.pixel * LOOK_PX)
+    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel)
 
 
 def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[str, Any]:

@@ -90,6 +90,11 @@ def stand_in_map(population: Population, frame: LocalFrame, pixel_m: float) -> S
     return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * WHOLE_CROWN_PX))
 
 
+def any_in_map(trees: Trees, pixel_m: float) -> bool:
+    """Whether a map draws any of some trees, rather than thinning all of them out."""
+    return bool((trees.rank < _share(trees.crown_m / (pixel_m * WHOLE_CROWN_PX))).any())
+
+
 @lru_cache(maxsize=2)
 def stand_in_perspective(
     population: Population, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
@@ -104,7 +109,7 @@ def stand_in_perspective(
 
 def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.ndarray) -> Stand:
     """``size`` is each tree's as a share of that from which all are drawn."""
-    share = np.clip(size.astype(np.float64) ** 2, LEAST_SHARE, 1.0)
+    share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
     base = (trees.base_earth_m[number] - frame.origin_earth_m) @ frame.frame_from_earth.T
@@ -120,6 +125,10 @@ def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.nda
         look=trees.look[number].astype(np.int32),
         curvature=population.world.curvature,
     )
+
+
+def _share(size: np.ndarray) -> np.ndarray:
+    return np.clip(size.astype(np.float64) ** 2, LEAST_SHARE, 1.0)
 
 
 @compiled

@@ -19,6 +19,10 @@ YEARS = (1678, 2261)
 """Years for which the sun's position is computed (the range of the library's time stamps)."""
 
 
+SUN_RADIUS_DEG = 0.265
+"""Half the sun's apparent diameter: 0.262 in July, 0.271 in January."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sun:
     """The sun: angles at the anchor and the earth-fixed unit vector towards it.

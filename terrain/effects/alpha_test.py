@@ -7,20 +7,38 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from terrain.camera import PerspectiveView
 from terrain.effects import cast_shadows
-from terrain.effects.effect import Effect, Verdict
+from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.grid import MapView
+from terrain.scene import Scene
+from terrain.stand import any_in_map, stand_in_perspective
+from terrain.surface import step_at_anchor_m
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without foliage, and where its shadows cannot fall on what is seen."""
+    """Left out without foliage, where its trees are too small to be drawn, and where no shadow of it can fall on what is seen."""
     if "forest" not in descriptor.casters:
         return Verdict(False, "there is no foliage")
+    if not descriptor.facts.get("alpha_test", {}).get("drawn", True):
+        return Verdict(False, "no tree is large enough to be drawn")
     if any(lamp.reaches for lamp in descriptor.lamps):
         return Verdict(True, "foliage stands in the light of lamps")
     return cast_shadows.kind_of_sun(descriptor, "forest")
 
 
-EFFECT = Effect("foliage casts by its texture's holes", called_for, needs=("cast_shadows",))
+def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+    """``drawn``: whether any tree is left of those that are thinned out as they get small."""
+    if scene.population.trees is None:
+        return {}
+    if isinstance(view, MapView):
+        pixel_m = step_at_anchor_m(scene.world, view.grid) * float((view.row_step * view.col_step) ** 0.5)
+        return {"drawn": any_in_map(scene.population.trees, pixel_m)}
+    stand = stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+    return {"drawn": stand is not None and len(stand) > 0}
+
+
+EFFECT = Effect("foliage casts by its texture's holes", called_for, facts, needs=("cast_shadows",), unknown=None)

@@ -23,7 +23,7 @@ from terrain.ground_mesh import ground_mesh
 from terrain.scene import Scene
 from terrain.slopes import above_slopes, grid_slopes, mesh_slopes, nodes_of
 from terrain.stand import Stand, stand_in_perspective
-from terrain.sun import direction_enu
+from terrain.sun import SUN_RADIUS_DEG, direction_enu
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -37,8 +37,10 @@ MOST_NODES = 2**21
 MASK_CELLS = 128
 """Cells a side in which what is seen is held against what stands before it."""
 
-GRAZING = 1e-4
-"""Slopes this near to the sun's count as turned away: float32 normals do not tell."""
+GRAZING = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+"""A facet's plane passes this near to the middle of the sun if it cuts the disc, or if float32 normals do not tell: the sine of the
+angle between them, times the length of the normal (-a, -b, 1) that slopes as steep as the sun is high have.
+"""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -75,17 +77,22 @@ def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
     """Whether casters of a kind can throw the sun's shadow on anything that is seen."""
     facts = descriptor.facts.get("cast_shadows", {})
     if kind != "relief":
-        if facts.get(kind, True):
+        if facts.get(kind, True) and (kind != "forest" or descriptor.facts.get("alpha_test", {}).get("drawn", True)):
             return Verdict(True, f"{kind} can shade what is seen")
         return Verdict(False, f"no shadow of {kind} can fall on what is seen")
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "level ground cannot cast")
-    least, most = facts.get("least_slope"), facts.get("most_slope")
-    if least is not None and least > GRAZING:
+    least, most, grazing = facts.get("least_slope"), facts.get("most_slope"), _grazing(descriptor.sun_altitude_deg or 0.0)
+    if least is not None and least > grazing:
         return Verdict(False, f"no ground rises above the sun's grazing plane: the steepest lies {least:.2g} of a slope below it")
-    if most is not None and most < -GRAZING and descriptor.casters == ("relief",):
+    bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
+    if most is not None and most < -grazing and bare:
         return Verdict(False, f"all ground is turned away from the sun: the flattest lies {-most:.2g} of a slope behind it")
     return Verdict(True, f"ground rises above the sun's grazing plane ({descriptor.relief_m:.0f} m of relief)")
+
+
+def _grazing(altitude_deg: float) -> float:
+    return GRAZING / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
 def can_cast(descriptor: Descriptor) -> bool:
@@ -118,7 +125,7 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
     nodes = nodes_of(scene.world, scene.elevation, view.grid)
     coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
     least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
-    if coarser == 0 or (least is not None and most is not None and least <= GRAZING and most >= -GRAZING):
+    if coarser == 0 or (least is not None and most is not None and least <= 0.0 and most >= 0.0):
         return least, most
     if nodes > MOST_NODES:
         return None, None

@@ -17,11 +17,13 @@ import numpy as np
 from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.haze import farthest_mesh_m
 from terrain.elevation import Elevation
 from terrain.grid import MapView
 from terrain.noise import GAIN, noise_at
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
+from terrain.shown import Cells, cells_shown, whole
 from terrain.surface import step_at_anchor_m
 from terrain.world import LocalFrame
 
@@ -262,14 +264,17 @@ def called_for(descriptor: Descriptor) -> Verdict:
 def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
     """``cover`` of the sky, and the largest share of its light that clouds take from a point: ``taken``, from above.
 
-    Of a map's level the whole ground counts, whatever is drawn of it.
+    Of a map all the ground counts that it shows, lit or not.
     """
     cover = scene.loaded.level.weather.cloud_cover
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
         return {"cover": cover, "taken": 0.0}
     layer, direct = layer_of(scene), _direct_share(scene)
     if look is None:
-        boxes, nearest, farthest = [_box_of_level(scene, layer)], *2 * (_fade(_map_pixel_m(scene, view)),)
+        assert isinstance(view, MapView)
+        cells = cells_shown(scene.elevation, view)
+        boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
+        nearest = farthest = _fade(_map_pixel_m(scene, view))
     else:
         away_m = look.away_m if len(look.away_m) else np.zeros(1)
         boxes = _boxes_of_look(scene, layer, look)
@@ -296,10 +301,10 @@ def _direct_share(scene: Scene) -> float:
 Box = tuple[float, float, float, float]
 
 
-def _box_of_level(scene: Scene, layer: CloudLayer) -> Box:
-    """West, east, south, north of the places of the clouds between a level's ground, or what stands on it, and the sun."""
-    west, south, east, north = scene.elevation.bounds
-    x, y = np.meshgrid(np.linspace(west, east, 17), np.linspace(south, north, 17))
+def _box_of_cells(scene: Scene, layer: CloudLayer, cells: Cells) -> Box:
+    """West, east, south, north of the places of the clouds between ground of a level, or what stands on it, and the sun."""
+    row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
+    x, y = scene.elevation.xy(row, col)
     point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
     low, high = scene.height_range_m
     heights = np.repeat([low, high + scene.population.tallest_m], len(point))
@@ -321,14 +326,22 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
         away_m, height_m = np.concatenate([away_m, 1.25 * away_m[far]]), np.concatenate([height_m, height_m[far]])
     places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
-    stood_m = scene.population.tallest_m / max(layer.to_sun_anchor[2], LOWEST_SINE)
-    found, whole, boxes = np.unique(octave), _box_of_level(scene, layer), []
+    stood_m = _unseen_rise_m(scene, look) / max(layer.to_sun_anchor[2], LOWEST_SINE)
+    found, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, whole(scene.elevation)), []
     for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
         west, east, south, north = _box(places[(octave == near) | (octave == far)], look.spacing * 2.0**far + stood_m)
-        box = max(west, whole[0]), min(east, whole[1]), max(south, whole[2]), min(north, whole[3])
+        box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
     return boxes
+
+
+def _unseen_rise_m(scene: Scene, look: Look) -> float:
+    """How far what is in view may rise above the points that a look has met, metres: trees, and meshes if any reaches into it."""
+    view, trees = look.buffer.view, scene.population.trees
+    if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, look.buffer.frame) > 0.0:
+        return scene.population.tallest_m
+    return 0.0 if trees is None else float(trees.height_m.max())
 
 
 def _box(places: np.ndarray, margin_m: float) -> Box:

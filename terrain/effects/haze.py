@@ -34,6 +34,7 @@ from terrain.picture import solids_in
 from terrain.scene import Scene
 from terrain.shading import daylight_of, sky_colors, srgb
 from terrain.stand import stand_in_perspective
+from terrain.world import LocalFrame
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -94,24 +95,38 @@ def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: Look) -> float
     """How far away, in metres, the farthest ground, mesh or tree lies that reaches into the pyramid of a view's pixels, whether or
     not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
     """
-    frame, ground, solids = look.buffer.frame, look.buffer.ground, scene.population.solids
-    eye, camera_from_frame = view.in_frame(frame)
-    # From a pixel before the first to one past the last: rasterisers round corners.
-    first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
-    tangents = np.stack([first - view.step, first + count * view.step], axis=1) / view.focal_px
-    (left, right), (top, bottom) = tangents
-    inward = np.array([[0, 0, 1], [1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom]]) @ camera_from_frame
-    meshes = [] if ground is None else [(ground.position_frame_m, ground.triangles)]
-    vertices = solids_in(scene.population, frame)
-    if solids is not None and vertices is not None:
-        meshes.append((vertices, solids.triangles))
-    farthest = [_farthest(position, triangles, eye, inward) for position, triangles in meshes]
+    frame, ground = look.buffer.frame, look.buffer.ground
+    eye, camera_from_frame, tangents, inward = _pyramid(view, frame)
+    farthest = [farthest_mesh_m(scene, view, frame)]
+    if ground is not None:
+        farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
     stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is not None:
         seen = stand.in_cone(eye, camera_from_frame, tangents)
         size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
         farthest.append(np.max(np.linalg.norm(stand.base_frame_m[seen] - eye, axis=1) + size, initial=0.0))
     return float(max(farthest, default=0.0))
+
+
+def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
+    """The same of meshes alone; 0 where none reaches into the view."""
+    solids, vertices = scene.population.solids, solids_in(scene.population, frame)
+    if solids is None or vertices is None:
+        return 0.0
+    eye, _, _, inward = _pyramid(view, frame)
+    return float(_farthest(vertices, solids.triangles, eye, inward))
+
+
+def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Eye and rotation to the camera, least and largest tangents (2, 2) across and down, and the inward normals (5, 3) of the
+    planes that bound a view's pixels, in a frame: from one before the first to one past the last, for rasterisers round corners.
+    """
+    eye, camera_from_frame = view.in_frame(frame)
+    first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
+    tangents = np.stack([first - view.step, first + count * view.step], axis=1) / view.focal_px
+    (left, right), (top, bottom) = tangents
+    inward = np.array([[0, 0, 1], [1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom]]) @ camera_from_frame
+    return eye, camera_from_frame, tangents, inward
 
 
 def hides_beyond_m(scene: Scene) -> float:

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Look, Verdict
+from terrain.grid import MapView
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
+from terrain.shown import Cells, cells_shown, parts
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -31,8 +34,8 @@ def _names(descriptor: Descriptor) -> str:
     return ", ".join(lamp.name for lamp in descriptor.lamps)
 
 
-def lamp_reaches(scene: Scene, lamp: Lamp, look: Look | None) -> bool:
-    """Whether a lamp's light can be seen: on white ground that faces it, anywhere on the level (in a map) or where a view looks.
+def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look: Look | None) -> bool:
+    """Whether a lamp's light can be seen: on white ground that faces it, wherever a map shows ground or a view looks.
 
     Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
     way to its neighbours and the height of trees allow. A plain without anything on it is known to lie flat.
@@ -40,7 +43,11 @@ def lamp_reaches(scene: Scene, lamp: Lamp, look: Look | None) -> bool:
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
     if look is None:
-        points, slack_m = _level_points(scene)
+        assert isinstance(view, MapView)
+        cells = cells_shown(scene.elevation, view)
+        if cells is None:
+            return False
+        points, slack_m = _points_of_cells(scene, cells)
     else:
         points = look.points_frame_m @ look.buffer.frame.frame_from_earth + look.buffer.frame.origin_earth_m
         slack_m = look.away_m * look.spacing
@@ -73,11 +80,13 @@ def _least_light(scene: Scene) -> float:
 
 
 @lru_cache(maxsize=4)
-def _level_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _points_of_cells(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed points (n, 3) of the overview's cells, and how far ground of a cell lies from its point, metres (n,)."""
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.level
-    row, col = np.nonzero(np.isfinite(overview.high_m))
+    shown = np.zeros(overview.high_m.shape, bool)
+    shown[parts(cells, factor, shown.shape)] = True
+    row, col = np.nonzero(shown & np.isfinite(overview.high_m))
     high, mean = overview.high_m[row, col], overview.heights_m[row, col]
     point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
     across_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor

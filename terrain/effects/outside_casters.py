@@ -15,6 +15,7 @@ from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Fact, Look, Verdict
 from terrain.grid import BLOCK_PX, MapView
 from terrain.scene import Scene
+from terrain.shown import is_block
 from terrain.slopes import extent_on_grid
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     if isinstance(view, PerspectiveView):
         return {}
     (first_row, last_row), (first_col, last_col) = extent_on_grid(scene.world, scene.elevation, view.grid)
-    if view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0):
+    if is_block(view):
         rows, cols = ((first // BLOCK_PX, last // BLOCK_PX) for first, last in ((first_row, last_row), (first_col, last_col)))
         return {"outside": rows[0] != rows[1] or cols[0] != cols[1]}
     rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])

@@ -22,6 +22,7 @@ from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
 from terrain.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
+from terrain.shown import cells_shown, parts
 from terrain.sky_view import SkyView, nodes_of, sky_view
 from terrain.surface import step_at_anchor_m
 
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
 
 SHADES = 4096
 """Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""
+
+
+NODES_BESIDE = 4
+"""Nodes beside a map's rim that it may be mixed from, those of a level of the pyramid that is twice as coarse among them."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -43,19 +48,29 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
-    """``hidden``: the largest share of the sky that ground hides from any of it, anywhere on the level (in a map, as its pixels
-    show it) or where a view looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
+    """``hidden``: the largest share of the sky that ground hides from any of it that a map shows (as its pixels do) or where a view
+    looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
     """
     low, high = scene.height_range_m
     if high <= low:
         return {"hidden": 0.0, "steps": 0.0}
     baked = sky_view(scene.elevation, scene.world)
     if isinstance(view, MapView):
-        means, table = baked.means
-        hidden = float(_level(means, table, int(_times_halved(scene, view, baked))).max())
+        hidden = _largest_shown(scene, view, baked)
     else:
         hidden = 0.0 if look is None else _largest_seen(baked, look)
     return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene), hidden))}
+
+
+def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
+    """The largest share hidden from what a map shows, and from the nodes that it is mixed from there."""
+    cells, (means, table) = cells_shown(scene.elevation, view), baked.means
+    if cells is None:
+        return 0.0
+    halved = _times_halved(scene, view, baked)
+    number = min(int(halved), len(table) - 1)
+    level, beside = _level(means, table, number), NODES_BESIDE if halved > 0.0 else 1
+    return float(level[parts(cells, 2 ** (baked.level + number), level.shape, beside)].max())
 
 
 def darkened_steps(light: float, hidden: float) -> int:

@@ -11,11 +11,12 @@ import numpy as np
 
 from terrain.effects.effect import Effect, Verdict
 from terrain.reach import longest_shadow_m
+from terrain.sun import SUN_RADIUS_DEG
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
 
-DISC = 0.0093
+DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
 """The sun's diameter, radians: the penumbra's width as a share of the distance from caster to receiver, across the light."""
 
 

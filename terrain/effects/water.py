@@ -18,6 +18,7 @@ Mirror images of the terrain and of lamps are not simulated: the sky is there in
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import erf
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ from terrain.antialias import finer_view
 from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.elevation import Elevation
 from terrain.grid import MapView
 from terrain.level import SUN
 from terrain.picture import Visible
@@ -45,7 +47,7 @@ from terrain.shading import (
     water_in,
     zenith_share,
 )
-from terrain.surface import Surface
+from terrain.shown import Cells, cells_shown, parts
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -60,6 +62,9 @@ FACING = 0.02
 
 MOST_PIXELS = 2_000_000
 """Pixels that are drawn at the most to see whether there is water between a look's points; else it is taken to be there."""
+
+MOST_CELLS = 2**18
+"""Cells of a map that are read at the most to see whether any is wet."""
 
 OPEN_SKY = 0.5
 """Share of the sky that the most enclosed water is taken to see, at least."""
@@ -97,14 +102,13 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     """``level_m`` of the water, whether it ``covers`` any ground, by how many 8-bit steps the sky in it changes a colour at the
     most (``change_steps``; ``None``: nothing of it can be seen), and whether the mirrored sun can reach the eye (``glint``).
 
-    A map that is drawn from cells coarser than the overview's has as much water as the overview, and one of finer cells has some
-    if the lowest ground of all is under it.
+    Of a map those cells count that it shows, joined as it joins them.
     """
     water_m = scene.elevation.water_m
     if scene.loaded.level.water is None:
         return {"level_m": None, "covers": False, "change_steps": None, "glint": False}
     change: int | None = None
-    covers = scene.elevation.overview.lowest_m <= water_m
+    covers = scene.elevation.overview.lowest_m <= water_m + SHORE_M
     if isinstance(view, MapView):
         covers = covers and _wet_at(scene, view)
         change = _change_steps(scene, np.array([1.0])) if covers else None
@@ -115,9 +119,22 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
 
 
 def _wet_at(scene: Scene, view: MapView) -> bool:
-    overview = scene.elevation.overview
-    finer = Surface(scene.world, scene.elevation, view.grid).level < overview.level
-    return finer or bool(np.nanmin(overview.heights_m) <= scene.elevation.water_m)
+    cells = cells_shown(scene.elevation, view)
+    return cells is not None and _wet_in(scene.elevation, scene.surface(view.grid).level, cells)
+
+
+@lru_cache(maxsize=32)
+def _wet_in(elevation: Elevation, level: int, cells: Cells) -> bool:
+    """Whether any of a raster's cells that are shown lies under water, read at a level; of too many, it is taken to."""
+    side = 2**level
+    shown = parts(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
+    if np.prod([rows.stop - rows.start for rows in shown]) > MOST_CELLS:
+        overview = elevation.overview
+        means = overview.heights_m[parts(cells, 2**overview.level, overview.heights_m.shape, 2)]
+        return level < overview.level or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + SHORE_M)
+    row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in shown)
+    height_m, there = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
+    return bool((there & (height_m <= elevation.water_m + SHORE_M)).any())
 
 
 def _cosines(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:

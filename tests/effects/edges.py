@@ -130,6 +130,17 @@ ACROSS = eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, 0.0))
 """Over the ground towards the north-east."""
 
 
+def skyline(up_m: float) -> dict[str, Any]:
+    """From the same place above the horizon: from about 260 on, ground is in the picture's last rows alone, or not at all."""
+    return eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, up_m))
+
+
+def window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
+    """A map of a square of the ground, by its middle."""
+    x, y = CORNER_M[0] + east_m, CORNER_M[1] - south_m
+    return {**MAP, "bounds": [x - side_m / 2, y - side_m / 2, x + side_m / 2, y + side_m / 2]}
+
+
 def ground(name: str, azimuth: float = 200.0, altitude: float = 30.0, **keys: Any) -> dict[str, Any]:
     return {"terrain": {"source": f"{name}.tif"}, "sun": {"azimuth": azimuth, "altitude": altitude}, **keys}
 
@@ -198,6 +209,9 @@ def lamps() -> Iterator[Case]:
         lamp = {"kind": "spot", "position": [0, 0, 100.0], "target": target, "cutoff": 35.0}
         keys = {**ground("floor"), "sun": "none", "lights": {"lamp": lamp}}
         yield Case(f"spot turned {turn}", keys, eye((0, -10, 60), (0, 0, 0), 20.0))
+    lamp = {"kind": "omni", "position": [*PLACE, 10.0], "intensity": 0.05}
+    for east_m in (660.0, 800.0, 1000.0, 1200.0):
+        yield Case(f"window {east_m}", ground("hills", lights={"lamp": lamp}), window(east_m, 640.0, 60.0))
 
 
 def snow() -> Iterator[Case]:
@@ -205,6 +219,8 @@ def snow() -> Iterator[Case]:
         for lies in (False, True):
             for view_name, view in (("map", MAP), ("perspective", ACROSS)):
                 yield Case(f"{name} {view_name} {lies}", ground(name, weather={"snow": lies}), view)
+    for up_m in (200.0, 240.0, 250.0, 260.0, 270.0, 280.0, 320.0):
+        yield Case(f"skyline {up_m}", ground("plain", weather={"snow": True}), skyline(up_m))
 
 
 def clouds() -> Iterator[Case]:
@@ -213,6 +229,10 @@ def clouds() -> Iterator[Case]:
             yield Case(f"{view_name} {cover}", ground("hills", weather={"cloud_cover": cover}, seconds=seconds), view)
     for altitude in (-1.0, 0.01, 0.5):
         yield Case(f"half the sky, sun at {altitude}", ground("hills", altitude=altitude, weather={"cloud_cover": 0.5}), MAP)
+    for east_m in range(100, 1200, 100):  # the first clouds of a window
+        yield Case(f"window {east_m}", ground("hills", weather={"cloud_cover": 0.2}, seconds=60.0), window(east_m, 600.0, 50.0))
+    for up_m in (240.0, 260.0, 280.0, 320.0):
+        yield Case(f"skyline {up_m}", ground("plain", altitude=20.0, weather={"cloud_cover": 0.8}), skyline(up_m))
 
 
 def sky_view() -> Iterator[Case]:
@@ -223,6 +243,9 @@ def sky_view() -> Iterator[Case]:
         yield Case(name, ground(name), MAP)
     for altitude in (-20.0, -3.0, 70.0):
         yield Case(f"shallow valley, sun at {altitude}", ground("valley4", altitude=altitude), MAP)
+    for south_m in (640.0, 800.0, 1000.0, 1150.0):  # a hill far north of the window
+        for side_m in (50.0, 200.0):
+            yield Case(f"{side_m} m of ground {south_m} m south", ground("hill"), window(450.0, south_m, side_m))
 
 
 def water() -> Iterator[Case]:
@@ -231,6 +254,13 @@ def water() -> Iterator[Case]:
             yield Case(f"level {level} {view_name}", ground("hills", 40.0, 20.0, water={"level": level}), view)
     for altitude in (-30.0, -10.0, -3.0):
         yield Case(f"lake by night {altitude}", ground("hills", 40.0, altitude, water={"level": -40.0}), MAP)
+    for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground that is no farther from the water's height than SHORE_M is water
+        yield Case(f"floor {below_m} m above the water", ground("floor", water={"level": -below_m}), MAP)
+    for level in (-75.0, -70.0, -60.0):  # ponds that are not where the window is, or vanish in the means of a small map
+        for size in (2, 8, 72):
+            yield Case(f"ponds at {level} of {size} pixels", ground("hills", water={"level": level}), {**MAP, "size": [size, size]})
+        for east_m in (200.0, 700.0, 1150.0):
+            yield Case(f"ponds at {level}, {east_m} m east", ground("hills", water={"level": level}), window(east_m, 640.0, 150.0))
     yield Case("no water", ground("hills", 40.0, 20.0), ACROSS)
 
 

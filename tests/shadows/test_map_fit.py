@@ -44,7 +44,8 @@ def ridge(jacksboro) -> PerspectiveView:
 
 def plan_for(scene: Scene, view: MapView | PerspectiveView, **asked) -> Plan:
     chosen = {"algorithm": "shadow_map", "filter": 1, "cascades": 1, **asked}
-    return choose(describe(scene, view), scene.loaded.level, chosen)
+    level = scene.loaded.level.model_copy(update={"effects": {"cast_shadows": "on"}})  # also where no ground is steep enough
+    return choose(describe(scene, view), level, chosen)
 
 
 def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:

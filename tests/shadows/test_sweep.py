@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from selector.rules import choose
-from shadows import sweep, truth
+from shadows import sweep
 from shadows.attached import attached
 from shadows.metrics import errors_of, soft_error
 from shadows.passes import PassLog
@@ -23,6 +23,7 @@ from terrain.picture import geometry_of
 from terrain.reach import Casters, casters_of
 from terrain.resolve import RELIEF
 from terrain.scene import Scene, build_scene
+from terrain.sun import SUN_RADIUS_DEG
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 
@@ -174,10 +175,10 @@ def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
 
 def test_the_strips_of_the_sun_are_equal_shares_of_its_disc():
     angles = sweep.strips_of_sun(16)
-    assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(truth.SUN_RADIUS_DEG)
+    assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
     rng = np.random.default_rng(0)
     disc = rng.uniform(-1.0, 1.0, (200_000, 2))
-    height = np.radians(truth.SUN_RADIUS_DEG) * disc[np.hypot(*disc.T) < 1.0, 1]
+    height = np.radians(SUN_RADIUS_DEG) * disc[np.hypot(*disc.T) < 1.0, 1]
     below = [(height < angle).mean() for angle in angles]
     assert np.allclose(below, (np.arange(16) + 0.5) / 16, atol=0.005)
 
@@ -219,7 +220,7 @@ def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
     frame = render(scene, scene.view(size=(200, 160)), algorithm="sweep")
     assert 0.02 < shadow(frame).mean() < 0.98
     assert [record.name for record in frame.passes] == frame.plan.passes
-    assert frame.plan.passes[2:-1] == ["sun/relief: sweep"]
+    assert [name for name in frame.plan.passes if "/" in name] == ["sun/relief: sweep"]
 
 
 def test_the_sky_above_a_perspective_view_is_no_receiver(tmp_path):

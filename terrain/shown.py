@@ -1,0 +1,68 @@
+"""What a map view shows of its level's raster.
+
+Views of their own (a picture, a window of a map) are known by what they show. Blocks of tiles are not: what is true of one is said
+of all the level's, so that neighbours are drawn alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.elevation import Elevation
+from terrain.grid import BLOCK_PX, MapView
+from terrain.world import transformer
+
+SAMPLES = 17
+"""Points a side of a view whose cells are found."""
+
+Cells = tuple[tuple[float, float], tuple[float, float]]
+"""First and last row, and first and last column, of a raster, counted in cells from the middle of the first."""
+
+
+def is_block(view: MapView) -> bool:
+    """Whether a view is one of the world-fixed blocks that tiles are cut from."""
+    return view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0)
+
+
+def whole(elevation: Elevation) -> Cells:
+    """All cells of a raster."""
+    return (-0.5, elevation.rows - 0.5), (-0.5, elevation.cols - 0.5)
+
+
+def cells_shown(elevation: Elevation, view: MapView) -> Cells | None:
+    """The cells that a map view shows and two pixels beyond its rim; all for a block of tiles, ``None`` if it shows none."""
+    all_cells = whole(elevation)
+    if is_block(view):
+        return all_cells
+    across = np.linspace(-0.5, 0.5, SAMPLES)
+    rows, cols = (first + step * ((count - 1) / 2 + across * count) for first, step, count in _axes(view))
+    x, y = np.meshgrid(view.grid.x(cols), view.grid.y(rows))
+    if view.grid.crs != elevation.crs:
+        x, y = transformer(view.grid.crs, elevation.crs).transform(x, y)
+    if elevation.crs.is_geographic:
+        middle = (elevation.bounds[0] + elevation.bounds[2]) / 2
+        x = x + 360.0 * np.rint((middle - x) / 360.0)
+    found = []
+    for at, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
+        if not np.isfinite(at).all():
+            return all_cells
+        pixel = max(np.abs(np.diff(at, axis=k)).max() * (SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
+        bend = max(np.abs(np.diff(at, 2, axis=k)).max() for k in (0, 1))  # of the rim between the points
+        margin = 1.0 + 2.0 * pixel + bend
+        low, high = max(float(at.min() - margin), first), min(float(at.max() + margin), last)
+        if low > high:
+            return None
+        found.append((low, high))
+    return found[0], found[1]
+
+
+def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, int]]:
+    return (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
+
+
+def parts(cells: Cells, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
+    """Rows and columns of a grid of some shape, each ``side`` x ``side`` cells, that lie in some cells, and ``more`` round them."""
+    return tuple(  # type: ignore[return-value]
+        slice(min(max(int((first + 0.5) // side) - more, 0), count - 1), min(int((last + 0.5) // side) + 1 + more, count))
+        for (first, last), count in zip(cells, shape, strict=True)
+    )

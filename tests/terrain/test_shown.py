@@ -1,0 +1,67 @@
+"""What a map shows of a raster: never less than its pixels are made of, hardly more, and all of it for a block of tiles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrain.grid import BLOCK_PX
+from terrain.picture import geometry_of
+from terrain.shown import cells_shown, is_block, parts, whole
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    from terrain.level import load_level
+    from terrain.scene import build_scene
+    from tests.rasters import write_geotiff
+
+    folder = tmp_path_factory.mktemp("shown")
+    y, x = np.mgrid[0:50, 0:80]
+    write_geotiff(folder / "dem.tif", (x + 100.0 * y).astype(np.float32), "EPSG:4326", 12.0, 61.0, (0.002, 0.001))
+    (folder / "level.yaml").write_text('{"version": 1, "terrain": {"source": "dem.tif"}}', encoding="utf-8")
+    return build_scene(load_level(folder / "level.yaml"))
+
+
+@given(
+    st.floats(12.0, 12.16), st.floats(60.95, 61.0), st.floats(0.001, 0.2), st.sampled_from(["EPSG:32633", "EPSG:4326", "EPSG:3857"])
+)
+def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, side: float, crs: str):
+    from terrain.world import LONGITUDE_LATITUDE, transformer
+
+    x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
+    view = scene.view(bounds=(x[0], y[0], x[1], y[1]), crs=crs, size=(24, 24))
+    cells = cells_shown(scene.elevation, view)
+    buffer = geometry_of(scene, view)
+    if cells is None:
+        assert not buffer.there.any()
+        return
+    # Heights say which cell they are of: 100 for a row, 1 for a column; coarser pixels are means.
+    (first, last), (left, right) = cells
+    height = buffer.height_m[buffer.there]
+    assert ((height >= 100.0 * first + left - 101.0) & (height <= 100.0 * last + right + 101.0)).all()
+    rows, cols = parts(cells, 8, (7, 10))
+    assert 0 <= rows.start < rows.stop <= 7 and 0 <= cols.start < cols.stop <= 10
+
+
+def test_a_small_window_shows_few(scene):
+    view = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
+    (first, last), (left, right) = cells_shown(scene.elevation, view)
+    assert last - first < 6.0 and right - left < 6.0
+    assert first < 28.0 < last and left < 41.0 < right
+
+
+def test_a_window_beside_the_raster_shows_none(scene):
+    assert cells_shown(scene.elevation, scene.view(bounds=(13.0, 60.0, 13.1, 60.1), crs="EPSG:4326", size=(32, 32))) is None
+
+
+def test_a_block_of_tiles_stands_for_the_level(scene):
+    small = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
+    block = replace(small, row0=float(-BLOCK_PX), col0=0.0, row_step=1.0, col_step=1.0, rows=BLOCK_PX, cols=BLOCK_PX)
+    assert is_block(block) and not is_block(small)
+    assert cells_shown(scene.elevation, block) == whole(scene.elevation)
+    assert not is_block(replace(block, col0=256.0)) and not is_block(replace(block, rows=256))
