@@ -43,7 +43,7 @@ from affine import Affine
 from api.catalogue import bundled_levels, find_level
 from selector.rules import choose
 from shadows.attached import attached
-from shadows.render import SHADING_PASS, Frame, bands_of, forget_kept, render_frame
+from shadows.render import SHADING_PASS, bands_of, forget_kept, render_frame
 from terrain.antialias import Sampled, sampled
 from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
@@ -95,9 +95,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A frame, and milliseconds of all threads: its plan's, and both together; ``wall_ms`` is their time by the wall."""
+    """What ran in a frame, its passes with their milliseconds by the wall, and milliseconds of all threads: its plan's, and both
+    together; ``wall_ms`` is their time by the wall. The frame itself is let go, so that the next one finds its memory.
+    """
 
-    frame: Frame
+    effects: frozenset[EffectName]
+    passes_ms: dict[str, float]
     plan_ms: float
     ms: float
     wall_ms: float
@@ -111,7 +114,8 @@ def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> Drawn:
     chosen = time.process_time()
     frame = render_frame(scene, view, plan)
     done = time.process_time()
-    return Drawn(frame, 1000.0 * (chosen - start), 1000.0 * (done - start), 1000.0 * (time.perf_counter() - wall))
+    wall_ms, passes_ms = 1000.0 * (time.perf_counter() - wall), {record.name: record.ms for record in frame.passes}
+    return Drawn(frame.effects, passes_ms, 1000.0 * (chosen - start), 1000.0 * (done - start), wall_ms)
 
 
 def timed(work: Callable[..., object], *of: object) -> float:
@@ -152,11 +156,11 @@ def levels(given: argparse.Namespace) -> list[Row]:
             some, all_on = in_turns(given.repeats, *(partial(planned, each, view, name) for each in (scene, everything)))
             rows.append({
                 "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
-                "runs": f"{len(some[0].frame.effects)} of {len(EFFECTS)}",
+                "runs": f"{len(some[0].effects)} of {len(EFFECTS)}",
                 "plan_ms": _median(one.plan_ms for one in some), "planned_ms": _median(one.ms for one in some),
                 "all_on_ms": _median(one.ms for one in all_on),
                 "planned / all on": _ratio(some, all_on, "ms"), "wall": _ratio(some, all_on, "wall_ms"),
-                "effects": sorted(some[0].frame.effects),
+                "effects": sorted(some[0].effects),
             })  # fmt: skip
             print(path.stem, name, f"{rows[-1]['planned / all on']:.2f}", flush=True)
     return rows
@@ -175,7 +179,7 @@ def plain(given: argparse.Namespace) -> list[Row]:
                 *(partial(planned, each, view, name) for each in (scene, everything)),
                 partial(timed, bare_frame, scene, view),
             )
-            frame = drawn[0].frame
+            frame = render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level))
             if frame.effects or (frame.color != bare_frame(scene, view)[0]).any():
                 raise AssertionError(f"{name}: not the bare frame; it ran {sorted(frame.effects)}")
             ratio, forced_on = (_median(one.ms / ms for one, ms in zip(some, bare, strict=True)) for some in (drawn, all_on))
@@ -271,9 +275,8 @@ def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int)
     row: Row = {"effect": effect, "view": name, "on / off": _ratio(run, left_out, "ms"), "wall": _ratio(run, left_out, "wall_ms")}
     row |= {"ms/Mpx": "", "of shading": "", "facts_ms": ""}
     if EFFECTS[effect].part is not None:
-        passes = [{record.name: record.ms for record in one.frame.passes} for one in run]
-        row["ms/Mpx"] = _median(one[effect] for one in passes) / (view.rows * view.cols / 1e6)
-        row["of shading"] = _median(one[effect] / one[SHADING_PASS] for one in passes)
+        row["ms/Mpx"] = _median(one.passes_ms[effect] for one in run) / (view.rows * view.cols / 1e6)
+        row["of shading"] = _median(one.passes_ms[effect] / one.passes_ms[SHADING_PASS] for one in run)
     if EFFECTS[effect].facts is not None:
         row["facts_ms"] = _median(facts_ms(scene, view)[effect] for _ in range(repeats))
     return row

@@ -1,7 +1,7 @@
 """What a map view shows of its level's raster.
 
-Views of their own (a picture, a window of a map) are known by what they show. Blocks of tiles are not: what is true of one is said
-of all the level's, so that neighbours are drawn alike.
+Views of their own (a picture, a window of a map) are known by what they show. Tiles are not, nor maps whose pixels are those of
+tiles: what is true of one is said of all the level's, so that the same pixels are drawn alike.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def whole(elevation: Elevation) -> Cells:
 
 
 def cells_shown(elevation: Elevation, view: MapView) -> Cells | None:
-    """The cells that a map view shows and two pixels beyond its rim; all for a block of tiles, ``None`` if it shows none."""
+    """The cells that a map view shows and two pixels beyond its rim; all if its pixels are tiles', ``None`` if it shows none."""
     all_cells = whole(elevation)
-    if is_block(view):
+    if view.on_nodes:
         return all_cells
     across = np.linspace(-0.5, 0.5, SAMPLES)
     rows, cols = (first + step * ((count - 1) / 2 + across * count) for first, step, count in _axes(view))

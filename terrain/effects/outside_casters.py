@@ -13,7 +13,7 @@ import numpy as np
 from terrain.camera import PerspectiveView
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Fact, Look, Verdict
-from terrain.grid import BLOCK_PX, MapView
+from terrain.grid import BLOCK_PX, MapView, blocks_of
 from terrain.scene import Scene
 from terrain.shown import is_block
 from terrain.slopes import extent_on_grid
@@ -45,7 +45,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
         rows, cols = ((first // BLOCK_PX, last // BLOCK_PX) for first, last in ((first_row, last_row), (first_col, last_col)))
         return {"outside": rows[0] != rows[1] or cols[0] != cols[1]}
     rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])
-    inside = rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
+    whole = len(blocks_of(view)) == 1  # what is drawn in parts is outside of all but one of them
+    inside = whole and rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
     return {"outside": not inside}
 
 

@@ -100,7 +100,7 @@ def test_options_change_the_picture(gl, run, tmp_path):
 
     usual = picture()
     for options in (
-        ("--algorithm", "none"), ("--algorithm", "relief=none"), ("--time", "2024-10-21T09:00:00-04:00"), ("--filter", "1"),
+        ("--algorithm", "none"), ("--algorithm", "relief=none"), ("--time", "2024-10-21T09:00:00-04:00"), ("--filter", "5"),
         ("--azimuth", "100", "--altitude", "10"), ("--map-size", "64"), ("--bounds", "740000,4040000,750000,4050000"),
         ("--crs", "3857"),
     ):  # fmt: skip

@@ -160,7 +160,7 @@ def test_headers(client: Client):
     timing = answer.headers["server-timing"]
     plan = client.get("/levels/hills/plan").json()
     assert [part.split(";")[0] for part in timing.split(", ")][: len(plan["passes"])] == [
-        "geometry", "outside_casters", "sun-relief-depth-map", "sun-relief-visibility", "attached", "shading",
+        "geometry", "outside_casters", "sun-relief-depth-map", "sun-relief-visibility", "attached", "sky_view", "shading",
     ]  # fmt: skip
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
