@@ -33,8 +33,6 @@ def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[floa
     """
     if reach is None:
         return None, None
-    if np.isneginf(reach).any():  # no facet at all
-        return np.inf, np.inf
     turn = 2.0 * np.pi / DIRECTIONS
     angle, after = np.arange(DIRECTIONS) * turn, np.roll(reach, -1)
     # Corners of the polygon: where the lines of two neighbouring directions meet.
@@ -44,19 +42,18 @@ def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[floa
     return float(to_sun_enu[2] - along.max()), float(to_sun_enu[2] - along.min())
 
 
-def mesh_slopes(
-    world: World, ground: GroundMesh, frame: LocalFrame, corridor: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> np.ndarray | None:
-    """How far the slopes of some of a perspective view's ground reach, (``DIRECTIONS``,); ``None`` if it cannot be said.
+Corridor = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Part of a frame: rows (2, 3) and offsets (2,) of two coordinates of points, and the least and largest values (2, 2) of each."""
 
-    Of the ground in its frame those facets count that reach into a ``corridor``: rows (2, 3) and offsets (2,) of two coordinates
-    of a point, and the least and largest values (2, 2) of each. Minus infinity where there are none.
-    """
-    reach, (rows, offsets, bounds) = _nothing(), corridor
-    _take_some(
-        ground.position_frame_m, ground.triangles, rows, offsets, bounds, _anchor_from_frame(world, frame), _directions(), reach
-    )
-    return None if np.isposinf(reach).any() else reach
+
+def above_mesh(
+    world: World, ground: GroundMesh, frame: LocalFrame, corridor: Corridor, to_sun_enu: np.ndarray
+) -> tuple[float | None, float | None]:
+    """The same over those facets of a perspective view's ground, in its frame, that reach into a corridor; infinite without any."""
+    rows, offsets, bounds = corridor
+    to_frame = frame.frame_from_earth @ world.earth_from_anchor
+    least, most = _above(ground.position_frame_m, ground.triangles, rows, offsets, bounds, to_frame @ to_sun_enu, to_frame[:, 2])
+    return (None, None) if np.isnan(least) else (float(least), float(most))
 
 
 @lru_cache(maxsize=8)
@@ -141,8 +138,8 @@ def _take(normals, anchor_from_frame, directions, reach):  # type: ignore[no-unt
 
 
 @compiled
-def _take_some(position, triangles, rows, offsets, bounds, anchor_from_frame, directions, reach):  # type: ignore[no-untyped-def]
-    normal = np.empty((1, 3))
+def _above(position, triangles, rows, offsets, bounds, to_sun, upward):  # type: ignore[no-untyped-def]
+    least, most = np.inf, np.inf
     for t in range(len(triangles)):
         o, p, q = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
         inside = True
@@ -153,9 +150,18 @@ def _take_some(position, triangles, rows, offsets, bounds, anchor_from_frame, di
             third = r[0] * q[0] + r[1] * q[1] + r[2] * q[2] + offsets[k]
             if min(first, second, third) > bounds[k, 1] or max(first, second, third) < bounds[k, 0]:
                 inside = False
+                break
         if not inside:
             continue
         ax, ay, az = p[0] - o[0], p[1] - o[1], p[2] - o[2]
         bx, by, bz = q[0] - o[0], q[1] - o[1], q[2] - o[2]
-        normal[0, 0], normal[0, 1], normal[0, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        _take(normal, anchor_from_frame, directions, reach)
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = np.sqrt(x * x + y * y + z * z)
+        up = upward[0] * x + upward[1] * y + upward[2] * z
+        if not length > 0.0:
+            continue
+        if up * STEEPEST < length:
+            return np.nan, np.nan
+        above = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / up
+        least, most = min(least, above), above if most == np.inf else max(most, above)
+    return least, most

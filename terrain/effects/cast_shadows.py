@@ -21,7 +21,7 @@ from terrain.effects.effect import Effect, Fact, Look, Verdict
 from terrain.grid import MapView
 from terrain.ground_mesh import ground_mesh
 from terrain.scene import Scene
-from terrain.slopes import above_slopes, grid_slopes, mesh_slopes, nodes_of
+from terrain.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.stand import Stand, stand_in_perspective
 from terrain.sun import SUN_RADIUS_DEG, direction_enu
 
@@ -83,6 +83,8 @@ def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "level ground cannot cast")
     least, most, grazing = facts.get("least_slope"), facts.get("most_slope"), _grazing(descriptor.sun_altitude_deg or 0.0)
+    if least == np.inf:
+        return Verdict(False, "no ground lies between what is seen and the sun")
     if least is not None and least > grazing:
         return Verdict(False, f"no ground rises above the sun's grazing plane: the steepest lies {least:.2g} of a slope below it")
     bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
@@ -121,7 +123,7 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
     if isinstance(view, PerspectiveView):
         assert look is not None
         ground, frame = ground_mesh(scene, view), look.buffer.frame
-        return above_slopes(mesh_slopes(scene.world, ground, frame, _corridor(scene, view, look)), to_sun)
+        return above_mesh(scene.world, ground, frame, _corridor(scene, view, look), to_sun)
     nodes = nodes_of(scene.world, scene.elevation, view.grid)
     coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
     least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
@@ -147,8 +149,8 @@ def _seen_m(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
     return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene, view, look)[1] else 0.0)
 
 
-def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What lies between what is seen and the sun, as ``mesh_slopes`` takes it: right of the light, and towards the sun."""
+def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> Corridor:
+    """What lies between what is seen and the sun, as ``above_mesh`` takes it: right of the light, and towards the sun."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(look.buffer.frame)
     rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
