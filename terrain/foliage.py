@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from terrain.compiled import compiled
 from terrain.errors import InputError
@@ -227,6 +228,10 @@ _KINDS = (
 LOOKS: tuple[Look, ...] = tuple(look for look, _ in _KINDS)
 
 
+OUTLINE_CELLS = 16
+"""Cells a side of a picture by which its outline is told."""
+
+
 @lru_cache(maxsize=1)
 def foliage() -> Foliage:
     """The pictures of ``LOOKS``, painted once in a process and the same on every machine."""
@@ -236,6 +241,24 @@ def foliage() -> Foliage:
         for view, stands in zip(paint(model, seed, SIZE), (True, False), strict=True)
     ]
     return Foliage(levels=tuple(np.stack(level) for level in zip(*layers, strict=True)))
+
+
+@lru_cache(maxsize=1)
+def leaf_outlines() -> np.ndarray:
+    """For each picture (2 * looks, k, 2) the corners of a convex polygon that holds all of its leaves, the last one repeated: right
+    and up from the lower left corner, in [0, 1]; a sixteenth of the picture is what it may be too large by.
+    """
+    alpha = foliage().levels[0][..., 3]
+    layers, side, _ = alpha.shape
+    cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= THRESHOLD * 255
+    outlines = []
+    for held in cells:
+        row, col = np.nonzero(held)
+        ends = [(col + right, OUTLINE_CELLS - row - down) for right in (0, 1) for down in (0, 1)]
+        corners = np.concatenate([np.stack(end, axis=1) for end in ends]) / OUTLINE_CELLS
+        outlines.append(corners[ConvexHull(corners).vertices])
+    most = max(map(len, outlines))
+    return np.stack([np.pad(outline, ((0, most - len(outline)), (0, 0)), mode="edge") for outline in outlines])
 
 
 def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:

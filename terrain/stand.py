@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.foliage import LOOKS
+from terrain.foliage import LOOKS, leaf_outlines
 from terrain.population import Population
 from terrain.trees import Trees
 from terrain.world import LocalFrame
@@ -81,6 +81,13 @@ class Stand:
     def corners(self) -> np.ndarray:
         """The quads' corners (n, 3, 4, 3) float64 in the frame: two upright ones, then the level one."""
         return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
+
+    def outlines(self) -> np.ndarray:
+        """Corners (n, 3, k, 3) in the frame of convex polygons on the quads that hold all leaves."""
+        corners, pictures = self.corners(), leaf_outlines()
+        at = pictures[2 * self.look[:, None] + np.array([0, 0, 1])]
+        right, up = (corners[:, :, end] - corners[:, :, 0] for end in (1, 3))
+        return corners[:, :, :1] + at[..., :1] * right[:, :, None] + at[..., 1:] * up[:, :, None]
 
 
 @lru_cache(maxsize=2)

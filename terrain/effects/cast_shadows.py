@@ -34,6 +34,9 @@ COARSE_NODES = 2**18
 MOST_NODES = 2**21
 """Ground of more nodes is not searched facet by facet (that takes about 0.3 s a million): it may cast."""
 
+MOST_TREES = 2000
+"""More trees than these in the way, or in view, are not looked at one by one: some of them do shade something."""
+
 MASK_CELLS = 128
 """Cells a side in which what is seen is held against what stands before it."""
 
@@ -135,13 +138,21 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
 
 
 def _trees(scene: Scene, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
-    """The trees round an eye, and whether any of them is seen."""
+    """The trees round an eye, and whether leaves of any are in view."""
     stand = stand_in_perspective(scene.population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, False
     eye, camera_from_frame = view.in_frame(look.buffer.frame)
     ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
-    return stand, len(stand.in_cone(eye, camera_from_frame, np.array(ends) / view.focal_px)) > 0
+    tangents = np.array(ends) / view.focal_px
+    near = stand.in_cone(eye, camera_from_frame, tangents)
+    if not 0 < len(near) <= MOST_TREES:
+        return stand, len(near) > 0
+    at = (stand.some(near).outlines() - eye) @ camera_from_frame.T
+    # Outside are those that lie beyond one of the pyramid's sides as a whole.
+    beyond = [side * (at[..., k] - tangents[k, end] * at[..., 2]) > 0.0 for k in (0, 1) for end, side in ((0, -1.0), (1, 1.0))]
+    outside = np.logical_or.reduce([one.all(axis=-1) for one in (*beyond, at[..., 2] <= 0.0)])
+    return stand, not outside.all()
 
 
 def _seen_m(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
@@ -174,8 +185,14 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)
-        at = stand.corners().reshape(len(stand), 12, 3) @ rotation.T + translation
-        first, last = at.min(axis=1), at.max(axis=1)
+        points = look.points_frame_m @ rotation.T + translation
+        slack = _seen_m(scene, view, look)[:, None]
+        low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
+        before = stand.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+        if not 0 < len(before) <= MOST_TREES:
+            return len(before) > 0
+        at = stand.some(before).outlines() @ rotation.T + translation
+        first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
 

@@ -161,7 +161,7 @@ def cast_shadows() -> Iterator[Case]:
 def alpha_test() -> Iterator[Case]:
     stand = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
     post = [{"source": "post.obj", "at": [3.0, 1.0]}]
-    for north in (-60.0, -30.0, -14.0, -8.0, 0.0, 8.0, 16.0, 22.0, 28.0, 34.0, 42.0, 60.0):
+    for north in np.arange(-24.0, 43.0, 3.0).tolist():
         keys = ground("floor", 180.0, forest=stand, meshes=post)
         yield Case(f"looking {north} m north of a tree", keys, eye((0, north, 24), (0, north + 0.5, 0), 30.0, 3))
     yield Case("no tree", ground("floor", 180.0, meshes=post), eye((0, 8, 24), (0, 8.5, 0), 30.0, 3))
