@@ -86,7 +86,8 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     Heights are those that cast: holes are filled from their rims, and where nothing is known nothing hides.
     """
     detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
-    level = max(int(np.ceil(np.log2(max(elevation.shape) / LONGEST_NODES))), int(np.rint(detail)), 0)
+    longest = np.log2(max(elevation.shape))
+    level = max(int(np.ceil(longest - np.log2(LONGEST_NODES))), int(np.rint(min(detail, longest))), 0)
     side = 2**level
     row, col = ((np.arange(max(count // side, 1)) + 0.5) * side - 0.5 for count in elevation.shape)
     height_m, _ = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))

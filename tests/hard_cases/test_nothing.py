@@ -30,6 +30,10 @@ POINT = joined(box((0.02, 0.02, 0.02), at_m=(14, 14)), soup([[[0, 0, 2], [1e-6, 
 """A triangle of a micrometre, and a pebble on the ground for it to hover."""
 
 
+FORCED = {"cast_shadows": "on", "lamps": "on"}
+"""So that there is a step where nothing is seen, too."""
+
+
 def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, int]) -> tuple[np.ndarray, bool, int]:
     """Visibility (n,) of what of a view of ``scene`` faces the light, by the settings that are right for one of ``full``; whether
     there is any surface; and the draws.
@@ -59,7 +63,7 @@ def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
     for light, keys in list(LIGHTS.items())[: 1 if trial.algorithm == "sweep" else None]:
         empty = trial.scene(FLOOR, name=f"{light}_empty", views=VIEWS, **keys)
         meshes = [] if trial.algorithm == "sweep" else [box((8, 6, 5))]
-        full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects={"cast_shadows": "on"}, **keys)
+        full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects=FORCED, **keys)
         for view in views:
             visibility, there, count = filled(trial, full, empty, view, (96, 72))
             assert there == (view in ("eye", "map"))

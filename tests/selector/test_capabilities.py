@@ -68,6 +68,7 @@ def level_file(tmp_path_factory):
             keys = {
                 "lights": {"spot": {**SPOT, **up, "target": [*PLACE, 0]}, "omni": {**OMNI, **up}}, "views": {},
                 "meshes": [{"generate": "tetrahedra", "at": PLACE}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
+                "effects": {"alpha_test": "on"},  # trees that are too small to be drawn
                 **keys,
             }  # fmt: skip
         level = {

@@ -197,6 +197,7 @@ def test_visibility_scales_what_is_hidden(floor):
     assert ten == pytest.approx(10.0 * one)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("away", [0.98, 1.02])
 @pytest.mark.parametrize("altitude", [35, -20])
 def test_at_the_edge_of_being_called_for(gl, floor, altitude, away):
