@@ -69,6 +69,10 @@ def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True) 
     return float(EARTH_RADIUS_M * (np.sqrt(slope**2 + 2.0 * relief_m / EARTH_RADIUS_M) - slope))
 
 
+STARTS = 64
+"""Points of a perspective view from which the way to the sun is followed to the end of the data."""
+
+
 @dataclass(frozen=True)
 class Casters:
     """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for."""
@@ -320,7 +324,7 @@ def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.n
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     there = np.flatnonzero(buffer.there)
-    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // 256, 1)]]
+    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // STARTS, 1)]]
     points = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))

@@ -131,10 +131,14 @@ class Trial:
     def see(self, scene: Scene, view: View | None = None, light: str | None = None, **asked: Any) -> Seen:
         """A view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
 
+        While the sun shines the algorithm runs whether or not anything is known to cast: that nothing does must come out of it, too.
         Raises ``UnsupportedError`` where the algorithm cannot serve it.
         """
         view = view or scene.view()
-        plan = choose(describe(scene, view), scene.loaded.level, {"algorithm": self.algorithm, **asked})
+        level = scene.loaded.level
+        if scene.sun_is_up and level.effects == "auto":
+            level = level.model_copy(update={"effects": {"cast_shadows": "on", "alpha_test": "on"}})
+        plan = choose(describe(scene, view), level, {"algorithm": self.algorithm, **asked})
         light = light or scene.light_names[0]
         buffer = geometry_of(scene, view)
         casters, log = casters_of(scene, buffer), PassLog()
