@@ -131,7 +131,7 @@ class Trial:
     def see(self, scene: Scene, view: View | None = None, light: str | None = None, **asked: Any) -> Seen:
         """A view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
 
-        While the sun shines the algorithm runs whether or not anything is known to cast: that nothing does must come out of it, too.
+        While the sun shines the algorithm runs whether or not anything is known to cast: that nothing does must come out of it.
         Raises ``UnsupportedError`` where the algorithm cannot serve it.
         """
         view = view or scene.view()
