@@ -232,7 +232,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
         row, col = np.nonzero(~buffer.there)
         linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
         linear = picture.averaged(linear)
-        layers.append(own.position_frame_m @ own.frame.frame_from_earth + own.frame.origin_earth_m)
+        layers.append(own.position_frame_m)
     return [encoded(linear), *layers]
 
 

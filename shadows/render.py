@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from terrain.picture import geometry_of
 from terrain.reach import Casters, Reach, casters_of, reach_of
 from terrain.scene import Scene
 from terrain.shading import albedo_of, encoded, open_sky, shade, sky
+from terrain.world import LocalFrame
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "outside_casters"
@@ -55,7 +57,8 @@ class Frame:
     """A rendered view. Arrays are (rows, cols, ...), row 0 the upper (in a map the northern) one.
 
     ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``height_m`` float32
-    likewise; ``position_earth_m`` float64 (rows, cols, 3) of a perspective view, ``None`` in a map; ``passes`` what really ran.
+    likewise; ``position_frame_m`` float64 (rows, cols, 3) of a perspective view in ``frame``, ``None`` in a map; ``passes`` what
+    really ran.
     ``layers`` are the intermediate pictures that were asked for, by layer and light (``shadows.passes``).
     """
 
@@ -64,7 +67,8 @@ class Frame:
     color: np.ndarray
     visibilities: dict[str, np.ndarray]
     height_m: np.ndarray
-    position_earth_m: np.ndarray | None
+    position_frame_m: np.ndarray | None
+    frame: LocalFrame | None
     passes: tuple[PassRecord, ...]
     reach: Reach
     layers: dict[PassLayer, dict[str, np.ndarray]] = field(default_factory=dict)
@@ -73,6 +77,13 @@ class Frame:
     def visibility(self) -> np.ndarray:
         """Visibility of the first light: the sun, where there is one."""
         return next(iter(self.visibilities.values()))
+
+    @cached_property
+    def position_earth_m(self) -> np.ndarray | None:
+        """Earth-fixed points (rows, cols, 3) float64 of a perspective view, NaN in the sky; ``None`` in a map."""
+        if self.position_frame_m is None or self.frame is None:
+            return None
+        return self.position_frame_m @ self.frame.frame_from_earth + self.frame.origin_earth_m
 
     @property
     def effects(self) -> frozenset[EffectName]:
@@ -102,7 +113,7 @@ class Frame:
         """Bytes of the layers."""
         kept = [picture for by_light in self.layers.values() for picture in by_light.values()]
         arrays = [self.color, self.height_m, *self.visibilities.values(), *kept]
-        return sum(array.nbytes for array in arrays) + (0 if self.position_earth_m is None else self.position_earth_m.nbytes)
+        return sum(array.nbytes for array in arrays) + (0 if self.position_frame_m is None else self.position_frame_m.nbytes)
 
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
@@ -150,14 +161,15 @@ def render_frame(
         color[ours], height[ours] = block.color[theirs], block.height_m[theirs]
         for light, whole in visibilities.items():
             whole[ours] = block.visibilities[light][theirs]
-        if position is not None and block.position_earth_m is not None:
-            position[ours] = block.position_earth_m[theirs]
+        if position is not None and block.position_frame_m is not None:
+            position[ours] = block.position_frame_m[theirs]
         kept.add(log.take(), ours, theirs)
         if on_block is not None:
             on_block(done, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
-    return Frame(view, plan, color, visibilities, height, position, tuple(log.records.values()), reach, kept.whole)
+    passes = tuple(log.records.values())
+    return Frame(view, plan, color, visibilities, height, position, block.frame, passes, reach, kept.whole)
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
@@ -208,14 +220,13 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
             _put_sky(scene, view, picture, linear)
     _run_parts("color", {"color": linear}, block, plan, log)
     with log.run(SHADING_PASS):
-        position = None
         if not isinstance(view, MapView):
             linear = picture.averaged(linear)
-            position = own.position_frame_m @ own.frame.frame_from_earth + own.frame.origin_earth_m
         for light, visibility in visibilities.items():
             visibilities[light] = np.where(own.there, visibility[: view.rows], np.float32(np.nan))
         color = encoded(linear)
-    return Frame(view, plan, color, visibilities, own.height_m, position, (), casters.reach)
+    position, frame = (None, None) if isinstance(view, MapView) else (own.position_frame_m, own.frame)
+    return Frame(view, plan, color, visibilities, own.height_m, position, frame, (), casters.reach)
 
 
 def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
