@@ -49,7 +49,7 @@ class Look:
     """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
 
     ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
-    their heights, ``up_frame`` (3,) the vertical at the eye, ``spacing`` the angle (a tangent) between neighbours.
+    their heights, ``spacing`` the angle (a tangent) between neighbours.
     """
 
     buffer: GeometryBuffer
