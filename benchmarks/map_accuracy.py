@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from selector.rules import choose
 from shadows.attached import attached
 from shadows.metrics import errors_of

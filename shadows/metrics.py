@@ -7,9 +7,11 @@ for every picture: a share of nothing is 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
+from scipy.spatial import KDTree
 
 from shadows.truth import Truth
 
@@ -73,7 +75,7 @@ def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footpr
     wrong = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
     distances = edge_distances(dark, true_dark, truth.there)
-    inside = interior(wrong, true_dark, truth.there, np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px))
+    inside = wrong & (_from_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px))
     parts, count = label(inside, structure=_SQUARE)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
@@ -104,8 +106,8 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
         edges.append(boundary(np.isin(parts, shared[shared > 0]), there))
     if not (edges[0].any() and edges[1].any()):
         return np.zeros(0)
-    there_and_back = [distance_transform_edt(~b)[a] for a, b in (edges, edges[::-1])]
-    return np.concatenate(there_and_back)
+    one, other = (np.argwhere(edge) for edge in edges)
+    return np.concatenate([KDTree(b).query(a)[0] for a, b in ((one, other), (other, one))])
 
 
 def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -115,10 +117,19 @@ def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
     """Wrong pixels farther than a distance from truth's boundary: all of them where truth has none."""
-    edge = boundary(true_dark, there) | boundary(there & ~true_dark, there)
-    if not edge.any():
-        return wrong
-    return wrong & (distance_transform_edt(~edge) > distance_px)
+    return wrong & (from_edges_px(true_dark, there) > distance_px)
+
+
+def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Each pixel's distance (rows, cols) to the nearest one on either side of a shadow's boundary; infinite without any."""
+    edge = boundary(dark, there) | boundary(there & ~dark, there)
+    return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
+
+
+@lru_cache(maxsize=1)
+def _from_edges_px(truth: Truth) -> np.ndarray:
+    """The distances from the edges of a truth that many pictures are held against."""
+    return from_edges_px(~truth.lit & truth.there, truth.there)
 
 
 def block_shares(shadow_share: np.ndarray) -> np.ndarray:

@@ -233,11 +233,12 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
         return 0.0
     else:
         both = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
-    lit = []
-    for its in both:
-        if not its.there.any():
-            return 0.0
-        lit.append(lit_from(its, scene, SUN, ray_scene(its, scene, casters_of(scene, its), ALL_KINDS)))
+    if not all(its.there.any() for its in both):
+        return 0.0
+    # A map's nodes are the same in every block of it: the whole buffer's rays, which are kept, see its part too.
+    wholes = (buffer if isinstance(part, MapView) else both[0], both[1])
+    rays = (ray_scene(its, scene, casters if its is buffer else casters_of(scene, its), ALL_KINDS) for its in wholes)
+    lit = [lit_from(its, scene, SUN, its_rays) for its, its_rays in zip(both, rays, strict=True)]
     there = both[0].there & both[1].there
     return float((lit[0] != lit[1])[there].mean()) if there.any() else 0.0
 

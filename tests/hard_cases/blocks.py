@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 import trimesh
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from shadows.metrics import INTERIOR_PX, edge_distances, interior
 from shadows.render import FILLS
 from shadows.truth import Truth, sub_views

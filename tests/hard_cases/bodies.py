@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from shadows.metrics import Errors, errors_of
 from shadows.render import FILLS
 from shadows.truth import Truth

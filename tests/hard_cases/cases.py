@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from selector.rules import choose
 from shadows.attached import attached
 from shadows.metrics import Errors, errors_of

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import trimesh
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from terrain.descriptor import describe
 from terrain.level_parts import SunSpec
 from terrain.resolve import RELIEF

@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import Transformer
 from scipy.spatial import ConvexHull
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.camera import PerspectiveView, look_at

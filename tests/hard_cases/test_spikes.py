@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from selector.compare import texel_footprint_px
+from selector.footprint import texel_footprint_px
 from shadows.render import FILLS
 from terrain.descriptor import describe
 from terrain.level_parts import SunSpec

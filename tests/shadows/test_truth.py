@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from selector.compare import Comparison, candidates, compare, false_colours
+from selector.candidates import candidates
+from selector.compare import Comparison, compare, false_colours
 from shadows import shadow_map, truth
 from shadows.attached import attached
 from shadows.metrics import Errors, block_shares, coverage_error, errors_of, soft_error
@@ -149,7 +150,7 @@ def comparison(scene) -> Iterator[Comparison]:
     """Every row measured once: times are no matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("selector.compare.ENOUGH_S", 0.0)
+        patch.setattr("selector.compare.REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 4000, y - 4000, x + 4000, y + 4000), size=(250, 250)))
 
 

@@ -1,0 +1,71 @@
+"""Claims of others beside what is measured here: what an experiment hands to the page that is written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+Figures = dict[str, Any]
+"""What an experiment measured: nothing but what JSON holds, so that the page can be written again without measuring again."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a source says, in our words; what was found here, with its figures; whether it holds here, and why (not).
+
+    ``held`` is ``None`` where the experiment cannot decide it.
+    """
+
+    source: str
+    says: str
+    found: str
+    held: bool | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: how it was measured, tables (a title, rows with the same keys: the columns), claims, pictures.
+
+    Pictures are names of files in ``docs/images`` with what they show.
+    """
+
+    title: str
+    how: str
+    tables: list[tuple[str, list[dict[str, str]]]] = field(default_factory=list)
+    claims: list[Claim] = field(default_factory=list)
+    pictures: list[tuple[str, str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """``measure`` takes seconds to minutes; ``section`` puts its figures into words and must not measure anything."""
+
+    measure: Callable[[], Figures]
+    section: Callable[[Figures], Section]
+
+
+def markdown(section: Section) -> str:
+    """A section as Markdown."""
+    parts = [f"## {section.title}", section.how]
+    for title, rows in section.tables:
+        parts.append("\n".join([f"**{title}**", "", *table(rows)]))
+    if section.claims:
+        words = {True: "held", False: "**not held**", None: "open"}
+        rows = [
+            {"claim": f"{claim.says} ({claim.source})", "found here": claim.found, "": words[claim.held], "why": claim.why}
+            for claim in section.claims
+        ]
+        parts.append("\n".join(table(rows)))
+    parts += [f"![{caption}](images/{name})\n\n*{caption}*" for name, caption in section.pictures]
+    return "\n\n".join(parts) + "\n"
+
+
+def table(rows: list[dict[str, str]]) -> list[str]:
+    """Lines of a Markdown table; the keys of the first row are the columns."""
+    if not rows:
+        return []
+    columns = list(rows[0])
+    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
+    return lines + ["| " + " | ".join(str(row[column]) for column in columns) + " |" for row in rows]
