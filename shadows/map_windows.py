@@ -146,16 +146,11 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
     tangent = half * size / (size - 2 * BORDER_TEXELS)
-    seen = (buffer.position_frame_m[buffer.there] - position) @ rotation.T
-    near_far = [np.inf, 0.0]
-    for turned in faces:
-        at = seen @ turned.T
-        ahead = at[(at[:, 2] > 0.0) & (np.abs(at[:, :2]).max(axis=1) <= tangent * at[:, 2]), 2]
-        if len(ahead):
-            near_far = [min(near_far[0], float(ahead.min())), max(near_far[1], float(ahead.max()))]
-    if not near_far[1] > 0.0:
+    face_from_frame = np.stack([turned @ rotation for turned in faces])
+    nearest_m, farthest_m = _depths_seen(buffer.position_frame_m, buffer.there, position, face_from_frame, tangent)
+    if not farthest_m > 0.0:
         return None
-    near, far = max(0.98 * near_far[0], NEAREST_SHARE * near_far[1]), 1.02 * near_far[1]
+    near, far = max(0.98 * nearest_m, NEAREST_SHARE * farthest_m), 1.02 * farthest_m
     uniforms = {
         "lamp": True,
         "light_from_frame": tuple(rotation.T.ravel()),
@@ -167,6 +162,27 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
     return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
+
+
+@compiled
+def _depths_seen(points, here, position, faces, tangent):  # type: ignore[no-untyped-def]
+    """The least and the greatest depth, metres, of points (rows, cols, 3) that are ``here``, in a lamp's faces (n, 3, 3) as far as
+    ``tangent`` from their axes; infinity and 0 where none is seen.
+    """
+    nearest, farthest = np.inf, 0.0
+    for i in range(here.shape[0]):
+        for j in range(here.shape[1]):
+            if not here[i, j]:
+                continue
+            x, y, z = points[i, j, 0] - position[0], points[i, j, 1] - position[1], points[i, j, 2] - position[2]
+            for k in range(faces.shape[0]):
+                face = faces[k]
+                depth = face[2, 0] * x + face[2, 1] * y + face[2, 2] * z
+                right = face[0, 0] * x + face[0, 1] * y + face[0, 2] * z
+                up = face[1, 0] * x + face[1, 1] * y + face[1, 2] * z
+                if depth > 0.0 and max(abs(right), abs(up)) <= tangent * depth:
+                    nearest, farthest = min(nearest, depth), max(farthest, depth)
+    return nearest, farthest
 
 
 @compiled

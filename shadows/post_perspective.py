@@ -35,13 +35,14 @@ it than the farthest one (float32 would not tell them apart): that alone rules o
 texels are seen smallest. With T two directions across the light's ray at a receiver, A = d(texels)/dT and B = d(pixels)/dT (2 x 2
 both), the columns of B A^-1 are a texel's sides in the picture; the mean square of its norm over a sample of the receivers is
 compared. The displacement of shadow edges goes with it, but for the slope of the surfaces to the light, which no map can help. A
-large slide-back is as good as a uniform map under the sun, and nearly so under a lamp: the best is never much worse than that.
+large slide-back is as good as a uniform map under the sun, and nearly so under a lamp; where every one is coarser than that, the
+uniform map is taken (a lamp near its receivers, which the perspective stretches far from the eye; Sindholt's figure 55).
 Slide-backs that are tried double from one to the next, down to the nearest receiver's distance: in a view of 30 m to 80 km longer
 ones alone would leave a few columns to all that is near.
 
 **Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation behind
 the eye, V distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is
-taken at once, and likewise where no slide-back keeps the receivers off the horizon; ``note`` says which.
+taken at once, and likewise where no slide-back keeps the receivers off the horizon or none is finer; ``note`` says which.
 """
 
 from __future__ import annotations
@@ -165,7 +166,8 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
 def post_perspectives(
     camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NONE
 ) -> list[PostPerspective]:
-    """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last.
+    """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last: with it end those
+    that are better than none.
 
     They are chosen by ``points``, and hold those on the ``rim`` (m, 3), too. Whoever finds that another receiver lies beyond the
     horizon takes the next map. ``inner`` is the part of the map's half width that receivers may fill.
@@ -197,8 +199,9 @@ def post_perspectives(
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
         if is_clear(horizon_m(matrix, held) / ahead):
             found.append(made(matrix, kind_of(seen_light), float(slide_m)))
-    found.sort(key=lambda each: each.texel)
-    return [*found, made(uniform, None, np.inf, "a uniform map: no slide-back keeps all that is seen off the map's horizon")]
+    why = "every slide-back has larger texels" if found else "no slide-back keeps all that is seen off the map's horizon"
+    last = made(uniform, None, np.inf, f"a uniform map: {why}")
+    return [*sorted((each for each in found if each.texel < last.texel), key=lambda each: each.texel), last]
 
 
 def fitted(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:

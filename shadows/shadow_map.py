@@ -112,15 +112,16 @@ def fill(
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
-    if not anything_casts(scene, buffer, kinds):
-        pass
-    elif isinstance(settings, ShadowMapSettings):
-        nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
-        maps = sun_maps(buffer, scene, settings, trees, nearest_m)
-    elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
-        maps = [lit]
+    with log.run(depth_pass):  # fitting a map is part of making it
+        if not anything_casts(scene, buffer, kinds):
+            pass
+        elif isinstance(settings, ShadowMapSettings):
+            nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
+            maps = sun_maps(buffer, scene, settings, trees, nearest_m)
+        elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
+            maps = [lit]
     if not maps:  # no casters, or no receivers
-        with log.run(depth_pass), log.run(visibility_pass):
+        with log.run(visibility_pass):
             return np.ones(buffer.there.shape, np.float32)
     gl = device()
     visibility = np.ones(buffer.there.shape, np.float32)

@@ -171,7 +171,7 @@ def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
         if len(points) < 3:
             continue
         found, clip = map_of(camera, light, points)
-        kinds[found.kind] += 1
+        kinds["coarser" if found.note.endswith("larger texels") else found.kind] += 1
         assert np.isfinite(clip).all() and bool(found.note) == (found.kind is None)
         corners = through(clip.astype(np.float32), points.astype(np.float32))
         assert corners.dtype == np.float32 and (corners[:, 3] > 0).all()
@@ -193,10 +193,11 @@ def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
     assert behind > 10_000
     assert kinds["point"] > 100 and kinds["sink"] > 100
     assert kinds[None] < 0.05 * kinds.total()
+    assert kinds["coarser"] < (0.15 if lamp else 0.01) * kinds.total()
 
 
 @pytest.mark.parametrize("lamp", [False, True])
-def test_no_map_is_much_coarser_than_a_uniform_one(lamp):
+def test_no_map_is_coarser_than_a_uniform_one(lamp):
     rng = np.random.default_rng(30 + lamp)
     gain = []
     for _ in range(150):
@@ -205,8 +206,8 @@ def test_no_map_is_much_coarser_than_a_uniform_one(lamp):
             continue
         found = post_perspectives(camera, light, points, INNER)
         gain.append(found[0].texel / found[-1].texel)
-        assert [each.texel for each in found[:-1]] == sorted(each.texel for each in found[:-1])
-    assert max(gain) < (1.6 if lamp else 1.05) and np.median(gain) < 0.5
+        assert [each.texel for each in found] == sorted(each.texel for each in found)
+    assert max(gain) <= 1.0 and np.median(gain) < 0.5
 
 
 # -- singular directions
