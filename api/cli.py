@@ -114,7 +114,9 @@ def render(
 def compare(
     level: LevelName,
     view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write false-colour error pictures.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
     time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
     azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
@@ -124,18 +126,22 @@ def compare(
     crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
     light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
+    time_limit: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="Seconds after which no row and no repeat is begun; default: 75.")
+    ] = None,
 ) -> None:
     """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
-    from api.comparison import show, write_pictures
+    from api.comparison import show, write
     from api.snapshot import scene_and_view
+    from selector.compare import TIME_LIMIT_S
     from selector.compare import compare as measure
 
     scene, seen = scene_and_view(find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs)
     with _progress("Comparing") as advance:
-        comparison = measure(scene, seen, view, fine, advance, light)
+        comparison = measure(scene, seen, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
     show(comparison)
     if output is not None:
-        write_pictures(scene, comparison, output, view)
+        write(scene, comparison, output, view)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
         json_file.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")

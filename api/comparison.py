@@ -1,36 +1,32 @@
-"""How a comparison is shown: a table on the terminal, false-colour pictures in a folder."""
+"""How a comparison is shown: a table on the terminal, a report and false-colour pictures in a folder."""
 
 from __future__ import annotations
 
+import os
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
+from api.report import write_report
+from api.summary import in_words
 from selector.compare import Comparison, Row, false_colours
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
+from terrain.gl import device
+from terrain.level import SUN
 from terrain.scene import Scene
-
-
-def row_name(figures: dict[str, Any]) -> str:
-    """A row's algorithm and settings in few words, as ``shadow_map-2048-3-16`` or ``hybrid-512-original``."""
-    names = [name for per_kind in figures["algorithm"].values() for name in per_kind.values() if name != "none"]
-    name = "+".join(dict.fromkeys(names)) or "none"
-    every = [settings for per_kind in figures["settings"].values() for settings in per_kind.values()]
-    words = next((_words(settings, "map_size", "filter", "depth_bits") for settings in every if "map_size" in settings), [])
-    words = next((_words(settings["map"] | settings, "map_size", "mask") for settings in every if "mask" in settings), words)
-    return "-".join([name, *words])
 
 
 def show(comparison: Comparison, console: Console | None = None) -> None:
     """Print the rows, best first by ``wrong_cast``, and what holds for all of them."""
     console = console or Console(width=140)
     table = Table(box=None, header_style="bold")
-    table.add_column("algorithm-map-filter-bits or -mask")
+    table.add_column("algorithm-texels-taps-bits", overflow="fold")
     for title in (
         "ms",
         "wrong cast %",
@@ -50,30 +46,50 @@ def show(comparison: Comparison, console: Console | None = None) -> None:
     console.print(
         f"boundary {100 * comparison.boundary:.2f} % of the surface (no error is counted there), "
         f"surface {100 * comparison.surface:.2f} % (what the drawn grid changes against the full raster), "
-        f"noise floor {100 * comparison.noise_floor:.3f} % wrong"
+        f"noise floor {100 * comparison.noise_floor:.3f} % {comparison.error.replace('_', ' ')}"
     )
+    if any(row.figures["cold"] for row in comparison.rows):
+        console.print("?: timed by its first run alone, which compiles and allocates too")
+    for sentence in in_words(comparison):
+        console.print(sentence)
     for remark in comparison.remarks:
         console.print(f"note: {remark}")
 
 
-def write_pictures(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
-    """One PNG a row into a folder: false shadow red, missed shadow blue, over the shaded ground in gray."""
+def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
+    """``report.html``, and one PNG a row: false shadow red, missed shadow blue, over the shaded ground in gray."""
     folder.mkdir(parents=True, exist_ok=True)
     plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": "none"})
-    ground = render_frame(scene, comparison.view, plan).color.mean(axis=2)
+    base = render_frame(scene, comparison.view, plan).color
+    write_report(folder / "report.html", comparison, base, _about(scene, comparison, view))
     for row in comparison.rows:
-        Image.fromarray(false_colours(ground, row)).save(folder / f"{row_name(row.figures)}.png")
+        Image.fromarray(false_colours(base.mean(axis=2), row)).save(folder / f"{row.figures['name']}.png")
 
 
-def _words(settings: dict[str, Any], *names: str) -> list[str]:
-    return [str(settings[name]) for name in names]
+def _about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
+    """What was compared, and on what."""
+    loaded, gl = scene.loaded, device()
+    light = comparison.light
+    if light == SUN and scene.sun is not None:
+        light = f"the sun, azimuth {scene.sun.azimuth_deg:.1f}°, altitude {scene.sun.altitude_deg:.1f}°"
+    return {
+        "level": f"{loaded.name}: {loaded.level.title}" if loaded.level.title else loaded.name,
+        "view": view,
+        "size": f"{comparison.view.cols} x {comparison.view.rows} pixels",
+        "light": light,
+        "device": gl.renderer,
+        "driver": gl.version,
+        "processors": str(os.cpu_count()),
+        "Skugga": version("skugga"),
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    }
 
 
 def _cells(row: Row) -> list[str]:
     f = row.figures
     return [
-        row_name(f),
-        f"{f['ms_median']:.0f}",
+        f["name"],
+        f"{f['ms_median']:.0f}" + ("?" if f["cold"] else ""),
         f"{100 * f['wrong_cast']:.2f}",
         f"{100 * f['wrong']:.3f}",
         f"{100 * f['false_shadow']:.3f}",

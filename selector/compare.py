@@ -32,6 +32,8 @@ from terrain.scene import Scene
 
 View = MapView | PerspectiveView
 
+ErrorName = Literal["wrong_cast", "coverage"]
+
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
 REPEATS = 5
@@ -80,15 +82,15 @@ class Comparison:
     """All rows of a view, and what holds for all of them.
 
     ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``surface`` the share of pixels that the
-    drawn grid's simplification changes, ``noise_floor`` the share of decidable pixels that truth's own sub-samples get wrong,
-    ``remarks`` what a reader must know (no surface, night, nothing casts, what was left out for want of time).
+    drawn grid's simplification changes, ``noise_floor`` the ``error`` of truth's own sub-samples, ``remarks`` what a reader must
+    know (no surface, night, nothing casts, what was left out for want of time).
     """
 
     view: View
     light: str
     rows: list[Row]
     there: np.ndarray
-    error: Literal["wrong_cast", "coverage"]
+    error: ErrorName
     boundary: float
     surface: float
     noise_floor: float
@@ -142,7 +144,8 @@ def compare(
     step(1, total)
     first = grounds[0]
     real = _whole_truth(view, grounds)
-    floor = _noise_floor(scene, grounds, real, view)
+    error: ErrorName = "coverage" if real.boundary > FOGGY else "wrong_cast"
+    floor = _noise_floor(scene, grounds, real, view, error)
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
@@ -162,7 +165,6 @@ def compare(
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 _time_again(scene, grounds, trial)
         step(len(plans) + 3 + turn, total)
-    error: Literal["wrong_cast", "coverage"] = "coverage" if real.boundary > FOGGY else "wrong_cast"
     rows = [_timed(trial) for trial in trials]
     _mark_pareto(rows, error)
     remarks = _remarks(scene, real, rows)
@@ -223,8 +225,8 @@ def _whole_truth(view: View, grounds: list[Ground]) -> Truth:
     return Truth(*(_paste(view, grounds, [getattr(g.truth, field) for g in grounds], False) for field in fields))
 
 
-def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: View) -> float:
-    """Wrong share of truth's own sub-samples of another seed (their majority) against truth."""
+def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: View, error: ErrorName) -> float:
+    """The error of truth's own sub-samples of another seed (their majority, their share) against truth."""
     light = grounds[0].light
     if (light == SUN and not scene.sun_is_up) or not real.there.any():
         return 0.0
@@ -235,8 +237,16 @@ def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: View) -
         for its_view in truth_module.sub_views(ground.buffer.view, SAMPLES, seed=1):
             sample = geometry_of(scene, its_view, ground.buffer.frame)
             count += truth_module.lit_from(sample, scene, light, rays)
-        votes.append(count / SAMPLES)
-    return errors_of(_paste(view, grounds, votes, np.nan), real, 1.0).wrong
+        votes.append(np.where(ground.buffer.there, count / SAMPLES, np.nan))
+    if error == "coverage":
+        return _coverage(grounds, votes)
+    return errors_of(_paste(view, grounds, votes, np.nan), real, 1.0).wrong_cast
+
+
+def _coverage(grounds: list[Ground], parts: list[np.ndarray]) -> float:
+    """Mean difference of the shadow shares of visibilities (rows, cols) of the blocks from truth's."""
+    errors = [coverage_error(block_shares(1.0 - part), ground.true_shares) for ground, part in zip(grounds, parts, strict=True)]
+    return float(np.mean(errors))
 
 
 def _trial(scene: Scene, view: View, grounds: list[Ground], real: Truth, plan: Plan, pixel_m: float) -> Trial:
@@ -252,7 +262,6 @@ def _trial(scene: Scene, view: View, grounds: list[Ground], real: Truth, plan: P
         footprints.append(np.max(texels, axis=0))
     visibility = _paste(view, grounds, run.parts, np.nan)
     found = errors_of(visibility, real, pixel_m, _paste(view, grounds, footprints, 0.0))
-    shares = [coverage_error(block_shares(1.0 - part), ground.true_shares) for ground, part in zip(grounds, run.parts, strict=True)]
     seen = np.nan_to_num(visibility, nan=1.0)
     dark, true_dark = seen < 0.5, ~real.lit
     records = run.log.records.values()
@@ -261,7 +270,7 @@ def _trial(scene: Scene, view: View, grounds: list[Ground], real: Truth, plan: P
         "algorithm": plan.model_dump(mode="json")["algorithm"],
         "settings": plan.model_dump(mode="json")["settings"],
         **asdict(found),
-        "coverage": float(np.mean(shares)),
+        "coverage": _coverage(grounds, run.parts),
         "bytes": max((record.bytes for record in records), default=0),
         "counters": {name: sum(getattr(record, name) for record in records) for name in COUNTERS},
         "notes": [record.note for record in records if record.note],

@@ -155,7 +155,7 @@ def comparison(scene) -> Iterator[Comparison]:
 
 
 def test_the_noise_floor_is_far_below_the_errors(gl, comparison, usual):
-    assert comparison.noise_floor < usual.wrong / 3
+    assert comparison.noise_floor < usual.wrong_cast / 3
     assert 0.0 < comparison.surface < 0.1
 
 

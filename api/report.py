@@ -1,0 +1,168 @@
+"""The report of a comparison: one page that opens from disk, with its plots, pictures, style and script in it."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from hashlib import sha256
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from api.report_page.bars import bars, bars_legend, too_long
+from api.report_page.markup import breakable, definitions, script_json, tag
+from api.report_page.pictures import LEVELS, Errors, Pictures, palette, pictures
+from api.report_page.scatter import legend, scatter
+from api.report_page.table import GLOSSARY, table
+from api.summary import FLOORS, Figures, casts, duration, in_words, on_front, percent
+from selector.compare import Comparison
+
+MOST_BYTES = 5_000_000
+"""Of a page; what its text leaves of this is for pictures."""
+
+LONG = 240
+"""Characters from which on a remark is folded."""
+
+_COLOURS = {
+    "false": "false shadow: lit in truth",
+    "missed": "missed shadow: dark in truth",
+    "dark": "shadow",
+    "lit": "light",
+}
+
+
+def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> None:
+    """Write the page of a comparison.
+
+    ``base`` is the view without cast shadows, uint8 (rows, cols, 3); ``about`` is what the page says of the run, in order; its
+    first two values are the title. The same input gives the same page, byte for byte.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    path.write_text(report(comparison, base, about), encoding="utf-8")
+
+
+def report(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:
+    """The page as text; see ``write_report``."""
+    style, script = _part("report.css"), _part("report.js")
+    parts = {
+        "title": escape(" · ".join(list(about.values())[:2])),
+        "about": definitions(about, class_="about"),
+        "summary": tag(
+            "ul", *(tag("li", text) for text in [*map(escape, in_words(comparison)), *map(_remark, comparison.remarks)])
+        ),
+        "shares": definitions(_shares(comparison), class_="shares"),
+        "glossary": definitions(GLOSSARY),
+        "style": style,
+        "script": script,
+        "style_hash": _hash(style),
+        "script_hash": _hash(script),
+    }
+    if not comparison.rows:
+        return Template(_part("report.html")).substitute(parts, results="", data="")
+    results = _results(comparison)
+    spare = MOST_BYTES - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
+    drawn = pictures(base, _errors(comparison), spare)
+    results |= {"thumbs": _thumbs(comparison, drawn), "shrunk": _shrunk(drawn)}
+    return Template(_part("report.html")).substitute(
+        parts, results=Template(_part("results.html")).substitute(results), data=_data(comparison, drawn)
+    )
+
+
+def _part(name: str) -> str:
+    return (files("api.report_page") / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """A source expression of a Content-Security-Policy for an inline element (CSP level 3, 2.3.1)."""
+    return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
+
+
+def _remark(remark: str) -> str:
+    """A remark as a sentence; what a long one lists after its colon is folded away."""
+    sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
+    head, colon, tail = sentence.partition(": ")
+    return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > LONG else sentence
+
+
+def _shares(comparison: Comparison) -> dict[str, str]:
+    return {
+        "boundary": f"{percent(comparison.boundary)} of the surface: no error is counted there, for truth itself is not certain",
+        "drawn grid": f"{percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
+        "noise floor": f"{percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
+        f"errors up to {percent(FLOORS * comparison.noise_floor)} are called exact",
+    }
+
+
+def _results(comparison: Comparison) -> dict[str, str]:
+    figures = [row.figures for row in comparison.rows]
+    cold = [f["name"] for f in figures if f["cold"]]
+    return {
+        "scatter": scatter(comparison),
+        "scatter_legend": legend(comparison),
+        "bars": bars(figures),
+        "bars_legend": bars_legend(figures),
+        "cut": "A bar with a cut is longer than the axis: its stages are drawn in proportion." if too_long(figures) else "",
+        "options": "".join(tag("option", escape(f["name"]), value=k) for k, f in enumerate(figures)),
+        "table": table(comparison),
+        "cold": "A time with a question mark is that of a first run, which pays for what later ones have." if cold else "",
+        "colours": tag(
+            "ul",
+            *(tag("li", tag("span", class_=f"colour {class_}"), text) for class_, text in _COLOURS.items()),
+            class_="legend",
+        ),
+    }
+
+
+def _errors(comparison: Comparison) -> list[Errors]:
+    """What is drawn of each row; what no light can reach is dark in the shaded view already, and so not part of the cast shadow."""
+    bare = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
+    return [
+        Errors(row.visibility if bare is None else np.where(bare, 255, row.visibility), row.false_shadow, row.missed_shadow)
+        for row in comparison.rows
+    ]
+
+
+def _shrunk(drawn: Pictures) -> str:
+    if drawn.factor == 1:
+        return "Pictures have the pixels of the view."
+    return (
+        f"So that this page stays small, each pixel of a picture stands for {drawn.factor} × {drawn.factor} of the view; "
+        "it is wrong if any of these is."
+    )
+
+
+def _data(comparison: Comparison, drawn: Pictures) -> str:
+    figures = [row.figures for row in comparison.rows]
+    shown = [k for k, f in enumerate(figures) if on_front(f, comparison.light)] or list(range(len(figures)))
+    shown.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
+    value = {
+        "rows": drawn.rows,
+        "cols": drawn.cols,
+        "levels": LEVELS,
+        "palette": palette().tolist(),
+        "ground": drawn.ground,
+        "left": shown[0],
+        "right": shown[-1],
+    }
+    return tag("script", script_json(value), type="application/json", id="data")
+
+
+def _thumbs(comparison: Comparison, drawn: Pictures) -> str:
+    figures = [row.figures for row in comparison.rows]
+    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
+    return "".join(_thumb(k, figures[k], comparison.error, drawn) for k in order)
+
+
+def _thumb(k: int, figures: Figures, error: str, drawn: Pictures) -> str:
+    caption = f"{percent(figures[error])}, {duration(figures['ms_median'])}"
+    shares = f"{percent(figures['false_shadow'])} false and {percent(figures['missed_shadow'])} missed shadow"
+    alt = f"Errors of {figures['name']}: {shares}"
+    picture = tag("img", src=drawn.of_rows[k], alt=alt, width=drawn.cols, height=drawn.rows)
+    name = tag("figcaption", tag("b", breakable(figures["name"])), tag("span", escape(caption)))
+    return tag("figure", tag("a", picture, href=f"#row-{k}", data_row=k), name, class_="front" if figures["pareto"] else None)

@@ -1,0 +1,1 @@
+"""The parts of the page that ``api.report`` writes: markup, plots and pictures; its template, style and script lie beside them."""

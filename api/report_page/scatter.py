@@ -1,0 +1,169 @@
+"""The scatter of error against time as SVG: every row a mark that links to its line of the table, the front drawn and named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from itertools import pairwise
+
+from api.report_page.marks import MARKS, mark_of
+from api.report_page.markup import tag
+from api.report_page.scales import Scale, round_time, scale_of
+from api.summary import FLOORS, NONE, Figures, casts, duration, family, on_front, percent
+from selector.compare import Comparison
+
+WIDTH, HEIGHT = 860.0, 540.0
+LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0
+CHARACTER_PX, LINE_PX = 8.3, 16.0
+"""Of labels, a little more than any font takes."""
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A row in the plot: which it is, its figures, and where it lies."""
+
+    row: int
+    figures: Figures
+    x: float
+    y: float
+
+
+def scatter(comparison: Comparison) -> str:
+    """An SVG element of 860 x 540; time to the right and error upwards, both logarithmic with a place for zero.
+
+    A row that casts nothing is left out beside others: in no time all wrong, it would only take their room.
+    """
+    shown = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
+    shown = shown or {k: row.figures for k, row in enumerate(comparison.rows)}
+    x = scale_of([f["ms_median"] for f in shown.values()], LEFT, WIDTH - RIGHT)
+    y = scale_of([f[comparison.error] for f in shown.values()], HEIGHT - BOTTOM, TOP)
+    points = [Point(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in shown.items()]
+    points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
+    stairs = _stairs([point for point in points if on_front(point.figures, comparison.light)])
+    return tag(
+        "svg",
+        *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error == "wrong_cast" else "error of the shadow share"),
+        *_floor(y, FLOORS * comparison.noise_floor),
+        tag("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in stairs), class_="stairs") if stairs else "",
+        *(_mark(point, comparison) for point in points),
+        *_names(points, stairs, comparison.light),
+        viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}",
+        role="group",
+        aria_label="Error against time of every row",
+        class_="scatter",
+    )
+
+
+def legend(comparison: Comparison) -> str:
+    """A list of the marks and the algorithms that they stand for."""
+    found = {family(row.figures, comparison.light) for row in comparison.rows}
+    found = found - {NONE} or found
+    ranks = {name: k for k, name in enumerate(MARKS)}
+    ordered = sorted(found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
+    items = (tag("li", swatch(name), escape(name)) for name in ordered)
+    return tag("ul", *items, class_="legend")
+
+
+def swatch(name: str) -> str:
+    """The mark of an algorithm as a small picture beside its name."""
+    return tag("svg", mark_of(name).drawn(8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
+
+
+def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
+    bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
+    for value in y.ticks():
+        at = y(value)
+        yield tag("line", x1=LEFT, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}", class_="grid")
+        yield _text(LEFT - 9, at + 4.5, f"{100.0 * value:g} %", "end")
+    for value in x.ticks():
+        at = x(value)
+        yield tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=TOP, y2=bottom, class_="grid")
+        yield _text(at, bottom + 20, round_time(value), "middle")
+    if y.zero_px is not None:
+        yield tag("line", x1=LEFT, x2=right, y1=y.start_px, y2=y.start_px, class_="break")
+        yield _text(LEFT - 9, y.zero_px + 4.5, "0 %", "end")
+    if x.zero_px is not None:
+        yield tag("line", x1=x.start_px, x2=x.start_px, y1=TOP, y2=bottom, class_="break")
+        yield _text(x.zero_px, bottom + 20, "0 ms", "middle")
+    yield tag("path", d=f"M{LEFT:g} {TOP:g}V{bottom:g}H{right:g}", class_="axis")
+    yield _text((LEFT + right) / 2, HEIGHT - 10, "time of the shadows in a frame, median", "middle", "title")
+    middle = (TOP + bottom) / 2
+    yield tag("text", escape(error), transform=f"translate(13 {middle:g}) rotate(-90)", text_anchor="middle", class_="title")
+
+
+def _floor(y: Scale, exact_to: float) -> Iterator[str]:
+    """The band of errors that truth cannot tell from none, where any of it is in sight."""
+    top, bottom = y(exact_to), HEIGHT - BOTTOM
+    if exact_to > y.low:
+        yield tag("rect", x=LEFT, y=f"{top:.1f}", width=WIDTH - RIGHT - LEFT, height=f"{bottom - top:.1f}", class_="floor")
+        yield _text(WIDTH - RIGHT - 6, min(top + 15, bottom - 5), "truth cannot tell", "end", "remark")
+
+
+def _stairs(front: list[Point]) -> list[tuple[float, float]]:
+    """Corners of the line through the front: what lies above and right of it is slower and less accurate than something else."""
+    steps = sorted((point.x, point.y) for point in front)
+    corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, TOP), *steps], strict=False)]
+    line = [place for pair in zip(corners, steps, strict=True) for place in pair]
+    return [*line, (WIDTH - RIGHT, line[-1][1])] if line else []
+
+
+def _mark(point: Point, comparison: Comparison) -> str:
+    figures = point.figures
+    said = f"{figures['name']}: {percent(figures[comparison.error])} in {duration(figures['ms_median'])}"
+    said += ", on the front" if figures["pareto"] else ""
+    return tag(
+        "a",
+        tag("title", escape(said)),
+        tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
+        mark_of(family(figures, comparison.light)).drawn(point.x, point.y, 7.0 if figures["pareto"] else 5.2),
+        href=f"#row-{point.row}",
+        data_row=point.row,
+        aria_label=said,
+        class_="point front" if figures["pareto"] else "point",
+    )
+
+
+def _names(points: list[Point], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
+    """Names of the front's rows, each where it covers neither a mark, a line, another name nor the frame; else none."""
+    taken: list[Box] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
+    taken += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
+    for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
+        lines = point.figures["name"].replace(",", ",\n").split("\n")
+        width, more = CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
+        for anchor, right, down in PLACES:
+            left = point.x + right - (width if anchor == "end" else 0.0)
+            line = point.y + down - (more if down < 0.0 else 0.0)
+            boxes = [(left, line - 12.0, left + width, line - 12.0 + LINE_PX + more)]
+            if abs(down) > 25.0:  # its leader
+                start, end = sorted((point.y + (9.0 if down > 0.0 else -9.0), point.y + down + (-12.0 if down > 0.0 else 4.0)))
+                boxes.append((point.x - 1.0, start, point.x + 1.0, end))
+            if all(_inside(box) and not any(_overlap(box, other) for other in taken) for box in boxes):
+                taken += boxes
+                yield from (
+                    tag("path", d=f"M{point.x:.1f} {top:.1f}V{bottom:.1f}", class_="leader") for _, top, _, bottom in boxes[1:]
+                )
+                yield from (_text(point.x + right, line + LINE_PX * k, text, anchor, "name") for k, text in enumerate(lines))
+                break
+
+
+PLACES = (
+    ("end", -13.0, 5.0), ("end", -9.0, 19.0), ("end", 3.0, 34.0), ("end", 3.0, 50.0), ("end", 3.0, 66.0), ("end", 3.0, 82.0),
+    ("start", 11.0, -8.0), ("start", 13.0, 5.0), ("start", -3.0, 34.0), ("start", -3.0, 50.0), ("start", -3.0, 66.0),
+    ("start", -3.0, -30.0), ("start", -3.0, -48.0), ("end", -9.0, -9.0),
+)  # fmt: skip
+"""Where a name may stand beside its mark, best first: its anchor, pixels right and down. Below and left of the front is room."""
+
+
+def _inside(box: Box) -> bool:
+    return box[0] > LEFT and box[2] < WIDTH - RIGHT and box[1] > TOP and box[3] < HEIGHT - BOTTOM
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _text(x: float, y: float, text: str, anchor: str = "start", class_: str | None = None) -> str:
+    return tag("text", escape(text), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, class_=class_)

@@ -1,0 +1,154 @@
+"""The table of all rows: their figures, and of each its settings, stages and counters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+from api.report_page.bars import stages_of
+from api.report_page.markup import breakable, definitions, tag
+from api.report_page.scatter import swatch
+from api.summary import Figures, duration, family
+from selector.compare import Comparison
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of figures: what it shows, the heading with its unit, how a value is written, and what it means."""
+
+    key: str
+    heading: str
+    unit: str
+    written: Callable[[float], str]
+    meaning: str = ""
+
+
+def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
+    """Numbers of so many decimals, a plain 0 only for what is zero."""
+    least = 10.0**-digits
+
+    def written(value: float) -> str:
+        scaled = value * scale
+        if scaled == 0.0:
+            return "0"
+        return f"{scaled:.{digits}f}" if scaled >= least / 2.0 else f"<{least:.{digits}f}"
+
+    return written
+
+
+def milliseconds(value: float) -> str:
+    """Times to a tenth under 10 ms, to a whole number from there on."""
+    return "0" if value == 0.0 else f"{value:.{0 if value >= 9.95 else 1 if value >= 0.05 else 3}f}"
+
+
+COLUMNS = [
+    Column("ms_median", "time", "ms", milliseconds, "Wall clock of a frame's shadow work, median of its runs."),
+    Column("ms_p95", "p95", "ms", milliseconds, "The time that 95 % of the runs keep."),
+    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of what truth or the row puts in cast shadow."),
+    Column("coverage", "coverage", "%", fixed(2, 100), "Mean difference in shadow share over blocks of 16 × 16 pixels."),
+    Column("wrong", "wrong", "%", fixed(3, 100), "Wrong pixels as a share of the surface where truth is certain."),
+    Column("false_shadow", "false", "%", fixed(3, 100), "Wrong among the pixels that are lit in truth."),
+    Column("missed_shadow", "missed", "%", fixed(3, 100), "Wrong among the pixels that are in shadow in truth."),
+    Column("edge_mean", "edge", "px", fixed(2), "Mean distance between the row's shadow edges and those of truth."),
+    Column("edge_p95", "edge p95", "px", fixed(2), "The distance that 95 % of the edges keep."),
+    Column("edge_p95_m", "edge p95", "m", fixed(2), "The same on the ground."),
+    Column(
+        "interior", "interior", "%", fixed(3, 100),
+        "Wrong pixels farther from all edges of truth than aliasing reaches: failures. Beyond 0.1 % a row is no candidate.",
+    ),
+    Column("interior_parts", "parts", "", fixed(0), "Connected failures of 8 pixels or more."),
+    Column("bytes", "memory", "MB", fixed(1, 1e-6), "Textures and buffers at their peak."),
+]  # fmt: skip
+
+GLOSSARY = {f"{c.heading} ({c.unit})" if c.unit else c.heading: c.meaning for c in COLUMNS}
+
+
+def table(comparison: Comparison) -> str:
+    """The table, the least error first, as its headings say; they become buttons where there is a script."""
+    figures = [row.figures for row in comparison.rows]
+    order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
+    head = [
+        tag("th", "front", scope="col"),
+        tag("th", "algorithm and settings", scope="col"),
+        *(_heading(column, column.key == comparison.error) for column in COLUMNS),
+    ]
+    lines = (_line(k, figures[k], comparison.light) for k in order)
+    return tag("table", tag("thead", tag("tr", *head)), tag("tbody", *lines))
+
+
+def details(figures: Figures, light: str) -> str:
+    """Settings under a light, stages, counters and notes of a row."""
+    parts = [(f"Settings: {kinds}", definitions(its)) for kinds, its in _settings(figures, light).items()]
+    parts.append(("Stages", definitions({name: duration(ms) for name, ms in stages_of(figures).items()})))
+    parts.append(("Counters", definitions({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
+    parts.append(("Notes", "".join(tag("p", escape(note)) for note in figures["notes"])))
+    times = "time" if figures["runs"] == 1 else "times"
+    runs = f"Timed {figures['runs']} {times}{', in its first run alone' if figures['cold'] else ''}."
+    sections = (tag("div", tag("h4", escape(name)), markup) for name, markup in parts if markup not in ("", definitions({})))
+    return tag("div", *sections, tag("p", runs), class_="particulars")
+
+
+def _settings(figures: Figures, light: str) -> dict[str, dict[str, str]]:
+    """Settings by kinds of casters; kinds that share them stand together."""
+    kinds: dict[str, list[str]] = {}
+    settings: dict[str, dict[str, str]] = {}
+    for kind, name in figures["algorithm"].get(light, {}).items():
+        its = _flat((figures["settings"].get(light, {}).get(kind)) or {})
+        key = f"{name} {its}"
+        kinds.setdefault(key, []).append(kind)
+        settings[key] = {"algorithm": name} | its
+    return {", ".join(kinds[key]): settings[key] for key in kinds}
+
+
+def _flat(values: dict[str, Any], before: str = "") -> dict[str, str]:
+    """Nested settings as texts by words, as ``cascades 2 far m``."""
+    flat: dict[str, str] = {}
+    for key, value in values.items():
+        name = f"{before}{key.replace('_', ' ')}"
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{name} ")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            flat |= _flat({str(k): item for k, item in enumerate(value, start=1)}, f"{name} ")
+        elif value is not None:
+            flat[name] = " × ".join(map(_short, value)) if isinstance(value, list) else _short(value)
+    return flat
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _heading(column: Column, sorted_by: bool) -> str:
+    unit = tag("span", escape(column.unit), class_="unit") if column.unit else ""
+    return tag(
+        "th",
+        tag("span", escape(column.heading)),
+        unit,
+        scope="col",
+        title=column.meaning,
+        class_="number",
+        aria_sort="ascending" if sorted_by else None,
+    )
+
+
+def _line(k: int, figures: Figures, light: str) -> str:
+    front, name = figures["pareto"], figures["name"]
+    title = tag("summary", swatch(family(figures, light)), tag("span", breakable(name)))
+    cells = [
+        tag(
+            "td",
+            tag("span", "●" if front else "", class_="dot"),
+            data_value=int(not front),
+            aria_label="on the front" if front else None,
+        ),
+        tag("th", tag("details", title, details(figures, light)), scope="row", data_value=name),
+        *(tag("td", _figure(column, figures), data_value=f"{figures[column.key]:.9g}", class_="number") for column in COLUMNS),
+    ]
+    return tag("tr", *cells, id=f"row-{k}", data_row=k, class_="front" if front else None)
+
+
+def _figure(column: Column, figures: Figures) -> str:
+    cold = figures["cold"] and column.unit == "ms" and figures[column.key] > 0.0
+    return escape(column.written(figures[column.key])) + ("?" if cold else "")

@@ -1,0 +1,161 @@
+"""What a comparison found, in plain words: what is fastest, what is most accurate, and what accuracy costs between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, log10
+from typing import Any
+
+from selector.compare import Comparison
+
+Figures = dict[str, Any]
+
+NONE = "none"
+
+FLOORS = 3.0
+"""Below so many noise floors an error cannot be told from none."""
+MAX_INTERIOR = 0.001
+"""A larger share of wrong pixels away from all shadow edges is failure, not aliasing."""
+SMALL_ERROR = 0.03
+"""An error that levels accept unless they say otherwise."""
+
+
+def in_words(comparison: Comparison) -> list[str]:
+    """A few sentences on the rows that cast shadows; none where there are no such rows.
+
+    The price of accuracy is told along the front alone: from its fastest row on, in steps that at least halve the error, until
+    what is left of it lies below three times the noise floor (or is 0), which is all that truth can tell.
+    """
+    rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
+    if not rows:
+        return []
+    told = _Told(comparison.error, FLOORS * comparison.noise_floor)
+    front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], told.of(f)))
+    return [*told.extremes(rows), *told.prices(front), *told.failures(rows), *_never_on_the_front(rows, comparison.light)]
+
+
+def casts(figures: Figures, light: str) -> bool:
+    """Whether any algorithm but ``none`` is at work for a light in a row."""
+    return family(figures, light) != NONE
+
+
+def family(figures: Figures, light: str) -> str:
+    """The algorithms of a row for a light, without their settings, as ``sweep + shadow_map``; ``none`` where none casts."""
+    names = [name for name in figures["algorithm"].get(light, {}).values() if name != NONE]
+    return " + ".join(dict.fromkeys(names)) or NONE
+
+
+def on_front(figures: Figures, light: str) -> bool:
+    """Whether a row that casts for a light is on the front."""
+    return figures["pareto"] and casts(figures, light)
+
+
+def percent(share: float) -> str:
+    """A share as ``12 %``, ``0.12 %`` or ``under 0.001 %``: two digits that count."""
+    if 0.0 < share < 1e-5:
+        return "under 0.001 %"
+    return f"{_two_digits(100.0 * share)} %"
+
+
+def duration(ms: float) -> str:
+    """Milliseconds as ``0.42 ms``, ``435 ms`` or ``2.1 s``."""
+    return f"{_two_digits(ms / 1000.0)} s" if ms >= 999.5 else f"{_two_digits(ms)} ms"
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """``a``, ``a and b``, ``a, b and c``, or the first few ``and 5 others``."""
+    shown = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
+def _two_digits(value: float) -> str:
+    """At least two digits that count, no exponent: 0, 0.042, 4.2, 42, 420."""
+    if value == 0.0:
+        return "0"
+    return f"{value:.{max(0, 1 - floor(log10(abs(float(f'{value:.1e}')))))}f}"
+
+
+@dataclass(frozen=True)
+class _Told:
+    """Sentences in terms of one error figure, of which ``exact_to`` and less is called exact."""
+
+    error: str
+    exact_to: float
+
+    def of(self, figures: Figures) -> float:
+        return float(figures[self.error])
+
+    def exact(self, figures: Figures) -> bool:
+        return self.of(figures) <= self.exact_to
+
+    def extremes(self, rows: list[Figures]) -> list[str]:
+        fastest = min(rows, key=lambda f: (f["ms_median"], self.of(f)))
+        best = min(rows, key=lambda f: (0.0 if self.exact(f) else self.of(f), f["ms_median"]))
+        exact = sum(map(self.exact, rows))
+        if len(rows) == 1:
+            return [f"{best['name']} is the only one that casts shadows here: {self._result(best)}."]
+        if fastest is best:
+            others = f"; {exact - 1} more {'is' if exact == 2 else 'are'} as accurate" if exact > 1 else ""
+            return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others}."]
+        times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
+        if exact > 1:
+            most = f"{exact} rows are exact to what truth can tell; the fastest of them is {best['name']}"
+            most = f"{most}, in {duration(best['ms_median'])}"
+        else:
+            most = f"The most accurate is {best['name']}: {self._result(best)}"
+        return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{most}{times}."]
+
+    def prices(self, front: list[Figures]) -> list[str]:
+        said, here = [], front[0] if front else None
+        while here is not None and not self.exact(here):
+            next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(here) / 2.0), None)
+            if next_ is not None and here["ms_median"] > 0.0:
+                said.append(self._price(here, next_))
+            here = next_
+        return said
+
+    def _price(self, here: Figures, there: Figures) -> str:
+        ratio = _times(there["ms_median"] / here["ms_median"])
+        steps = f"{ratio} the time ({here['name']} to {there['name']})"
+        if self.exact(there):
+            return f"Bringing the error from {percent(self.of(here))} down to what truth can tell costs {steps}."
+        if self.of(there) > self.of(here) / 2.5:
+            return f"Halving the error from {percent(self.of(here))} costs {steps}."
+        return f"Bringing the error from {percent(self.of(here))} down to {percent(self.of(there))} costs {steps}."
+
+    def failures(self, rows: list[Figures]) -> list[str]:
+        failed = [f for f in rows if f["interior"] > MAX_INTERIOR and self.of(f) <= SMALL_ERROR]
+        if not failed:
+            return []
+        worst = max(f["interior"] for f in failed)
+        whose, up_to = ("its", "") if len(failed) == 1 else ("their", "up to ")
+        return [
+            f"{listed([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {whose} error is "
+            f"small: {up_to}{percent(worst)} of the surface is wrong away from all shadow edges, which aliasing cannot explain."
+        ]
+
+    def _result(self, figures: Figures) -> str:
+        what = "of the cast shadow wrong" if self.error == "wrong_cast" else "off in shadow share"
+        wrong = "exact to what truth can tell" if self.exact(figures) else f"{percent(self.of(figures))} {what}"
+        return f"{wrong}, in {duration(figures['ms_median'])}"
+
+
+def _never_on_the_front(rows: list[Figures], light: str) -> list[str]:
+    on_it = {name for f in rows if f["pareto"] for name in _algorithms(f, light)}
+    lost = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_it]
+    if not lost or not on_it:
+        return []
+    serve, are, whose = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
+    return [
+        f"{listed(lost, most=6)} {serve} this view, but {are} never on the front: "
+        f"at each of {whose} settings that were compared, something else is no slower and no less accurate."
+    ]
+
+
+def _algorithms(figures: Figures, light: str) -> list[str]:
+    return family(figures, light).split(" + ")
+
+
+def _times(ratio: float) -> str:
+    return f"{_two_digits(ratio)} times"

@@ -1,0 +1,316 @@
+"""The report's page: whole by itself, safe with any name, the same every time, and true to the rows it shows."""
+
+from __future__ import annotations
+
+import json
+import re
+from base64 import b64decode, b64encode
+from hashlib import sha256
+from html.parser import HTMLParser
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from PIL import Image
+
+from api.report import MOST_BYTES, report, write_report
+from api.report_page.bars import REST, bars, stages_of
+from api.report_page.marks import MARKS, mark_of
+from api.report_page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
+from api.report_page.scales import scale_of
+from api.report_page.scatter import HEIGHT, WIDTH, scatter
+from selector.compare import Comparison, Row, false_colours
+from terrain.camera import PerspectiveView
+from tests.api.test_summary import COLS, NONE, ROWS, comparison, figures
+
+BASE = np.linspace(0, 255, ROWS * COLS * 3).astype(np.uint8).reshape(ROWS, COLS, 3)
+NASTY = "</script><b>&\"'$title"
+ABOUT = {"level": f"Hills {NASTY}", "view": "map", "device": "llvmpipe"}
+VOID = {"meta", "img", "input", "br", "wbr", "link"}
+
+
+class Page(HTMLParser):
+    """A page's elements as (name, attributes), checked to be nested as they must; and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.said: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        assert not self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, {key: value or "" for key, value in attrs}))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self._open or self._open[-1] not in ("style", "script"):
+            self.said.append(data)
+
+    def of(self, name: str, **attributes: str) -> list[dict[str, str]]:
+        wanted = attributes.items()
+        return [
+            its for tag, its in self.elements if tag == name and all(its.get(key.rstrip("_")) == value for key, value in wanted)
+        ]
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.said)
+
+
+@pytest.fixture(scope="module")
+def rows() -> Comparison:
+    """Five rows with a nasty name among them, one of each kind of error."""
+    found = comparison(
+        NONE,
+        figures("sweep", 12.0, 0.03),
+        figures("shadow_map-64", 20.0, 0.004, notes=[NASTY], cold=True, runs=1),
+        figures(f"planar-{NASTY}", 35.0, 0.006),
+        figures("shadow_volume", 4100.0, 0.0),
+        remarks=["nothing is lit: only missed shadow can be measured"],
+    )
+    sweep = found.rows[1]
+    sweep.false_shadow[0, COLS - 1] = sweep.missed_shadow[ROWS - 1, 0] = True
+    return found
+
+
+@pytest.fixture(scope="module")
+def text(rows: Comparison) -> str:
+    return report(rows, BASE, ABOUT)
+
+
+def data_of(text: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
+    assert found is not None
+    return json.loads(found.group(1))
+
+
+def decoded(uri: str) -> np.ndarray:
+    return np.asarray(Image.open(BytesIO(b64decode(uri.removeprefix("data:image/webp;base64,")))).convert("RGB"))
+
+
+def indexes_of(uri: str) -> np.ndarray:
+    """The indexes that the page's script finds in a picture."""
+    found = (decoded(uri)[:, :, None, :] == palette()[None, None]).all(axis=-1)
+    assert (found.sum(axis=-1) == 1).all(), "each colour is one of the palette's"
+    return found.argmax(axis=-1)
+
+
+def test_a_page_that_needs_nothing_else(text: str) -> None:
+    page = Page(text)
+    for name, its in page.elements:
+        for key in ("src", "href", "xlink:href", "action", "data"):
+            assert its.get(key, "#").startswith(("#", "data:image/")), (name, key)
+        assert not [key for key in its if key == "style" or key.startswith("on")], "a policy without unsafe-inline forbids them"
+    assert "url(" not in text and "@import" not in text and "@font-face" not in text and not page.of("link")
+    assert not re.search(r"https?://", text)
+
+
+def test_the_policy_allows_its_own_style_and_script_alone(text: str) -> None:
+    (policy,) = (its["content"] for its in Page(text).of("meta") if its.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy and "img-src data:" in policy and "unsafe" not in policy
+    for name in ("style", "script"):
+        (inline,) = re.findall(rf"<{name}>(.*?)</{name}>", text, re.S)
+        assert f"{name}-src 'sha256-{b64encode(sha256(inline.encode()).digest()).decode()}'" in policy
+
+
+def test_names_cannot_become_markup(text: str) -> None:
+    page = Page(text)
+    assert page.text.count(NASTY) >= 4, "title, level, name, note"
+    assert not [its for its in page.of("b") if its], "no element of a name's making"
+    assert len(page.of("script")) == 2
+    assert text.count("</script>") == 2
+
+
+def test_the_same_twice(rows: Comparison, text: str, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", rows, BASE, ABOUT)
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == text
+
+
+def test_structure(rows: Comparison, text: str) -> None:
+    page = Page(text)
+    ids = [its["id"] for _, its in page.elements if "id" in its]
+    assert len(ids) == len(set(ids))
+    links = {its["href"] for its in page.of("a")}
+    assert links == {f"#row-{k}" for k in range(len(rows.rows))} and all(link[1:] in ids for link in links)
+    assert all(its["aria-labelledby"] in ids for _, its in page.elements if "aria-labelledby" in its)
+    assert all(its["alt"] for its in page.of("img")) and len(page.of("img")) == len(rows.rows)
+    assert [len(page.of(name)) for name in ("h1", "main", "header", "footer", "table")] == [1] * 5
+    assert page.of("html", lang="en") and len(page.of("option")) == 2 * len(rows.rows)
+    for said in (*ABOUT.values(), "Nothing is lit: only missed shadow can be measured.", "The fastest is sweep"):
+        assert said in page.text
+    assert "Template" not in text and not re.search(
+        r"\$[a-z]", re.sub(r"<script.*?</script>", "", text, flags=re.S).replace("$title", "")
+    )
+
+
+def test_the_table_is_sorted_by_the_error_and_says_so(rows: Comparison, text: str) -> None:
+    page = Page(text)
+    sorted_by = [its for its in page.of("th") if "aria-sort" in its]
+    assert [its["aria-sort"] for its in sorted_by] == ["ascending"]
+    order = [int(its["data-row"]) for its in page.of("tr") if "data-row" in its]
+    errors = [rows.rows[k].figures["wrong_cast"] for k in order]
+    assert errors == sorted(errors) and len(errors) == len(rows.rows)
+    front = {int(its["data-row"]) for its in page.of("tr", class_="front")}
+    assert front == {k for k, row in enumerate(rows.rows) if row.figures["pareto"]}
+    assert "20?" in page.text and "question mark" in page.text, "a time of a first run is marked"
+
+
+def test_pictures_hold_every_class_and_level(rows: Comparison, text: str) -> None:
+    data = data_of(text)
+    assert (data["rows"], data["cols"], data["levels"]) == (ROWS, COLS, LEVELS)
+    assert np.array_equal(np.array(data["palette"]), palette())
+    page = Page(text)
+    order = [int(its["data-row"]) for its in page.of("a") if its.get("class") is None]
+    assert sorted(order) == list(range(len(rows.rows)))
+    for k, picture in zip(order, page.of("img"), strict=True):
+        row, found = rows.rows[k], indexes_of(picture["src"])
+        assert np.array_equal(found // LEVELS == FALSE_SHADOW, row.false_shadow)
+        assert np.array_equal(found // LEVELS == MISSED_SHADOW, row.missed_shadow)
+        assert np.array_equal(found % LEVELS, np.rint(row.visibility / 255.0 * (LEVELS - 1)))
+    assert np.abs(decoded(data["ground"]).astype(int) - BASE).mean() < 12
+    assert (data["left"], data["right"]) == (1, 4), "the front's fastest that casts, and its most accurate"
+
+
+def test_what_no_light_can_reach_is_no_cast_shadow() -> None:
+    rows = comparison(NONE, figures("sweep", 1.0, 0.1))
+    rows.rows[0].visibility[:, -1] = 0
+    text = report(rows, BASE, ABOUT)
+    images = {its["alt"].split()[2].rstrip(":"): indexes_of(its["src"]) for its in Page(text).of("img")}
+    assert (images["none"] == LEVELS - 1).all()
+    assert (images["sweep"][:, -1] == LEVELS - 1).all() and (images["sweep"][:, -2] == 0).all()
+
+
+def test_errors_have_the_colours_of_false_colours() -> None:
+    nowhere = np.zeros((1, 1), bool)
+    for wrong, kind in (((True, False), FALSE_SHADOW), ((False, True), MISSED_SHADOW)):
+        row = Row({}, np.zeros((1, 1), np.uint8), nowhere | wrong[0], nowhere | wrong[1])
+        colour = false_colours(np.zeros((1, 1)), row)[0, 0].astype(int)
+        assert np.abs(palette()[LEVELS * kind : LEVELS * (kind + 1)].astype(int) - colour).max() < LEVELS
+    assert len(np.unique(palette(), axis=0)) == 3 * LEVELS == len(palette())
+
+
+@given(arrays(np.uint8, (7, 5)), arrays(np.int8, (7, 5), elements=st.integers(0, 2)), st.integers(1, 8))
+def test_no_wrong_pixel_vanishes_in_a_shrunk_picture(visibility: np.ndarray, wrong: np.ndarray, factor: int) -> None:
+    small = indexes(Errors(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
+    assert small.shape == (-(-7 // factor), -(-5 // factor))
+    for i, j in np.ndindex(small.shape):
+        block = np.s_[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
+        assert (small[i, j] // LEVELS != RIGHT) == wrong[block].any()
+        assert small[i, j] // LEVELS in (wrong[block] if wrong[block].any() else [RIGHT])
+
+
+def test_forty_noisy_pictures_fit() -> None:
+    rng = np.random.default_rng(3)
+    side = 320
+    ground = rng.integers(0, 256, (side, side, 3), dtype=np.uint8)
+    noise = [rng.integers(0, 256, (side, side), dtype=np.uint8) for _ in range(8)]
+    rows = [Errors(visibility, rng.random((side, side)) < 0.1, visibility > 250) for visibility in noise] * 5
+    whole = pictures(ground, rows, 10**9)
+    assert whole.factor == 1 and len(whole.of_rows) == 40
+    drawn = pictures(ground, rows, 400_000)
+    assert drawn.size <= 400_000 < whole.size and 1 < drawn.factor < 8
+    assert len(drawn.of_rows) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.of_rows[0]).shape[:2]
+
+
+def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(4)
+    view = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, 400, 500)
+    noise = rng.integers(0, 256, (400, 500), dtype=np.uint8)
+    blank = comparison(*(figures(f"sweep-{k}", 1.0 + k, 0.1 / (1 + k)) for k in range(3)))
+    made = [Row(row.figures, noise, noise > 250, noise < 5) for row in blank.rows]
+    rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, [])
+    ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
+    assert "pixels of the view" in report(rows, ground, ABOUT)
+    monkeypatch.setattr("api.report.MOST_BYTES", 200_000)
+    text = report(rows, ground, ABOUT)
+    assert len(text.encode()) < 200_000 < MOST_BYTES
+    assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500
+
+
+def test_a_long_remark_is_folded() -> None:
+    names = ", ".join(f"shadow_map-{k}" for k in range(40))
+    page = Page(report(comparison(NONE, remarks=["nothing is lit", f"left out: {names}"]), BASE, ABOUT))
+    assert names in page.text and "Nothing is lit." in page.text
+    assert len(page.of("details")) == 2, "the remark and the row's settings"
+
+
+@pytest.mark.parametrize("rows", [(), (NONE,), (figures("sweep", 0.0, 0.0),)], ids=["no rows", "none alone", "all zero"])
+def test_little_to_show(rows: tuple[dict[str, Any], ...]) -> None:
+    page = Page(report(comparison(*rows, remarks=["the view shows no surface: there is nothing to compare"]), BASE, ABOUT))
+    assert "The view shows no surface: there is nothing to compare." in page.text
+    assert len(page.of("table")) == bool(rows)
+
+
+def test_points_lie_where_time_and_error_say(rows: Comparison) -> None:
+    page = Page(scatter(rows))
+    assert "none" not in page.text, "it would only take room"
+    points = {int(its["data-row"]): its for its in page.of("a")}
+    halos = page.of("circle", class_="halo")
+    places = {int(its["data-row"]): (float(at["cx"]), float(at["cy"])) for its, at in zip(page.of("a"), halos, strict=True)}
+    by = sorted(places, key=lambda k: rows.rows[k].figures["ms_median"])
+    assert by == sorted(places, key=lambda k: places[k][0]), "slower is further right"
+    by = sorted(places, key=lambda k: rows.rows[k].figures["wrong_cast"])
+    assert by == sorted(places, key=lambda k: -places[k][1]), "less wrong is lower"
+    assert all(0 < x < WIDTH and 0 < y < HEIGHT for x, y in places.values())
+    for k, its in points.items():
+        assert its["aria-label"].startswith(rows.rows[k].figures["name"] + ":")
+        assert its["aria-label"].endswith("on the front") == rows.rows[k].figures["pareto"]
+    (line,) = page.of("polyline", class_="stairs")
+    corners = [tuple(map(float, place.split(","))) for place in line["points"].split()]
+    for k, (x, y) in places.items():
+        on_line = any((round(x, 1), round(y, 1)) == corner for corner in corners)
+        assert on_line == rows.rows[k].figures["pareto"]
+    assert all(a[0] == b[0] or a[1] == b[1] for a, b in pairwise(corners)), "stairs"
+
+
+@given(st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1e6)), min_size=1, max_size=8), st.booleans())
+def test_scales_keep_order_and_bounds(values: list[float], downwards: bool) -> None:
+    start, end = (500.0, 0.0) if downwards else (0.0, 500.0)
+    scale = scale_of(values, start, end)
+    at = [scale(value) for value in sorted(values)]
+    assert all(0.0 < x < 500.0 for x in at)
+    assert at == sorted(at, reverse=downwards)
+    assert len(scale.ticks()) >= 2 and all(scale.low * 0.99 <= tick <= scale.high * 1.01 for tick in scale.ticks())
+    equal_ratios = [scale(scale.low * (scale.high / scale.low) ** share) for share in (0.0, 0.5, 1.0)]
+    assert equal_ratios[1] == pytest.approx((equal_ratios[0] + equal_ratios[2]) / 2)
+
+
+def test_bars_are_as_long_as_their_stages() -> None:
+    quick, slow = figures("sweep", 100.0, 0.0), figures("hybrid", 150.0, 0.0, stages={"map": 60.0, "mask": 0.0, "visibility": 90.0})
+    assert stages_of(quick) == {"depth map": 25.0, "visibility": 70.0, REST: pytest.approx(5.0)}
+    assert stages_of(slow) == {"map": 60.0, "visibility": 90.0}
+    page = Page(bars([slow, quick]))
+    assert [its["data-row"] for its in page.of("a")] == ["1", "0"], "the fastest first"
+    widths = [float(its["width"]) for its in page.of("rect")]
+    assert np.allclose(np.array(widths) / widths[0], np.array([25.0, 70.0, 5.0, 60.0, 90.0]) / 25.0, atol=1e-3)
+    fills = [its["fill"] for its in page.of("rect")]
+    assert fills[1] == fills[4] and len(set(fills)) == 4, "the same stage has the same colour"
+
+
+def test_one_slow_row_does_not_hide_the_others() -> None:
+    rows = [figures(f"sweep-{k}", 10.0, 0.0, stages={"sweep": 10.0}) for k in range(9)]
+    slow = figures("hybrid", 1000.0, 0.0, stages={"map": 250.0, "stencil": 750.0})
+    page = Page(bars([*rows, slow]))
+    widths = [float(its["width"]) for its in page.of("rect")]
+    assert widths[0] > 0.3 * (widths[-2] + widths[-1]) and widths[-1] == pytest.approx(3 * widths[-2], rel=1e-3)
+    assert len(page.of("path", class_="cut")) == 1 and not Page(bars(rows)).of("path", class_="cut")
+
+
+def test_marks_differ_in_shape_and_colour() -> None:
+    marks = list(MARKS.values())
+    assert len({mark.shape for mark in marks}) == len({mark.colour for mark in marks}) == len(marks)
+    assert mark_of("shadow_map + sweep") == mark_of("sweep + shadow_map") != mark_of("sweep")
+    assert mark_of("sweep + hybrid").colour == mark_of("sweep").colour
+    assert mark_of("a newcomer") not in marks
