@@ -11,7 +11,7 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from api.report import write_report
+from api.report import write_report, write_scatter
 from api.summary import in_words
 from selector.compare import Comparison, Row, false_colours
 from selector.rules import choose
@@ -57,11 +57,13 @@ def show(comparison: Comparison, console: Console | None = None) -> None:
 
 
 def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
-    """``report.html``, and one PNG a row: false shadow red, missed shadow blue, over the shaded ground in gray."""
+    """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue."""
     folder.mkdir(parents=True, exist_ok=True)
     plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": "none"})
     base = render_frame(scene, comparison.view, plan).color
-    write_report(folder / "report.html", comparison, base, _about(scene, comparison, view))
+    about = _about(scene, comparison, view)
+    write_report(folder / "report.html", comparison, base, about)
+    write_scatter(folder / "scatter.svg", comparison, f"{about['level']}, {view}: {about['light']}; {about['device']}")
     for row in comparison.rows:
         Image.fromarray(false_colours(base.mean(axis=2), row)).save(folder / f"{row.figures['name']}.png")
 

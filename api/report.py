@@ -14,7 +14,7 @@ import numpy as np
 from api.report_page.bars import bars, bars_legend, too_long
 from api.report_page.markup import breakable, definitions, script_json, tag
 from api.report_page.pictures import LEVELS, Errors, Pictures, palette, pictures
-from api.report_page.scatter import legend, scatter
+from api.report_page.scatter import legend, scatter, still
 from api.report_page.table import GLOSSARY, table
 from api.summary import FLOORS, Figures, casts, duration, in_words, on_front, percent
 from selector.compare import Comparison
@@ -45,6 +45,11 @@ def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: di
         If the file cannot be written.
     """
     path.write_text(report(comparison, base, about), encoding="utf-8")
+
+
+def write_scatter(path: Path, comparison: Comparison, title: str) -> None:
+    """Write the scatter of error against time as an SVG file. Raises ``OSError``."""
+    path.write_text(still(comparison, title, _part("report.css")), encoding="utf-8")
 
 
 def report(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:

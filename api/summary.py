@@ -17,6 +17,8 @@ FLOORS = 3.0
 """Below so many noise floors an error cannot be told from none."""
 MAX_INTERIOR = 0.001
 """A larger share of wrong pixels away from all shadow edges is failure, not aliasing."""
+HARDLY = 1.05
+"""Times that differ by less than this ratio are not called different."""
 SMALL_ERROR = 0.03
 """An error that levels accept unless they say otherwise."""
 
@@ -116,13 +118,15 @@ class _Told:
         return said
 
     def _price(self, here: Figures, there: Figures) -> str:
-        ratio = _times(there["ms_median"] / here["ms_median"])
-        steps = f"{ratio} the time ({here['name']} to {there['name']})"
+        ratio = there["ms_median"] / here["ms_median"]
+        steps = (
+            f"{f'costs {_times(ratio)} the' if ratio >= HARDLY else 'takes hardly more'} time ({here['name']} to {there['name']})"
+        )
         if self.exact(there):
-            return f"Bringing the error from {percent(self.of(here))} down to what truth can tell costs {steps}."
+            return f"Bringing the error from {percent(self.of(here))} down to what truth can tell {steps}."
         if self.of(there) > self.of(here) / 2.5:
-            return f"Halving the error from {percent(self.of(here))} costs {steps}."
-        return f"Bringing the error from {percent(self.of(here))} down to {percent(self.of(there))} costs {steps}."
+            return f"Halving the error from {percent(self.of(here))} {steps}."
+        return f"Bringing the error from {percent(self.of(here))} down to {percent(self.of(there))} {steps}."
 
     def failures(self, rows: list[Figures]) -> list[str]:
         failed = [f for f in rows if f["interior"] > MAX_INTERIOR and self.of(f) <= SMALL_ERROR]

@@ -174,7 +174,7 @@ def known_triangles(position: np.ndarray, cut: Cut = "SW-NE") -> np.ndarray:
     """Node indices (n, 3) int32 of the triangles of a sheet (rows, cols, 3) that have no NaN corner."""
     triangles = sheet_triangles(*position.shape[:2], cut)
     known = np.isfinite(position[..., 2]).ravel()
-    return triangles if known.all() else triangles[known[triangles].all(axis=1)]
+    return triangles if known.all() else _with_corners(triangles, known)
 
 
 def step_at_anchor_m(world: World, grid: Grid) -> float:
@@ -192,6 +192,18 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
     point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
+
+
+@compiled
+def _with_corners(triangles, known):  # type: ignore[no-untyped-def]
+    """The triangles (n, 3) whose corners are all ``known``, in order."""
+    out = np.empty_like(triangles)
+    count = 0
+    for i in range(triangles.shape[0]):
+        if known[triangles[i, 0]] and known[triangles[i, 1]] and known[triangles[i, 2]]:
+            out[count] = triangles[i]
+            count += 1
+    return out[:count]
 
 
 @compiled

@@ -15,6 +15,8 @@ from selector.compare import Comparison
 
 WIDTH, HEIGHT = 860.0, 540.0
 LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0
+HEAD_PX, LEGEND_COLUMNS = 34.0, 2
+"""Of the picture by itself: what its title takes, and names of the legend in a line."""
 CHARACTER_PX, LINE_PX = 8.3, 16.0
 """Of labels, a little more than any font takes."""
 
@@ -36,6 +38,11 @@ def scatter(comparison: Comparison) -> str:
 
     A row that casts nothing is left out beside others: in no time all wrong, it would only take their room.
     """
+    label = "Error against time of every row"
+    return tag("svg", _plot(comparison), viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}", role="group", aria_label=label, class_="scatter")
+
+
+def _plot(comparison: Comparison) -> str:
     shown = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
     shown = shown or {k: row.figures for k, row in enumerate(comparison.rows)}
     x = scale_of([f["ms_median"] for f in shown.values()], LEFT, WIDTH - RIGHT)
@@ -43,28 +50,54 @@ def scatter(comparison: Comparison) -> str:
     points = [Point(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in shown.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
     stairs = _stairs([point for point in points if on_front(point.figures, comparison.light)])
-    return tag(
-        "svg",
+    return "".join([
         *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error == "wrong_cast" else "error of the shadow share"),
         *_floor(y, FLOORS * comparison.noise_floor),
         tag("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in stairs), class_="stairs") if stairs else "",
         *(_mark(point, comparison) for point in points),
         *_names(points, stairs, comparison.light),
-        viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}",
-        role="group",
-        aria_label="Error against time of every row",
-        class_="scatter",
+    ])  # fmt: skip
+
+
+def still(comparison: Comparison, title: str, style: str) -> str:
+    """The scatter as a picture of its own, an SVG file: with a title, the legend and a style (CSS)."""
+    names, lines = _families(comparison), [[]]
+    for name in names:
+        if len(lines[-1]) == LEGEND_COLUMNS:
+            lines.append([])
+        lines[-1].append(name)
+    height = HEAD_PX + HEIGHT + LINE_PX * 1.4 * len(lines) + 8.0
+    keys = (
+        tag("g", mark_of(name).drawn(0, 0, 5.2), _text(12, 4.5, name), transform=f"translate({x:.1f} {y:.1f})")
+        for (k, line) in enumerate(lines)
+        for name, x, y in (
+            (name, LEFT + n * (WIDTH - LEFT) / LEGEND_COLUMNS, HEAD_PX + HEIGHT + 22.4 * k + 8) for n, name in enumerate(line)
+        )
+    )
+    return tag(
+        "svg",
+        tag("style", escape(style, quote=False)),
+        tag("rect", width="100%", height="100%", fill="#fff"),
+        _text(LEFT, 22, title, class_="name"),
+        tag("g", _plot(comparison), transform=f"translate(0 {HEAD_PX:g})", class_="scatter"),
+        *keys,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"0 0 {WIDTH:g} {height:g}",
+        width=f"{WIDTH:g}",
+        height=f"{height:g}",
     )
 
 
 def legend(comparison: Comparison) -> str:
     """A list of the marks and the algorithms that they stand for."""
-    found = {family(row.figures, comparison.light) for row in comparison.rows}
-    found = found - {NONE} or found
-    ranks = {name: k for k, name in enumerate(MARKS)}
-    ordered = sorted(found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
-    items = (tag("li", swatch(name), escape(name)) for name in ordered)
+    items = (tag("li", swatch(name), escape(name)) for name in _families(comparison))
     return tag("ul", *items, class_="legend")
+
+
+def _families(comparison: Comparison) -> list[str]:
+    found = {family(row.figures, comparison.light) for row in comparison.rows}
+    ranks = {name: k for k, name in enumerate(MARKS)}
+    return sorted(found - {NONE} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
 
 
 def swatch(name: str) -> str:

@@ -238,6 +238,8 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypa
         assert (counters["edges"] > 0) is (name in ("shadow_volume", "hybrid")) and row["notes"] == []
         assert (counters["marked"] > 0) is (counters["tiles"] > 0) is (name == "hybrid")
     assert "wrong cast" in out and "surface" in out and "noise" in out
+    assert "every row" in (folder / "report.html").read_text(encoding="utf-8")
+    assert (folder / "scatter.svg").read_text(encoding="utf-8").startswith("<svg")
     pictures = sorted(folder.glob("*.png"))
     assert len(pictures) == len(rows)
     none = np.asarray(Image.open(folder / "none.png")).astype(int)

@@ -11,6 +11,7 @@ from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,12 +20,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from api.report import MOST_BYTES, report, write_report
+from api.report import MOST_BYTES, report, write_report, write_scatter
 from api.report_page.bars import REST, bars, stages_of
 from api.report_page.marks import MARKS, mark_of
 from api.report_page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
 from api.report_page.scales import scale_of
 from api.report_page.scatter import HEIGHT, WIDTH, scatter
+from api.summary import casts, family
 from selector.compare import Comparison, Row, false_colours
 from terrain.camera import PerspectiveView
 from tests.api.test_summary import COLS, NONE, ROWS, comparison, figures
@@ -314,3 +316,15 @@ def test_marks_differ_in_shape_and_colour() -> None:
     assert mark_of("shadow_map + sweep") == mark_of("sweep + shadow_map") != mark_of("sweep")
     assert mark_of("sweep + hybrid").colour == mark_of("sweep").colour
     assert mark_of("a newcomer") not in marks
+
+
+def test_the_scatter_alone_is_a_picture_of_its_own(rows, tmp_path) -> None:
+    """An SVG file that is well-formed, names what the report's scatter names, and needs nothing from elsewhere."""
+    path = tmp_path / "scatter.svg"
+    write_scatter(path, rows, NASTY)
+    root = ElementTree.parse(path).getroot()
+    texts = {"".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")}
+    casting = [row.figures for row in rows.rows if casts(row.figures, rows.light)]
+    assert NASTY in texts and {family(each, rows.light) for each in casting} <= texts
+    assert len(list(root.iter("{http://www.w3.org/2000/svg}a"))) == len(casting) > 1
+    assert "http" not in path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
