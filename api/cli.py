@@ -127,7 +127,7 @@ def compare(
     light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
     time_limit: Annotated[
-        float | None, typer.Option(min=0.0, metavar="S", help="Seconds after which no row and no repeat is begun; default: 80.")
+        float | None, typer.Option(min=0.0, metavar="S", help="Seconds that rows and repeats may take in all; default: 70.")
     ] = None,
 ) -> None:
     """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
