@@ -32,7 +32,7 @@ import json
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -116,44 +116,55 @@ Row = dict[str, Any]
 
 def frames(repeats: int, map_size: int) -> list[Row]:
     """Frame times without shadows, with the map redrawn for every frame, and with the map kept."""
+    return list(frames_of_sizes(repeats, (map_size,)).values())
+
+
+def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> dict[tuple[str, int], Row]:
+    """The rows of ``frames`` for several sizes of the map, all taking turns: what is done with the map (``none`` without shadows,
+    ``redrawn``, ``kept``) and its size (0 of ``none``) -> row. ``settings`` are asked of every map.
+    """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("main", size=SIZE)
     assert scene.sun is not None
     azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
 
-    def plan_under(lit: Scene, algorithm: str) -> Plan:
-        asked = {"algorithm": algorithm, "map_size": map_size, "cascades": 1}
+    def plan_under(lit: Scene, algorithm: str, map_size: int) -> Plan:
+        asked = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
         return choose(describe(lit, view, "main"), lit.loaded.level, asked)
 
     def under(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
 
-    still = {name: plan_under(scene, algorithm) for name, algorithm in (("none", "none"), ("kept", "shadow_map"))}
+    without = plan_under(scene, "none", map_sizes[0])
+    still = {size: plan_under(scene, "shadow_map", size) for size in map_sizes}
 
-    def turn(number: int) -> list[tuple[str, Scene, Plan]]:
-        moved = under(number + 1)
-        return [("none", scene, still["none"]), ("redrawn", moved, plan_under(moved, "shadow_map")), ("kept", scene, still["kept"])]
+    def turn(number: int) -> Iterator[tuple[tuple[str, int], Scene, Plan]]:
+        yield ("none", 0), scene, without
+        for place, size in enumerate(map_sizes, start=1):
+            moved = under(number * len(map_sizes) + place)
+            yield ("redrawn", size), moved, plan_under(moved, "shadow_map", size)
+            yield ("kept", size), scene, still[size]
 
-    times: dict[str, list[float]] = {}
-    drawn: dict[str, Frame] = {}
+    times: dict[tuple[str, int], list[float]] = {}
+    drawn: dict[tuple[str, int], Frame] = {}
     for number in range(repeats + 2):
-        for name, lit, plan in turn(number):
+        for key, lit, plan in turn(number):
             start = time.perf_counter()
-            drawn[name] = render_frame(lit, view, plan)
+            drawn[key] = render_frame(lit, view, plan)
             if number >= 2:  # the first ones compile, allocate, and draw the map that is kept
-                times.setdefault(name, []).append(time.perf_counter() - start)
-    rows = []
-    for name, taken in times.items():
-        passes = drawn[name].passes
-        rows.append({
-            "row": name,
-            "ratio": float(np.median(taken) / np.median(times["none"])),
+                times.setdefault(key, []).append(time.perf_counter() - start)
+    rows = {}
+    for key, taken in times.items():
+        passes = drawn[key].passes
+        rows[key] = {
+            "row": key[0],
+            "ratio": float(np.median(taken) / np.median(times["none", 0])),
             "median_ms": 1000.0 * float(np.median(taken)),
             "p95_ms": 1000.0 * float(np.quantile(taken, 0.95)),
             "map_draws": sum(record.draws for record in passes if record.name.endswith("depth map")),
             "pass_mib": max(record.bytes for record in passes) / 2**20,
             "passes_ms": {record.name: round(record.ms, 1) for record in passes},
-        })  # fmt: skip
+        }
     return rows
 
 
@@ -259,24 +270,50 @@ def _scene(level: str) -> str:
     return level.removeprefix("thesis_").removesuffix("_sun")
 
 
-def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
-    """A row for each of what is asked; ratios are to the first."""
-    its = shot(level, name, given.size)
-    descriptor = describe(its.scene, its.view, "main")
-    plans = {key: choose(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
-    clock = time.process_time if given.cpu else time.perf_counter
-    times: dict[tuple[str, str], list[float]] = {(key, how): [] for key in plans for how in ("redrawn", "kept")}
-    logs, darks = {}, {}
-    for number in range(given.repeats + 2):
-        for key in [*plans][:: 1 if number % 2 else -1]:
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """What runs cost that took turns: milliseconds of each repeat by run and by ``redrawn`` and ``kept``, in all and by pass, the
+    last redrawn turn's passes, and where shadow was then.
+    """
+
+    times_ms: dict[tuple[str, str], list[float]]
+    passes_ms: dict[tuple[str, str], list[dict[str, float]]]
+    logs: dict[str, PassLog]
+    darks: dict[str, np.ndarray]
+
+
+def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter) -> Turns:
+    """Let views with plans take turns, forwards and backwards by turns."""
+    found = Turns({}, {}, {}, {})
+    for number in range(repeats + 2):
+        for key in [*runs][:: 1 if number % 2 else -1]:
+            its, plan = runs[key]
             forget_kept()
             for how in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
-                visibility = its.visibility(plans[key], log)
+                visibility = its.visibility(plan, log)
                 if number >= 2:  # the first ones compile and allocate
-                    times[key, how].append(1000.0 * (clock() - start))
+                    found.times_ms.setdefault((key, how), []).append(1000.0 * (clock() - start))
+                    passes_ms = {record.name.split(": ")[1]: record.ms for record in log.records.values()}
+                    found.passes_ms.setdefault((key, how), []).append(passes_ms)
                 if how == "redrawn":
-                    logs[key], darks[key] = log, its.dark(visibility)
+                    found.logs[key], found.darks[key] = log, its.dark(visibility)
+    return found
+
+
+def plans_of(its: Shot, asked: dict[str, dict[str, Any]]) -> dict[str, Plan]:
+    """The plans of what is asked for."""
+    descriptor = describe(its.scene, its.view, "main")
+    return {key: choose(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
+
+
+def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
+    """A row for each of what is asked; ratios are to the first."""
+    its = shot(level, name, given.size)
+    plans = plans_of(its, asked)
+    runs = {key: (its, plan) for key, plan in plans.items()}
+    found = turns(runs, given.repeats, time.process_time if given.cpu else time.perf_counter)
+    times, logs, darks = found.times_ms, found.logs, found.darks
     first = [*plans][0]
     medians = {key: float(np.median(taken)) for key, taken in times.items()}
     there, rows = its.there, []

@@ -3,9 +3,9 @@
     python benchmarks/seeds.py [EXPERIMENT ...] [--json benchmarks/seeds.json] [--markdown docs/seeds.md] [--write-only]
 
 The texts: J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; a
-bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; figures of
-those that do not run are taken from the JSON file, which holds all that was measured. `--write-only` measures nothing and writes the
-page from the file. Times are ratios within one run, since milliseconds do not travel from one machine to another.
+bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; figures
+of those that do not run are taken from the JSON file, which holds all that was measured. `--write-only` measures nothing and writes
+the page from the file. Times are ratios within one run, since milliseconds do not travel from one machine to another.
 """
 
 from __future__ import annotations
@@ -14,23 +14,53 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
+import seeds_advice
+import seeds_bias
+import seeds_depth
+import seeds_grades
+import seeds_map_size
+import seeds_perspective
+import seeds_silhouettes
+import seeds_spatialace
+import seeds_speed
+import seeds_thin
+import seeds_tree
 from claims import Experiment, Figures, markdown
-from seeds_others import EXPERIMENTS as OTHERS
-from seeds_quality import EXPERIMENTS as QUALITY
-from seeds_speed import EXPERIMENTS as SPEED
+from seeds_words import SAME, whole_percent
 
 from terrain.gl import device
 
-EXPERIMENTS: dict[str, Experiment] = {**SPEED, **QUALITY, **OTHERS}
+EXPERIMENTS = {
+    "stages": Experiment(seeds_speed.measure_stages, seeds_speed.section_stages),
+    "stencil": Experiment(seeds_speed.measure_stencil, seeds_speed.section_stencil),
+    "grades": Experiment(seeds_grades.measure, seeds_grades.section),
+    "advice": Experiment(seeds_advice.measure, seeds_advice.section),
+    "map_size": Experiment(seeds_map_size.measure, seeds_map_size.section),
+    "light_direction": Experiment(seeds_perspective.measure_light_direction, seeds_perspective.section_light_direction),
+    "bad_case": Experiment(seeds_perspective.measure_bad_case, seeds_perspective.section_bad_case),
+    "thin": Experiment(seeds_thin.measure, seeds_thin.section),
+    "tree": Experiment(seeds_tree.measure, seeds_tree.section),
+    "spatialace": Experiment(seeds_spatialace.measure, seeds_spatialace.section),
+    "silhouettes": Experiment(seeds_silhouettes.measure, seeds_silhouettes.section),
+    "bias": Experiment(seeds_bias.measure, seeds_bias.section),
+    "depth": Experiment(seeds_depth.measure, seeds_depth.section),
+}
+"""In the order of the page."""
 
 HERE = Path(__file__).parent
 
-INTRODUCTION = """# The seeds' experiments, made again
+INTRODUCTION = f"""# The seeds' experiments, made again
 
-Made by `benchmarks/seeds.py`: every number below is the script's. It runs the experiments of the texts that Skugga began with in the
-levels that were built after their scenes, and sets each claim beside what is measured here. Where a finding of its time does not hold
-on today's devices, that is a result too."""
+Made by `benchmarks/seeds.py`: every number below is the script's. It runs the experiments of the texts that Skugga began with in
+the levels built after their scenes, and sets each claim beside what is measured here. Where a finding of its time does not hold on
+today's devices, that is a result too.
+
+Verdicts follow from the figures, by the condition that stands in brackets behind them; where what decides lies within
+{whole_percent(SAME - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
+`perspective_shadow_map` and `shadow_volume`. Figures such as `wrong_cast`, `false_shadow` and `edge_p95` are those of
+`skugga compare`, against ray-traced truth."""
 
 
 def main() -> None:
@@ -45,10 +75,19 @@ def main() -> None:
     measured: dict[str, Figures] = json.loads(given.json.read_text("utf-8")) if given.json.exists() else {}
     for name in [] if given.write_only else given.experiments or EXPERIMENTS:
         start = time.perf_counter()
-        measured[name] = {**EXPERIMENTS[name].measure(), "device": device().renderer}
-        given.json.write_text(json.dumps(measured, indent=1, sort_keys=True) + "\n", "utf-8")
+        measured[name] = rounded({**EXPERIMENTS[name].measure(), "device": device().renderer})
+        given.json.write_text(json.dumps(measured) + "\n", "utf-8")
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
     given.markdown.write_text(page(measured), "utf-8")
+
+
+def rounded(figures: Any) -> Any:
+    """Figures with no more digits than they have meaning."""
+    if isinstance(figures, dict):
+        return {name: rounded(value) for name, value in figures.items()}
+    if isinstance(figures, list | tuple):
+        return [rounded(value) for value in figures]
+    return float(f"{figures:.6g}") if isinstance(figures, float) else figures
 
 
 def page(measured: dict[str, Figures]) -> str:

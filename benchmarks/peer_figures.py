@@ -1,0 +1,178 @@
+"""What `peers.py` measures: answers of tools for rasters under suns, and who is faster and more accurate than whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Under:
+    """A raster under one sun: the shares of its decided cells in shadow, and of all cells that are not decided."""
+
+    azimuth_deg: float
+    altitude_deg: float
+    shadow: float
+    undecided: float
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A raster: cells, their side, its lowest and highest height in metres, and what holds under each sun."""
+
+    name: str
+    rows: int
+    cols: int
+    cell_m: float
+    lowest_m: float
+    highest_m: float
+    under: list[Under]
+
+
+@dataclass(frozen=True)
+class Told:
+    """A tool that ran: ``start_s`` is what its process took for a raster of next to nothing, at least."""
+
+    name: str
+    version: str
+    algorithm: str
+    ours: bool
+    casts: bool
+    start_s: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A tool's answer for a raster under one sun: medians of seconds, most memory, shares of the decided cells."""
+
+    tool: str
+    terrain: str
+    azimuth_deg: float
+    altitude_deg: float
+    runs: int
+    compute_s: float | None
+    whole_s: float
+    peak_mb: float
+    cores: float
+    false_shadow: float | None
+    missed_shadow: float | None
+
+    @property
+    def wrong(self) -> float:
+        """Share of the decided cells, all kinds of errors."""
+        assert self.false_shadow is not None and self.missed_shadow is not None
+        return self.false_shadow + self.missed_shadow
+
+    @property
+    def on_axis(self) -> bool:
+        """Whether the sun stands on an axis or diagonal of the grid."""
+        return self.azimuth_deg % 45.0 == 0.0
+
+    @property
+    def case(self) -> str:
+        """The raster and the sun."""
+        return f"{self.terrain} {self.azimuth_deg:g}/{self.altitude_deg:g}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that was measured. ``left_out`` are names of tools with the reason."""
+
+    where: str
+    repeats: int
+    slow_s: float
+    took_s: float
+    terrains: list[Terrain]
+    tools: list[Told]
+    left_out: dict[str, str]
+    answers: list[Answer]
+
+    @staticmethod
+    def read(values: dict[str, Any]) -> Comparison:
+        """From what JSON holds."""
+        terrains = [Terrain(**{**each, "under": [Under(**sun) for sun in each["under"]]}) for each in values["terrains"]]
+        tools, answers = [Told(**each) for each in values["tools"]], [Answer(**each) for each in values["answers"]]
+        return Comparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
+
+    def of(self, tool: Told, terrain: str | None = None, on_axis: bool | None = None) -> list[Answer]:
+        """Its answers; of one raster, and on or off the axes, where that is said."""
+        return [
+            answer
+            for answer in self.answers
+            if answer.tool == tool.name and terrain in (None, answer.terrain) and on_axis in (None, answer.on_axis)
+        ]
+
+    def compute_s(self, tool: Told, answer: Answer) -> float:
+        """Seconds of computing: where the tool does not say, at most the whole less what its process takes for next to nothing."""
+        return answer.compute_s if answer.compute_s is not None else max(answer.whole_s - tool.start_s, 0.0)
+
+    def bounded(self, tool: Told) -> bool:
+        """Whether its seconds of computing are a bound."""
+        return any(answer.compute_s is None for answer in self.of(tool))
+
+    @property
+    def largest(self) -> Terrain:
+        """The raster of the most cells."""
+        return max(self.terrains, key=lambda terrain: terrain.rows * terrain.cols)
+
+    @property
+    def casting(self) -> list[Told]:
+        """The tools that cast shadows."""
+        return [tool for tool in self.tools if tool.casts]
+
+
+CLOCKS: dict[str, Callable[[Comparison, Told, Answer], float]] = {
+    "computing": lambda found, tool, answer: found.compute_s(tool, answer),
+    "whole process": lambda found, tool, answer: answer.whole_s,
+}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a tool stands in a case: seconds, and wrong cells as a share."""
+
+    tool: Told
+    seconds: float
+    wrong: float
+
+    def beats(self, other: Place) -> bool:
+        """Whether it is both faster and more accurate."""
+        return self.seconds < other.seconds and self.wrong < other.wrong
+
+
+def cases(found: Comparison, clock: str) -> dict[str, list[Place]]:
+    """Places of all tools: in each raster under each sun, and in the means over the suns off the axes."""
+    out: dict[str, list[Place]] = {}
+    for tool in found.casting:
+        for answer in found.of(tool):
+            out.setdefault(answer.case, []).append(Place(tool, CLOCKS[clock](found, tool, answer), answer.wrong))
+        for name in [terrain.name for terrain in found.terrains] + [None]:
+            some = found.of(tool, name, on_axis=False)
+            seconds = float(np.mean([CLOCKS[clock](found, tool, answer) for answer in some]))
+            wrong = float(np.mean([answer.wrong for answer in some]))
+            out.setdefault(f"{name or 'all'}, mean off the axes", []).append(Place(tool, seconds, wrong))
+    return out
+
+
+def beaten(found: Comparison, clock: str) -> list[tuple[str, str, str]]:
+    """Skugga's row, the peer that is both faster and more accurate, and the case."""
+    return [
+        (own.tool.name, peer.tool.name, case)
+        for case, places in cases(found, clock).items()
+        for own in places
+        for peer in places
+        if own.tool.ours and not peer.tool.ours and peer.beats(own)
+    ]
+
+
+def unmatched(found: Comparison, clock: str) -> list[tuple[str, str]]:
+    """Peers that beat every row of Skugga's in a case, and the case."""
+    return [
+        (peer.tool.name, case)
+        for case, places in cases(found, clock).items()
+        for peer in places
+        if not peer.tool.ours and all(peer.beats(own) for own in places if own.tool.ours)
+    ]

@@ -1,0 +1,270 @@
+"""What `peers.py` measured, put into words: tables and the verdict. Nothing is measured here, and no figure written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from claims import table
+from peer_figures import CLOCKS, Comparison, Place, Told, beaten, cases, unmatched
+
+
+def percent(share: float) -> str:
+    """A share in per cent with two digits that say something; a plain 0 for none."""
+    value = 100.0 * share
+    return "0" if value == 0.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.1g}" if value < 1e-3 else f"{value:.2g}"
+
+
+def seconds(value: float) -> str:
+    """Seconds with two or three digits that say something."""
+    return (
+        f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 2.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.3f}"
+    )
+
+
+def span(values: Iterable[float], written: Callable[[float], str]) -> str:
+    """The least and the greatest."""
+    values = list(values)
+    least, most = written(min(values)), written(max(values))
+    return least if least == most else f"{least} to {most}"
+
+
+def bound(found: Comparison, tool: Told) -> str:
+    """What stands before seconds of computing that are a bound."""
+    return "≤ " if found.bounded(tool) else ""
+
+
+def mean_wrong(found: Comparison, tool: Told, on_axis: bool) -> float:
+    """Mean share of wrong cells over rasters and suns."""
+    return float(np.mean([answer.wrong for answer in found.of(tool, on_axis=on_axis)]))
+
+
+def time_table(found: Comparison) -> list[str]:
+    """A line for each tool: seconds as ranges over the suns, memory, wrong cells."""
+    rows = []
+    for tool in found.tools:
+        row = {"tool": tool.name, "version": tool.version, "how": tool.algorithm}
+        for terrain in found.terrains:
+            answers = found.of(tool, terrain.name)
+            computing = span((found.compute_s(tool, answer) for answer in answers), seconds)
+            row[f"{terrain.name}: computing s"] = bound(found, tool) + computing if tool.casts else "-"
+            row["whole s" if terrain is found.terrains[0] else "whole s "] = span((answer.whole_s for answer in answers), seconds)
+        row["peak MB"] = f"{max(answer.peak_mb for answer in found.of(tool)):.0f}"
+        row["cores"] = f"{max(answer.cores for answer in found.of(tool)):.1f}"
+        wrong = [answer.wrong for answer in found.of(tool)] if tool.casts else []
+        row["wrong %, on the axes"] = percent(mean_wrong(found, tool, True)) if wrong else "-"
+        row["off them"] = percent(mean_wrong(found, tool, False)) if wrong else "-"
+        row["worst"] = percent(max(wrong)) if wrong else "-"
+        rows.append(row)
+    return table(rows)
+
+
+def error_table(found: Comparison) -> list[str]:
+    """A line for each tool that casts shadows: false and missed shadow in every case."""
+    return table([
+        {"tool": tool.name}
+        | {answer.case: f"{percent(answer.false_shadow or 0)} / {percent(answer.missed_shadow or 0)}" for answer in found.of(tool)}
+        for tool in found.casting
+    ])  # fmt: skip
+
+
+def short_table(found: Comparison) -> list[str]:
+    """A few lines for people in a hurry: the largest raster's seconds, means over the suns off the axes."""
+    rows = []
+    for tool in found.tools:
+        if tool.ours and tool.name not in SHORT_OURS:
+            continue
+        answers = found.of(tool, found.largest.name, on_axis=False)
+        computing, whole = (float(np.mean([CLOCKS[clock](found, tool, answer) for answer in answers])) for clock in CLOCKS)
+        rows.append({
+            "mask of a DEM": f"**{tool.name}**" if tool.ours else tool.name if tool.casts else f"{tool.name} (casts none)",
+            "computing, s": bound(found, tool) + seconds(computing) if tool.casts else "-",
+            "whole process, s": seconds(whole),
+            "wrong cells off the axes, %": percent(mean_wrong(found, tool, False)) if tool.casts else "-",
+        })  # fmt: skip
+    return table(rows)
+
+
+SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
+"""Skugga's rows in the short table."""
+
+
+def verdict(found: Comparison) -> str:
+    """Whether Skugga lies on or beyond the Pareto front of the others, and where it does not."""
+    peers = [tool for tool in found.casting if not tool.ours]
+    if not peers:
+        return "Open: there was no peer to compare with."
+    right = [tool for tool in found.casting if not any(answer.wrong for answer in found.of(tool, on_axis=True))]
+    names = ["Skugga" for tool in right if tool.ours][:1] + [tool.name for tool in right if not tool.ours]
+    parts = [_front(found, clock, len(peers)) for clock in CLOCKS]
+    if all(tool in right for tool in found.casting if tool.ours):
+        parts.append(f"On the axes, no wrong cell at all in any row of: {_listed(names)}. Off them:")
+    return "\n\n".join([*parts, _beside(found)])
+
+
+def _front(found: Comparison, clock: str, peers: int) -> str:
+    """The verdict by one clock."""
+    title, count = f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**", len(cases(found, clock))
+    ours = sum(tool.ours for tool in found.casting)
+    lost, over = beaten(found, clock), unmatched(found, clock)
+    if not lost:
+        return (
+            f"{title} Skugga lies on or beyond the Pareto front of all peers: in {count} cases none of the {peers} peers is both "
+            f"faster and more accurate than any of its {ours} rows."
+        )
+    where = "; ".join(f"{own} by {peer} ({case})" for own, peer, case in lost)
+    every = "; ".join(f"{peer} ({case})" for peer, case in over)
+    return f"{title} of Skugga's {ours} rows in {count} cases these are beaten in both at once: {where}. " + (
+        f"Skugga does **not** lie on the front here: one peer beats all of its rows: {every}."
+        if over
+        else "No peer beats all of its rows in any case: there is a choice of lines that is at least as fast or as accurate."
+    )
+
+
+def _beside(found: Comparison) -> str:
+    """Off the axes: the fastest and the most accurate peer, beside Skugga's row of the same merit."""
+    places = cases(found, "computing")["all, mean off the axes"]
+    theirs, own = ([place for place in places if place.tool.ours == ours] for ours in (False, True))
+
+    def line(merit: str, word: str) -> str:
+        peer, mine = (min(some, key=lambda place: getattr(place, merit)) for some in (theirs, own))
+        return (
+            f"- the {word} peer is {peer.tool.name}: {seconds(peer.seconds)} s of computing, {percent(peer.wrong)} % wrong; "
+            f"Skugga's {word} row is {_lines(mine)}: {seconds(mine.seconds)} s ({mine.seconds / peer.seconds:.2g} of that time), "
+            f"{percent(mine.wrong)} % wrong;"
+        )
+
+    return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."
+
+
+def _lines(place: Place) -> str:
+    return place.tool.name.removeprefix("Skugga sweep, ")
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def page(found: Comparison, image: str) -> str:
+    """The page, in Markdown; ``image`` is the picture's address from there."""
+    parts = [
+        "# Masks of a DEM: Skugga beside other tools",
+        "Made by `benchmarks/peers.py`, which writes every number and verdict below.",
+        f"![Time of computing against wrong cells off the axes, each tool a point]({image})",
+        "## The verdict",
+        "Is there a peer that is both faster and more accurate? Asked for each of Skugga's rows, of each raster under each sun,\n"
+        "and of the means over the suns off the axes.",
+        verdict(found),
+        "## How it was measured",
+        _how(found),
+        "## Time, memory, accuracy",
+        f"Seconds are ranges over the {len(found.terrains[0].under)} suns. Peak: of the largest process that a tool starts.\n"
+        "Cores: CPU time by wall time of the whole process, at most. Wrong: per cent of the decided cells, means over rasters\n"
+        "and suns, and the worst.",
+        "\n".join(time_table(found)),
+        "## Errors, case by case",
+        "Raster, azimuth/altitude: false / missed shadow, per cent of the decided cells.",
+        "\n".join(error_table(found)),
+        "## What to know of it",
+        "\n".join(f"- {note}" for note in _notes(found)),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _how(found: Comparison) -> str:
+    rasters = "; ".join(
+        f"{WORDS[terrain.name]}: {terrain.cols} x {terrain.rows} cells of {terrain.cell_m:g} m, {terrain.lowest_m:.0f} to "
+        f"{terrain.highest_m:.0f} m high"
+        for terrain in found.terrains
+    )
+    suns = found.terrains[0].under
+    on, off = (
+        _listed([f"{sun.azimuth_deg:g}/{sun.altitude_deg:g}" for sun in suns if (sun.azimuth_deg % 45.0 == 0.0) == axis])
+        for axis in (True, False)
+    )
+    undecided = span((sun.undecided for terrain in found.terrains for sun in terrain.under), percent)
+    shadow = span((sun.shadow for terrain in found.terrains for sun in terrain.under), percent)
+    return f"""**Rasters.** {rasters}. Every tool gets the same GeoTIFF,
+in a flat world, on a grid whose north is true north.
+
+**Suns** (azimuth/altitude, degrees): {on} on the grid's axes and diagonals, {off} off them.
+A line from cell to cell meets middles of cells alone only at multiples of 45 degrees: a test of such suns alone hides errors.
+
+**Truth.** Rays from the nodes through the triangles between them. A cell is decided where the answer hangs neither on the rays'
+offset, nor on a hundredth of a degree of the sun's altitude, nor on the diagonal that quads are cut along: {undecided} % of the
+cells are not decided, by raster and sun. Of those that are, {shadow} % lie in shadow.
+
+**Time.** Computing is what the tool's call takes by its own clock, compiled code being warm; the whole process is what a stopwatch
+beside it shows: start, imports, reading, computing, writing. Medians of {found.repeats}; what takes over {found.slow_s:g} s runs
+once. One process at a time, the tools taking turns. `≤`: the tool does not say what computing took; its whole process less
+what that took at least for the small raster below is a bound, which the verdict takes for the time itself. Seconds hold only beside
+each other: {found.where}.
+
+**Conventions.** Before anything counted, each tool shaded a block on a small flat floor under four suns: its shadow had to end and
+to lie where it should."""
+
+
+WORDS = {
+    "Jacksboro": "*Jacksboro*, SRTM of the Jacksboro fault, warped bicubically to UTM 16N",
+    "fractal": "*fractal*, mountains of spectral synthesis",
+}
+
+
+def _notes(found: Comparison) -> list[str]:
+    there = {tool.name for tool in found.tools}
+    notes = [note for name, note in NOTES if name in there]
+    if slower := [tool.name for tool in found.casting if _low_sun(found, tool) > LOW_SUN]:
+        notes.append(
+            f"The lower the sun, the longer the shadows: on the largest raster computing takes more than {LOW_SUN:g} times as long "
+            f"under the lowest suns as under the highest with {_listed(slower)}."
+        )
+    absent = [name for name, why in found.left_out.items() if why == "absent"]
+    notes += [f"{name} was left out: {why}." for name, why in found.left_out.items() if why != "absent"]
+    if absent:
+        notes.append(f"Absent when this was measured: {_listed(absent)}.")
+    return [*notes, NOT_COMPARED]
+
+
+LOW_SUN = 2.0
+
+
+def _low_sun(found: Comparison, tool: Told) -> float:
+    """How many times as long computing takes under the lowest suns as under the highest, on the largest raster."""
+    answers = found.of(tool, found.largest.name)
+    heights = [answer.altitude_deg for answer in answers]
+    low, high = (
+        sum(found.compute_s(tool, answer) for answer in answers if answer.altitude_deg == height)
+        for height in (min(heights), max(heights))
+    )
+    return low / high if high else 1.0
+
+
+NOTES = [
+    (
+        "Skugga sweep, 8 lines",
+        "Skugga's rows differ in the lines that follow the sun's azimuth across each cell; 8 are its default. They are its sweep "
+        "over an array, on all cores: `skugga render` and the tiles add projections, the earth's curvature and colours.",
+    ),
+    (
+        "GRASS r.horizon",
+        "r.horizon lowers far terrain by the earth's curvature, half the square of the distance by the earth's radius; truth here "
+        "does not. To its whole process belong a session and a raster's import and export.",
+    ),
+    (
+        "Whitebox Workflows",
+        "Whitebox's `horizon_angle`, topocalc and r.horizon answer with a horizon's angle: one answer serves all altitudes of "
+        "an azimuth, but no other azimuth. Its `shadow_image` takes a date and a place instead of a sun, and makes a picture.",
+    ),
+    ("SAGA ta_lighting", "SAGA runs in its mode `shadows only`, slim."),
+    ("solweig", "solweig runs on the CPU."),
+    (
+        "gdaldem hillshade",
+        "gdaldem hillshade casts no shadow: it is what a process costs that reads, looks at neighbours and writes.",
+    ),
+]
+"""What to know of a tool, said where it ran."""
+
+NOT_COMPARED = (
+    "Not compared: tools without a package that installs by itself (HORAYZON, rayshader), those that need a GPU (xarray-spatial), "
+    "a desktop or a licence (QGIS, ArcGIS, Blender), and GRASS r.sunmask, which is too slow for rasters of this size."
+)

@@ -1,0 +1,111 @@
+"""The picture of `peers.py`: seconds of computing against wrong cells, both by powers of ten, names beside their points."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+from peer_figures import Comparison, Place, Terrain, cases
+from PIL import Image
+
+OURS, THEIRS, INK, GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
+"""Blue and vermilion of Okabe and Ito, which all eyes tell apart; the shapes of the points differ, too."""
+
+LEAST_PERCENT = 1e-6
+"""Where points without any wrong cell are drawn, on axes that know no zero."""
+
+ROUND = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
+"""Where a name may stand beside its point: offsets in points."""
+
+NEAR_PX = 14.0
+"""What other names keep off a point, to either side."""
+
+
+def picture(found: Comparison, path: Path) -> None:
+    """Write it, a panel for each raster, as WebP."""
+    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
+        figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        panels = np.atleast_1d(figure.subplots(1, len(found.terrains), sharex=True, sharey=True))
+        for axes, terrain in zip(panels, found.terrains, strict=True):
+            _panel(axes, found, terrain)
+        panels[0].set_ylabel("wrong cells off the grid's axes, %")
+        figure.suptitle("Cast shadows of a DEM: time against error. Faster is left, more accurate is down", fontsize=13)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # names are placed where points now lie
+        for axes, terrain in zip(panels, found.terrains, strict=True):
+            _names(axes, canvas, _places(found, terrain))
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format="png")
+    Image.open(drawn).convert("RGB").save(path, quality=90, method=6)
+
+
+def _places(found: Comparison, terrain: Terrain) -> list[Place]:
+    return cases(found, "computing")[f"{terrain.name}, mean off the axes"]
+
+
+def _at(place: Place) -> tuple[float, float]:
+    return max(place.seconds, 1e-3), max(100.0 * place.wrong, LEAST_PERCENT)
+
+
+def _panel(axes: Axes, found: Comparison, terrain: Terrain) -> None:
+    axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
+    axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
+    axes.grid(color=GRID)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    places = _places(found, terrain)
+    own = np.array([_at(place) for place in places if place.tool.ours])
+    axes.plot(*own.T, "-o", color=OURS, markersize=8, linewidth=1.5, label="Skugga")
+    for bounded, label in ((False, "others"), (True, "others: at most so long")):
+        some = np.array([_at(place) for place in places if not place.tool.ours and found.bounded(place.tool) == bounded])
+        if len(some):
+            axes.plot(*some.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
+    axes.margins(x=0.12, y=0.12)
+    axes.yaxis.set_major_formatter(
+        lambda value, _: "none" if value < 1.5 * LEAST_PERCENT else f"{value:.6f}".rstrip("0").rstrip(".")
+    )
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.minorticks_off()
+    axes.legend(loc="lower right", frameon=False)
+
+
+def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[Place]) -> None:
+    """Each name on the side of its point where it is least in the way of points and other names."""
+    renderer = canvas.get_renderer()
+    points = axes.transData.transform([_at(place) for place in places])
+    taken = [Bbox.from_extents(x - NEAR_PX, y - NEAR_PX, x + NEAR_PX, y + NEAR_PX) for x, y in points]
+    taken.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
+    inside = axes.get_window_extent(renderer)
+    for place in places:
+        color = OURS if place.tool.ours else THEIRS
+        name = place.tool.name.removeprefix("Skugga sweep, ") if place.tool.ours else place.tool.name.split()[0]
+        tried = []
+        for x, y in ROUND:
+            horizontal, vertical = (
+                "left" if x > 0 else "right" if x < 0 else "center",
+                "bottom" if y > 0 else "top" if y < 0 else "center",
+            )
+            text = axes.annotate(
+                name, _at(place), (x, y), textcoords="offset points", ha=horizontal, va=vertical, color=color, fontsize=10
+            )
+            box = text.get_window_extent(renderer)
+            outside = box.width * box.height - _shared(box, inside)
+            tried.append((outside + sum(_shared(box, other) for other in taken), text, box))
+        best = min(tried, key=lambda each: each[0])
+        for _, text, _ in tried:
+            if text is not best[1]:
+                text.remove()
+        taken.append(best[2])
+
+
+def _shared(one: Bbox, other: Bbox) -> float:
+    """The area that two boxes share."""
+    shared = Bbox.intersection(one, other)
+    return 0.0 if shared is None else shared.width * shared.height

@@ -1,0 +1,153 @@
+"""Programs that ask one tool for a mask of a raster: what `peers.py` runs as a process of its own, in any interpreter.
+
+    PYTHON peer_programs.py TOOL dem.tif AZIMUTH ALTITUDE mask.tif [LINES]
+    PYTHON peer_programs.py --version PACKAGE MODULE
+
+A program reads the raster, lets compiled loops be compiled on a few cells, computes, and writes 1 where the sun is seen and 0
+where it is not; it prints the seconds that the computing took. Nothing of Skugga is imported but for Skugga's own rows, so that
+the others' packages may live in an environment of their own. ``r.horizon`` runs inside a GRASS session, and writes angles.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    Ask = Callable[[float, float], np.ndarray]
+    """From azimuth, clockwise from north, and altitude, degrees, to where the sun is seen (rows, cols)."""
+
+TINY_CELLS = 64
+"""Cells a side of the terrain that loops are compiled on."""
+
+COMPILED = ("insolation", "sweep")
+"""Programs whose loops are compiled when they are first called."""
+
+
+def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+    """Corripio's running maximum along lines from the border; its y axis points south."""
+    import numpy as np
+    from insolation import insolf
+
+    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+        azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
+        to_sun_south = np.array([np.sin(azimuth) * np.cos(altitude), -np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
+        return insolf.doshade(height_m, cell_m, to_sun_south)
+
+    return ask
+
+
+def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+    """Horizons after Dozier and Frew: sines of angles; azimuths from south by way of east, within 180 degrees either way."""
+    import numpy as np
+    from topocalc.horizon import horizon
+
+    height_m = height_m.astype(np.float64)
+
+    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+        from_south_deg = (360.0 - azimuth_deg) % 360.0 - 180.0
+        return horizon(from_south_deg, height_m, cell_m) <= np.sin(np.radians(altitude_deg))
+
+    return ask
+
+
+def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+    """Shifted copies of the terrain and their maximum, on the CPU: its GPU path takes software devices, and is slower there."""
+    os.environ["SOLWEIG_NO_GPU"] = "1"
+    import numpy as np
+    from solweig.rustalgos import shadowing
+
+    shadowing.disable_gpu()
+
+    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+        found = shadowing.calculate_shadows_wall_ht_25(azimuth_deg, altitude_deg, cell_m, float(np.ptp(height_m)), height_m)
+        return found.bldg_sh > 0.5
+
+    return ask
+
+
+def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+    """Horizon angles in degrees, of a raster of its own type."""
+    from whitebox_workflows import WbEnvironment
+
+    environment = WbEnvironment()
+    raster = environment.read_raster(path)
+
+    def ask(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
+        return environment.horizon_angle(raster, azimuth_deg).to_numpy() <= altitude_deg
+
+    return ask
+
+
+def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
+    """Skugga's line sweep, with as many lines a cell as the command line says, on all cores."""
+    from shadows.sweep_grid import sunlit
+
+    lines, cores = int(sys.argv[6]), os.cpu_count() or 1
+    return lambda azimuth_deg, altitude_deg: sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)
+
+
+PREPARE: dict[str, Callable[[str, np.ndarray, float], Ask]] = {
+    "insolation": insolation,
+    "topocalc": topocalc,
+    "solweig": solweig,
+    "whitebox": whitebox,
+    "sweep": sweep,
+}
+
+
+def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
+    """Write the mask of a raster; seconds of computing."""
+    import numpy as np
+    import rasterio
+
+    with rasterio.open(path) as source:
+        height_m, cell_m, profile = source.read(1), source.transform.a, source.profile
+    if name in COMPILED:
+        tiny_m = np.random.default_rng(1).random((TINY_CELLS, TINY_CELLS), np.float32)
+        PREPARE[name](path, tiny_m, cell_m)(azimuth_deg, altitude_deg)
+    ask = PREPARE[name](path, height_m, cell_m)
+    start = time.perf_counter()
+    lit = ask(azimuth_deg, altitude_deg)
+    taken_s = time.perf_counter() - start
+    with rasterio.open(out, "w", **{**profile, "dtype": "uint8", "nodata": None}) as target:
+        target.write(np.asarray(lit, np.uint8).reshape(height_m.shape), 1)
+    return taken_s
+
+
+def r_horizon(path: str, azimuth_deg: float, out: str) -> float:
+    """Write horizon angles in degrees, inside a GRASS session; seconds of the module. Directions run from east by way of north."""
+
+    def grass(*arguments: str) -> str:
+        return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
+
+    grass("r.in.gdal", "--quiet", f"input={path}", "output=dem")
+    grass("g.region", "raster=dem")
+    start = time.perf_counter()
+    grass("r.horizon", "-d", "--quiet", "elevation=dem", f"direction={(90.0 - azimuth_deg) % 360.0:g}", "output=horizon")
+    taken_s = time.perf_counter() - start
+    found = grass("g.list", "type=raster", "pattern=horizon*").split()[0]
+    grass("r.out.gdal", "-c", "--quiet", "--overwrite", f"input={found}", f"output={out}", "type=Float32")
+    return taken_s
+
+
+def main(arguments: list[str]) -> Any:
+    if arguments[0] == "--version":
+        importlib.import_module(arguments[2])
+        return version(arguments[1])
+    name, path, azimuth_deg, altitude_deg, out, *_ = arguments
+    if name == "r.horizon":
+        return r_horizon(path, float(azimuth_deg), out)
+    return answer(name, path, float(azimuth_deg), float(altitude_deg), out)
+
+
+if __name__ == "__main__":
+    print(main(sys.argv[1:]))

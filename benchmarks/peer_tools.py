@@ -1,0 +1,213 @@
+"""Tools that shade a raster: how each is asked as a process of its own, how its answer is read, and whether it can be believed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from affine import Affine
+
+PROGRAMS = Path(__file__).with_name("peer_programs.py")
+
+CRS = "EPSG:32616"
+MIDDLE_M = (500_000.0, 0.0)
+"""Where rasters' middles lie: on the central meridian and the equator, where grid north is true north, which r.horizon follows."""
+
+POLE_CELLS, POLE_WIDTH, POLE_M, POLE_CELL_M, FLOOR_M = 201, 5, 150.0, 10.0, 100.0
+"""The check of conventions: cells of the floor and of the block in its middle, its height, a cell's side, the floor's height."""
+
+POLE_SUNS = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
+POLE_CLOSE = 2.0
+"""Cells by which a pole's shadow may be too long, too short or beside its place."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is asked: a raster of heights, the sun (azimuth clockwise from north) in degrees, and the file that is to be written."""
+
+    dem: Path
+    azimuth_deg: float
+    altitude_deg: float
+    out: Path
+
+    @property
+    def sun(self) -> list[str]:
+        return [f"{self.azimuth_deg:g}", f"{self.altitude_deg:g}"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a process took. ``compute_s`` is what it says itself, ``None`` where it does not; cores are CPU time by wall time."""
+
+    whole_s: float
+    compute_s: float | None
+    peak_mb: float
+    cores: float
+
+
+@dataclass(frozen=True, eq=False)
+class Tool:
+    """A tool: what computes, in a few words; the command that tells its version, which fails where it is absent; what it is told
+    for a job; where the sun is seen in the values that it writes (rows, cols), or ``None`` where it casts no shadows."""
+
+    name: str
+    algorithm: str
+    version: list[str]
+    command: Callable[[Job], list[str]]
+    lit: Callable[[np.ndarray, Job], np.ndarray] | None
+    ours: bool = False
+
+    def found(self) -> str | None:
+        """Its version, or ``None`` where it is absent."""
+        if shutil.which(self.version[0]) is None:
+            return None
+        told = subprocess.run(self.version, capture_output=True, text=True)
+        number = re.search(r"\d+(\.\w+)+", told.stdout + told.stderr if told.returncode == 0 else "")
+        return number[0] if number else None
+
+    def run(self, job: Job) -> Run:
+        """Run it. Raises ``RuntimeError`` with the last line of what it said where it fails."""
+        job.out.unlink(missing_ok=True)
+        told = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *self.command(job)], capture_output=True, text=True)
+        usage = json.loads(told.stdout or "{}")
+        said = usage.get("said", told.stderr)
+        if usage.get("code", told.returncode) or not job.out.exists():
+            raise RuntimeError(([line for line in said.splitlines() if line.strip()] or ["no answer"])[-1].strip())
+        seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", said, re.MULTILINE)
+        return Run(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
+
+    def mask(self, job: Job) -> np.ndarray:
+        """Where it says that the sun is seen: bool (rows, cols)."""
+        assert self.lit is not None
+        with rasterio.open(job.out) as written:
+            return self.lit(written.read(1), job)
+
+
+LAUNCHER = """
+import json, os, subprocess, sys, tempfile, time
+with tempfile.TemporaryFile("w+") as said:
+    start = time.perf_counter()
+    child = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
+    _, status, usage = os.wait4(child.pid, 0)
+    wall_s = time.perf_counter() - start
+    said.seek(0)
+    print(json.dumps({"wall_s": wall_s, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss * 1024 / 1e6,
+                      "code": os.waitstatus_to_exitcode(status), "said": said.read()}))
+"""
+"""A small process that starts the tool's: a process's peak memory begins with that of the one that starts it."""
+
+
+def tools_of(python: str) -> list[Tool]:
+    """All tools; packages are those of the interpreter ``python``."""
+    here = str(PROGRAMS)
+
+    def package(name: str, algorithm: str, program: str, distribution: str, module: str) -> Tool:
+        return Tool(
+            name,
+            algorithm,
+            [python, here, "--version", distribution, module],
+            lambda job: [python, here, program, str(job.dem), *job.sun, str(job.out)],
+            lambda values, job: values > 0,
+        )
+
+    def sweep(lines: int) -> Tool:
+        return Tool(
+            f"Skugga sweep, {lines} line{'s' * (lines > 1)}",
+            "running maximum on lines along the sun's azimuth, between cells",
+            [sys.executable, here, "--version", "skugga", "shadows.sweep_grid"],
+            lambda job: [sys.executable, here, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
+            lambda values, job: values > 0,
+            ours=True,
+        )
+
+    return [
+        *(sweep(lines) for lines in (1, 2, 8, 16)),
+        package("insolation", "running maximum on lines, nearest cell", "insolation", "insolation", "insolation.insolf"),
+        package("topocalc", "horizons on skewed rows", "topocalc", "topocalc", "topocalc.horizon"),
+        package("solweig", "shifted terrain and its maximum, nearest cell", "solweig", "solweig", "solweig"),
+        package("Whitebox Workflows", "horizons by rays from grid line to grid line", "whitebox", "whitebox-workflows",
+                "whitebox_workflows"),
+        Tool(
+            "GRASS r.horizon",
+            "horizons by a walk from each cell, nearest cell",
+            ["grass", "--version"],
+            lambda job: ["grass", "--tmp-location", str(job.dem), "--exec", sys.executable, here, "r.horizon",
+                         str(job.dem), *job.sun, str(job.out)],
+            lambda values, job: ~(values > job.altitude_deg),
+        ),
+        Tool(
+            "SAGA ta_lighting",
+            "a walk from each cell, nearest cell",
+            ["saga_cmd", "--version"],
+            lambda job: ["saga_cmd", "-f=s", "ta_lighting", "0", "-ELEVATION", str(job.dem), "-SHADE", str(job.out), "-METHOD", "3",
+                         "-SHADOW", "0", "-UNIT", "1", "-AZIMUTH", job.sun[0], "-DECLINATION", job.sun[1]],
+            lambda values, job: values < 0,
+        ),
+        Tool(
+            "pktools pkdsm2shadow",
+            "a shadow thrown from each cell, nearest cell",
+            ["pkdsm2shadow", "--version"],
+            lambda job: ["pkdsm2shadow", "-i", str(job.dem), "-o", str(job.out), "-sza", f"{90.0 - job.altitude_deg:g}",
+                         "-saa", job.sun[0], "-f", "1"],
+            lambda values, job: values == 0,
+        ),
+        Tool(
+            "gdaldem hillshade",
+            "slopes of 3 x 3 cells: casts no shadows, and is what a process costs",
+            ["gdalinfo", "--version"],
+            lambda job: ["gdaldem", "hillshade", "-q", str(job.dem), str(job.out), "-az", job.sun[0], "-alt", job.sun[1]],
+            None,
+        ),
+    ]  # fmt: skip
+
+
+def write_dem(path: Path, height_m: np.ndarray, cell_m: float) -> None:
+    """Heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at ``MIDDLE_M``."""
+    rows, cols = height_m.shape
+    corner = MIDDLE_M[0] - cols * cell_m / 2, MIDDLE_M[1] + rows * cell_m / 2
+    transform = Affine(cell_m, 0, corner[0], 0, -cell_m, corner[1])
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS, transform=transform
+    ) as target:
+        target.write(height_m, 1)
+
+
+def check_pole(tool: Tool, folder: Path) -> list[Run]:
+    """A block on a flat floor throws its shadow away from the sun, as long as it should be: the runs that it took.
+
+    Raises ``RuntimeError`` where a shadow leaves its place by more than ``POLE_CLOSE`` cells, or the tool fails.
+    """
+    height_m = np.full((POLE_CELLS, POLE_CELLS), FLOOR_M, np.float32)
+    middle, half = POLE_CELLS // 2, POLE_WIDTH // 2
+    height_m[middle - half : middle + half + 1, middle - half : middle + half + 1] += POLE_M
+    dem = folder / "pole.tif"
+    write_dem(dem, height_m, POLE_CELL_M)
+    runs = []
+    for azimuth_deg, altitude_deg in POLE_SUNS:
+        job = Job(dem, azimuth_deg, altitude_deg, folder / "pole_mask.tif")
+        runs.append(tool.run(job))
+        if tool.lit is not None:
+            _check_shadow(tool.mask(job), azimuth_deg, altitude_deg)
+    return runs
+
+
+def _check_shadow(lit: np.ndarray, azimuth_deg: float, altitude_deg: float) -> None:
+    dark = np.argwhere(~lit) - POLE_CELLS // 2
+    if not len(dark):
+        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole throws no shadow")
+    azimuth = np.radians(azimuth_deg)
+    away, beside = (dark @ np.array(way) for way in ((np.cos(azimuth), -np.sin(azimuth)), (np.sin(azimuth), np.cos(azimuth))))
+    corner = (POLE_WIDTH // 2) * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))
+    expected = corner + POLE_M / np.tan(np.radians(altitude_deg)) / POLE_CELL_M
+    if abs(away.max() - expected) > POLE_CLOSE:
+        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow ends {away.max():.1f} cells away, not {expected:.1f}")
+    if np.abs(beside).max() > corner + POLE_CLOSE:
+        raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole's shadow lies {np.abs(beside).max():.1f} cells beside its place")

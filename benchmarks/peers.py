@@ -1,0 +1,182 @@
+"""Masks of cast shadows from Skugga's line sweep beside those of other tools: time, memory, and wrong cells against rays.
+
+    python benchmarks/peers.py [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
+
+Two rasters, SRTM of the Jacksboro fault and fractal mountains, under three suns on the grid's axes and diagonals and three off
+them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns.
+Nothing is believed before a pole has thrown its shadow where it should. Truth are rays from the nodes, counted where it hangs
+neither on their offset nor on the diagonal that quads are cut along.
+
+The Python packages (`pip install insolation numba topocalc solweig whitebox-workflows rasterio`) are those of ``--python``, so that
+they may live in an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`. What is absent
+is named and left out. ``--side`` makes smaller rasters, for trials; ``--readme`` prints the short table; ``--write-only`` measures
+nothing and writes the page and its picture again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from peer_figures import Answer, Comparison, Terrain, Told, Under
+from peer_pages import page, short_table
+from peer_picture import picture
+from peer_tools import Job, Run, Tool, check_pole, tools_of, write_dem
+from sweep_accuracy import GridRays, GridTruth
+from sweep_speed import CELL_M, _processor, mountains
+
+from terrain.bundled import BUNDLED
+
+HERE = Path(__file__).parent
+DOCS = HERE.parent / "docs"
+
+SUNS = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0), (67.0, 3.0)]
+"""Azimuth and altitude, degrees: the first three on the grid's axes and diagonals."""
+
+SLOW_S = 2.0
+"""A process that takes longer runs once: what is so far behind needs no median."""
+
+
+def jacksboro() -> tuple[np.ndarray, float]:
+    """SRTM heights in UTM 16N (rows, cols) float32 in metres, without the rim of which a part is missing; the side of a cell."""
+    with BUNDLED["jacksboro_utm"]().open() as source:
+        height_m, cell_m = source.read(1), source.transform.a
+    while np.isnan(height_m).any():
+        rims = {(0, 0): height_m[0], (0, -1): height_m[-1], (1, 0): height_m[:, 0], (1, -1): height_m[:, -1]}
+        axis, at = max(rims, key=lambda rim: np.isnan(rims[rim]).mean())
+        height_m = np.delete(height_m, at, axis)
+    return height_m, cell_m
+
+
+def rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
+    """Name -> heights (rows, cols) float32 in metres, at most ``side`` cells a side, and the side of a cell."""
+    height_m, cell_m = jacksboro()
+    return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (mountains(side), CELL_M)}
+
+
+def checked(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[Told]]:
+    """The tools to be believed, with the least seconds of their process on the pole; the others and why; what tools tell."""
+    start_s: dict[Tool, float] = {}
+    left_out: dict[str, str] = {}
+    told = []
+    for tool in tools_of(python):
+        version = tool.found()
+        if version is None:
+            left_out[tool.name] = "absent"
+            print(f"{tool.name}: absent", flush=True)
+            continue
+        try:
+            start_s[tool] = min(run.whole_s for run in check_pole(tool, folder))
+        except RuntimeError as error:
+            left_out[tool.name] = str(error)
+            print(f"{tool.name}: left out: {error}", flush=True)
+            continue
+        told.append(Told(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
+        print(f"{tool.name} {version}: the pole's shadow lies where it should", flush=True)
+    return start_s, left_out, told
+
+
+def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Terrain, list[GridTruth]]:
+    """A raster's facts, and truth under each sun."""
+    rays = GridRays(height_m, (cell_m, cell_m))
+    truths = [rays.truth(*sun) for sun in SUNS]
+    under = [
+        Under(*sun, float((~truth.lit & truth.decidable).sum() / truth.decidable.sum()), float((~truth.decidable).mean()))
+        for sun, truth in zip(SUNS, truths, strict=True)
+    ]
+    rows, cols = height_m.shape
+    return Terrain(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
+
+
+def errors(lit: np.ndarray, truth: GridTruth) -> tuple[float, float]:
+    """False and missed shadow as shares of the decided cells."""
+    count = truth.decidable.sum()
+    false, missed = (truth.decidable & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
+    return float(false.sum() / count), float(missed.sum() / count)
+
+
+def measured(python: str, side: int, repeats: int) -> Comparison:
+    """Everything: the check of conventions, truth, and the tools in turns."""
+    begin = time.perf_counter()
+    runs: dict[tuple[Tool, str, int], list[Run]] = {}
+    wrong: dict[tuple[Tool, str, int], tuple[float, float]] = {}
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        tools, left_out, told = checked(python, folder)
+        terrains, truths = [], {}
+        for name, (height_m, cell_m) in rasters(side).items():
+            terrain, truths[name] = terrain_of(name, height_m, cell_m)
+            terrains.append(terrain)
+            write_dem(folder / f"{name}.tif", height_m, cell_m)
+            print(f"{time.perf_counter() - begin:4.0f} s  truth of {name}", flush=True)
+        for repeat in range(repeats):
+            for name in truths:
+                for k, sun in enumerate(SUNS):
+                    job = Job(folder / f"{name}.tif", *sun, folder / "mask.tif")
+                    for tool in [*tools][:: -1 if repeat % 2 else 1]:
+                        key = tool, name, k
+                        if repeat and max(run.whole_s for run in runs[key]) > SLOW_S:
+                            continue
+                        try:
+                            runs.setdefault(key, []).append(tool.run(job))
+                        except RuntimeError as error:
+                            left_out[tool.name] = f"{name} under the sun {' / '.join(job.sun)}: {error}"
+                            print(f"{tool.name}: left out: {left_out[tool.name]}", flush=True)
+                            del tools[tool]
+                            continue
+                        if tool.lit is not None and key not in wrong:
+                            wrong[key] = errors(tool.mask(job), truths[name][k])
+                print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
+    answers = [_answer(*key[:2], SUNS[key[2]], taken, wrong.get(key)) for key, taken in runs.items() if key[0] in tools]
+    told = [each for each in told if each.name not in left_out]
+    where = f"{_processor()}, {os.cpu_count()} cores"
+    return Comparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, told, left_out, answers)
+
+
+def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[Run], wrong: tuple[float, float] | None) -> Answer:
+    said = [run.compute_s for run in runs if run.compute_s is not None]
+    return Answer(
+        tool=tool.name,
+        terrain=name,
+        azimuth_deg=sun[0],
+        altitude_deg=sun[1],
+        runs=len(runs),
+        compute_s=float(np.median(said)) if said else None,
+        whole_s=float(np.median([run.whole_s for run in runs])),
+        peak_mb=max(run.peak_mb for run in runs),
+        cores=float(np.median([run.cores for run in runs])),
+        false_shadow=wrong[0] if wrong else None,
+        missed_shadow=wrong[1] if wrong else None,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--side", type=int, default=2048, help="cells a side of the fractal mountains, and at most of the other")
+    parser.add_argument("--json", type=Path, default=HERE / "peers.json", metavar="FILE")
+    parser.add_argument("--markdown", type=Path, default=DOCS / "peers.md", metavar="FILE")
+    parser.add_argument("--picture", type=Path, default=DOCS / "images" / "peers.webp", metavar="FILE")
+    parser.add_argument("--readme", action="store_true", help="print the short table")
+    parser.add_argument("--write-only", action="store_true")
+    given = parser.parse_args()
+    if not given.write_only:
+        found = measured(given.python, given.side, given.repeats)
+        given.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
+    found = Comparison.read(json.loads(given.json.read_text("utf-8")))
+    given.markdown.write_text(page(found, Path(os.path.relpath(given.picture, given.markdown.parent)).as_posix()), "utf-8")
+    picture(found, given.picture)
+    if given.readme:
+        print("\n".join(short_table(found)))
+
+
+if __name__ == "__main__":
+    main()

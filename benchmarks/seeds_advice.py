@@ -1,0 +1,218 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its advice (table 1, section 8.2), measured again."""
+
+from __future__ import annotations
+
+import numpy as np
+from algorithms import IN_SHADOW
+from claims import Claim, Figures, Section
+from contact_sheet import view_of
+from seeds_grades import ERROR_SIZE, RIGHT, along_path, errors
+from seeds_times import LIGHTS, ratio, timed
+from seeds_views import beside_truth, bundled
+from seeds_words import (
+    FOUR,
+    HYBRID,
+    PSM,
+    SAME,
+    SCENES,
+    SHORT,
+    SM,
+    SV,
+    THESIS,
+    all_of,
+    at_most,
+    because,
+    listed,
+    named,
+    percent,
+    whole_percent,
+)
+
+OUTDOOR_SIZE = (400, 320)
+OUTDOORS = (("jacksboro", "ridges"), ("spatialace", "main"))
+"""Large outdoor views under the sun: level and view."""
+
+MANY = 3
+"""From so many views on it is many cases."""
+
+CONSIDERABLY = 0.8
+"""Of a time, what is considerably less."""
+
+
+def measure() -> Figures:
+    near = {
+        f"boxgrid{sun}, {view}": timed(f"thesis_boxgrid{sun}", view, (SV, HYBRID))
+        for sun in LIGHTS
+        for view in (IN_SHADOW, "close")
+    }
+    return {
+        "views": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "near": near,
+        "paths": {scene: along_path(f"thesis_{scene}") for scene in SCENES},
+        "outdoors": {" ".join(where): _errors_in(*where, OUTDOOR_SIZE, (SM, PSM)) for where in OUTDOORS},
+        "sun": {scene: _errors_in(f"thesis_{scene}_sun", "main", ERROR_SIZE, (SM, PSM)) for scene in SCENES},
+        "from": {
+            view: {scene: _errors_in(f"thesis_{scene}", view, ERROR_SIZE, (SM,))[SM] for scene in SCENES}
+            for view in ("close", "overview")
+        },
+    }
+
+
+def _errors_in(level: str, view: str, size: tuple[int, int], asked: tuple[str, ...] = FOUR) -> Figures:
+    """Errors in a view of a bundled level."""
+    scene = bundled(level)
+    return errors(beside_truth(scene, view_of(scene, view, size), "main"), asked)
+
+
+def section(figures: Figures) -> Section:
+    views, near, paths = figures["views"], figures["near"], figures["paths"]
+    spot = {scene: views[scene] for scene in SCENES}
+    few = {name: ratio(at, SV, SM) for name, at in views.items()}
+    kept = {name: at[SV]["kept"]["ms"] / at[SV]["redrawn"]["ms"] for name, at in views.items()}
+    made = {name: at[SV]["redrawn"]["stages"]["volumes"] / at[SV]["redrawn"]["ms"] for name, at in views.items()}
+    worst = max(at[SV]["wrong_cast"] for path in paths.values() for at in path)
+    close = {name: ratio(at, HYBRID, SV) for name, at in near.items()} | {
+        f"boxgrid{sun}, main": ratio(views[f"boxgrid{sun}"], HYBRID, SV) for sun in LIGHTS
+    }
+    ceiling = {f"room{sun}": ratio(views[f"room{sun}"], HYBRID, SV) for sun in LIGHTS}
+    outdoors = {name: at[PSM]["wrong_cast"] / at[SM]["wrong_cast"] for name, at in figures["outdoors"].items()}
+    no_better = "; ".join(
+        f"in {name} {whole_percent(at[PSM]['on_foliage'])} of what PSM gets wrong lies on trees, and its texels cover "
+        f"{at[PSM]['texel_px']:.1f} pixels where it is wrong, SM's {at[SM]['texel_px']:.1f} where that is"
+        for name, at in figures["outdoors"].items()
+        if outdoors[name] * SAME >= 1.0
+    )
+    inside = {scene: path[len(path) // 2] for scene, path in paths.items()} | {
+        f"{scene}_sun": at for scene, at in figures["sun"].items()
+    }
+    gained = {name: at[PSM]["wrong_cast"] / at[SM]["wrong_cast"] for name, at in inside.items()}
+    worse = [name for name, value in {**gained, **outdoors}.items() if value > 1.0]
+    edges = {view: {scene: at["edge_p95"] for scene, at in by_scene.items()} for view, by_scene in figures["from"].items()}
+    fastest = {scene: min(FOUR, key=lambda key, at=at: at[key]["redrawn"]["ms"]) for scene, at in spot.items()}
+    best = [scene for scene, key in fastest.items() if inside[scene][key]["wrong_cast"] <= RIGHT]
+    definite = len(set(fastest.values())) == 1 and len(best) == len(fastest)
+    afar = all_of(edges["overview"][scene] <= edges["close"][scene] for scene in SCENES)
+    outdoor = all_of(at_most(value, 1.0) for value in outdoors.values())
+    often_worse = len(worse) >= MANY
+    few_pay = all_of(
+        at_most(few[f"street{sun}"], min(few[f"{scene}{sun}"] for scene in SCENES if scene != "street")) for sun in LIGHTS
+    )
+    still = at_most(max(kept.values()), CONSIDERABLY)
+    right = at_most(worst, RIGHT)
+    complex_ = all_of((all(value < SAME for value in close.values()), at_most(float(np.median([*close.values()])), 1.0)))
+    room = all_of(at_most(value, 1.0) for value in ceiling.values())
+    return Section(
+        "The advice (table 1, section 8.2)",
+        "Figures of the experiments above; besides, BoxGrid seen from within the shadow and from close by, and errors in "
+        f"{ERROR_SIZE[0]} x {ERROR_SIZE[1]} (outdoors {OUTDOOR_SIZE[0]} x {OUTDOOR_SIZE[1]}) with maps of 1024 for SM and PSM "
+        "alike.",
+        [],
+        [
+            Claim(
+                f"{THESIS}, 8.2",
+                "SM where the camera never gets near a shadow's edge",
+                f"`edge_p95`, pixels, from afar: {listed(edges['overview'])}; from close by: {listed(edges['close'])} (held if "
+                "nowhere larger from afar)",
+                afar,
+                because(
+                    afar,
+                    "the same texel is fewer pixels from afar",
+                    "what is off is counted in pixels; where casters are thinner than texels whole bars go missing, from afar as "
+                    "well",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.2",
+                "PSM for large outdoor scenes under the sun",
+                f"`wrong_cast` of PSM, of SM's: {listed(outdoors)} (held if under 1 in both)",
+                outdoor,
+                because(
+                    outdoor,
+                    "one map for kilometres gives what is near a handful of texels; PSM gives them where the eye is",
+                    f"texels near the eye do not help where shadows are fine far away: {no_better}",
+                    f"texels near the eye help little where shadows are fine far away: {no_better}",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.1 and 8.2",
+                "in many cases PSM is worse than SM at the same size",
+                f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MANY} on); `wrong_cast` of PSM, of "
+                f"SM's: {listed(gained)}, and those above",
+                often_worse,
+                because(
+                    often_worse,
+                    "its matrix does not suit these views",
+                    "the matrix is chosen among several by the texels that it gives to what is seen, a uniform one among them, "
+                    "and is fitted to that alone: it is seldom worse than a map that has to cover the light's cone, or what the "
+                    "sun sees",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.2",
+                "SV where polygons are few: Street is its best scene",
+                f"time of SV, of SM's: {listed(few)} (held if least in Street under either light)",
+                few_pay,
+                because(few_pay, "few faces to draw", "not polygons but how often volumes cover a pixel is what SV costs"),
+            ),
+            Claim(
+                f"{THESIS}, 8.1 and 8.2",
+                "SV gets considerably faster where light and objects rest",
+                f"time with volumes kept, of that with all redrawn: {listed(kept)} (held if at most {CONSIDERABLY} everywhere)",
+                still,
+                because(
+                    still,
+                    "making the volumes was most of it",
+                    f"making the volumes is {whole_percent(min(made.values()))} to {whole_percent(max(made.values()))} of the "
+                    "time, drawing them the rest, and that is to be done again whenever the camera moves, as the thesis says "
+                    "itself",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.2",
+                "SV where perfect shadows are crucial",
+                f"its largest `wrong_cast` in {sum(map(len, paths.values()))} views: {percent(worst)} (held if at most "
+                f"{percent(RIGHT)})",
+                right,
+                because(right, "edges are exact, and no texel is involved", "what is wrong lies within rounding of an edge"),
+            ),
+            Claim(
+                f"{THESIS}, 8.2",
+                "the hybrid where shadows are complex and the camera comes close: BoxGrid",
+                f"time of the hybrid, of SV's: {listed(close)} (held if the median is under 1 and none over {SAME})",
+                complex_,
+                because(
+                    complex_,
+                    "what it leaves out would be filled many times over",
+                    "seen so close, most of what covers the picture is culled by tiles for SV too, and map and mask are not for "
+                    "free",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.2",
+                "the hybrid where light comes through a complex ceiling: Room",
+                f"time of the hybrid, of SV's: {listed(ceiling)} (held if under 1 under either light)",
+                room,
+                because(
+                    room,
+                    "volumes fill the room",
+                    "the lattice's fine shadows leave "
+                    f"{whole_percent(min(views[f'room{sun}'][HYBRID]['marked'] for sun in LIGHTS))} or more of the pixels to "
+                    "volumes, all over the picture; the thesis grades it below SV in its own room, too",
+                    "what the mask saves is about what map and mask cost: the lattice's fine shadows lie all over the picture",
+                ),
+            ),
+            Claim(
+                f"{THESIS}, 8.1",
+                "there is no definite winner",
+                f"fastest under the spot: {', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in fastest.items())}; it is "
+                f"also right (at most {percent(RIGHT)} of the cast shadow wrong) in {named(best)} (held unless one is both "
+                "everywhere)",
+                not definite,
+                because(
+                    not definite,
+                    "speed and accuracy are bought from one another: hence the choice by figures",
+                    "one is both fastest and right everywhere",
+                ),
+            ),
+        ],
+    )

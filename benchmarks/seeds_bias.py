@@ -1,0 +1,298 @@
+"""The bachelor's report of Copenhagen again: the bias of shadow maps, culling, and taps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from claims import Claim, Figures, Section
+from seeds_views import Asked, Held, bundled, held, one_map, settings_of
+from seeds_words import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
+
+from shadows.map_windows import sun_maps
+from shadows.passes import PassLog
+from shadows.plan import ShadowMapSettings
+from terrain.level import SUN
+from terrain.resolve import RELIEF
+
+LEVELS = {
+    "street": ("thesis_street_sun", "main"),
+    "rocks": ("thesis_rocks_sun", "main"),
+    "alpine": ("jacksboro_alpine", "map"),
+}
+CLOSED = ("street", "rocks")
+"""Those whose casters are closed meshes alone; in the third the ground casts on itself."""
+
+SIZE, TEXELS = (512, 512), 1024
+COARSE = 256
+"""A coarser map, to find the best bias of."""
+
+TAPS = (1, 2, 3)
+SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
+CLAMP = 0.005
+"""Of the depths from 0 to 1: the report's bias is never more."""
+
+CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
+"""Constants b of the report's formula that are tried."""
+
+FORMULAS = ("constant", "slope", "clamped")
+ACNE, TWICE, ALIKE = 10.0, 2.0, 1.5
+"""Acne is so many times what the bias as it should be leaves, peter-panning so many; up to the last times another is alike."""
+
+NO_BIAS, SLOPE, TOO_MUCH = (f"polygon_offset x {scale:g}" for scale in (0.0, 1.0, 16.0))
+BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled x 0"
+
+
+def measure() -> Figures:
+    figures: Figures = {}
+    for scene, (level, name) in LEVELS.items():
+        look = held(bundled(level), name, SIZE)
+        rows: dict[str, Asked] = {
+            f"{bias}, {taps}": {"bias": bias, "filter": taps} for bias in ("receiver_plane", "polygon_offset") for taps in TAPS
+        }
+        rows |= {f"polygon_offset x {scale:g}": {"bias": "polygon_offset", "bias_scale": scale} for scale in SCALES}
+        rows |= {f"normal_offset x {scale:g}": {"bias": "normal_offset", "bias_scale": scale} for scale in (1.0, 4.0)}
+        if scene in CLOSED:
+            bodies = {"algorithm": {"meshes": "shadow_map"}, "bias": "polygon_offset"}
+            rows |= {BARE_BODIES: {**bodies, "bias_scale": 0.0}, BODIES: {**bodies, "bias_scale": 1.0}}
+            rows |= {CULLED: {**bodies, "bias_scale": 0.0, "culling": "front"}}
+        figures[scene] = {
+            "rows": {row: _biased(look, one_map(TEXELS, **asked)) for row, asked in rows.items()},
+            "formulas": {str(size): _by_formulas(look, size) for size in (COARSE, TEXELS)},
+        }
+    return figures
+
+
+def _biased(look: Held, asked: Asked) -> dict[str, float]:
+    """Errors; of the points that face the sun the share whose visibility is neither 0 nor 1, and by how much it is off."""
+    seen, known = look.visibility(look.plan(asked)), look.truth.decidable & look.receivers
+    partial = (seen > 0.0) & (seen < 1.0) & look.receivers
+    shaded, ground = known & ~look.truth.lit, look.buffer.kind == RELIEF
+    figures = look.errors(seen)
+    return {
+        **{key: figures[key] for key in ("wrong_cast", "false_shadow", "missed_shadow")},
+        **{
+            f"missed_{name}": float((seen >= 0.5)[shaded & here].sum() / max((shaded & here).sum(), 1))
+            for name, here in (("ground", ground), ("bodies", ~ground))
+        },
+        "missed_cast": float((seen >= 0.5)[shaded].sum() / max(shaded.sum(), 1)),
+        "partial": float(partial.sum() / look.receivers.sum()),
+        "off": float(np.abs(seen - look.truth.lit)[known].mean()),
+    }
+
+
+def _by_formulas(look: Held, size: int) -> dict[str, Any]:
+    """``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point: b itself,
+    b tan(acos(n.l)), and that held under the report's bound.
+    """
+    plan, log = look.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)), PassLog(wanted=frozenset({"shadow-map"}))
+    look.visibility(plan, log)
+    (depths,) = log.layers["shadow-map", SUN]
+    settings = settings_of(look, plan)
+    assert isinstance(settings, ShadowMapSettings)
+    (drawn,) = sun_maps(look.buffer, look.scene, settings, None)
+    rotation = np.reshape(drawn.uniforms["light_from_frame"], (3, 3)).T
+    here = look.receivers
+    at = look.buffer.position_frame_m[here] @ rotation.T + drawn.uniforms["light_offset_m"]
+    col, row = np.floor(at[:, :2] / drawn.uniforms["texel_m"]).astype(int).T
+    depth, stored = at[:, 2] / drawn.uniforms["window_m"][2], depths[::-1][row, col]
+    tangent = np.tan(np.arccos(np.clip(-(look.buffer.normal_frame[here] @ rotation.T)[:, 2], 1e-6, 1.0)))
+    wrong: dict[str, list[float]] = {"constant": [], "slope": [], "clamped": []}
+    for b in CONSTANTS:
+        for name, bias in (("constant", b), ("slope", b * tangent), ("clamped", np.minimum(b * tangent, CLAMP))):
+            dark = np.zeros(here.shape, bool)
+            dark[here] = depth - bias > stored
+            wrong[name].append(_wrong_cast(look, dark))
+    return {**wrong, "texel": float(max(drawn.uniforms["texel_m"]) / drawn.uniforms["window_m"][2])}
+
+
+def _wrong_cast(look: Held, dark: np.ndarray) -> float:
+    """``shadows.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
+    truth = look.truth
+    cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
+    return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
+
+
+def section(figures: Figures) -> Section:
+    def shares(values: dict[str, float]) -> str:
+        return listed(values, percent)
+
+    def of(row: str, figure: str, scenes: tuple[str, ...] = tuple(LEVELS)) -> dict[str, float]:
+        return {scene: figures[scene]["rows"][row][figure] for scene in scenes}
+
+    def at_least_times(some: dict[str, float], ratio: float, others: dict[str, float]) -> bool | None:
+        return all_of(at_least(some[scene], ratio * others[scene]) for scene in some)
+
+    def at_most_times(some: dict[str, float], ratio: float, others: dict[str, float]) -> bool | None:
+        return all_of(at_most(some[scene], ratio * others[scene]) for scene in some)
+
+    acne, panning = of(NO_BIAS, "false_shadow"), of(TOO_MUCH, "missed_shadow")
+    regret = {name: _regret(figures, name) for name in FORMULAS}
+    best = {name: _best(figures, name) for name in FORMULAS}
+    texels = [case["texel"] for case in _formula_cases(figures)]
+    shows_acne = at_least_times(acne, ACNE, of(SLOPE, "false_shadow"))
+    shows_panning = at_least_times(panning, TWICE, of(SLOPE, "missed_shadow"))
+    none_fits = opposite(at_most(regret["constant"], ALIKE))
+    slope_helps = at_most(regret["slope"], regret["constant"])
+    clamp_helps = at_most(best["clamped"], best["slope"])
+    culled, biased, bare = (of(row, "wrong_cast", CLOSED) for row in (CULLED, BODIES, BARE_BODIES))
+    spares = at_most_times(culled, ALIKE, biased)
+    missed, ground, bodies = (
+        [of(row, f"missed_{where}", CLOSED) for row in (CULLED, BODIES)] for where in ("cast", "ground", "bodies")
+    )
+    no_panning = at_most_times(missed[0], ALIKE, missed[1])
+    apart = (
+        f"on the ground {shares(ground[0])} is missed, with the slope's bias {shares(ground[1])}; on the bodies "
+        f"{shares(bodies[0])}, and {shares(bodies[1])}"
+    )
+    soft = {taps: of(f"receiver_plane, {taps}", "partial") for taps in TAPS}
+    softer = all_of(
+        all_of((soft[1][scene] == 0.0, soft[2][scene] > 0.0, at_least(soft[3][scene], soft[2][scene]))) for scene in LEVELS
+    )
+    claims = [
+        Claim(
+            REPORT,
+            "with too little bias there is acne",
+            f"false shadow without bias: {shares(acne)}; with the slope's: {shares(of(SLOPE, 'false_shadow'))} (held if at least "
+            f"{ACNE:g} times that)",
+            shows_acne,
+            because(
+                shows_acne,
+                "a texel's depth is that of its centre, which lies nearer to the sun than about half of the points in the texel",
+                "something else keeps surfaces from shading themselves",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "with too much there is peter-panning: shadow begins away from what throws it",
+            f"missed shadow at {SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
+            f"{shares(of(SLOPE, 'missed_shadow'))} (held if at least {TWICE:g} times that)",
+            shows_panning,
+            because(
+                shows_panning,
+                "what lies less behind its caster than the bias counts as lit",
+                "few points lie so little behind their casters",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "no one bias is right: it depends on the scene and on the map's resolution",
+            f"the constant that serves all scenes and both maps ({COARSE} and {TEXELS}) best has up to "
+            f"{factor(regret['constant'])} times the wrong share of each one's own best (held if over {ALIKE:g})",
+            none_fits,
+            f"what is needed goes with the texel, as a share of the range of depths {percent(min(texels))} to "
+            f"{percent(max(texels))} here"
+            + because(
+                none_fits,
+                "",
+                f", but too much costs little: in each case the constants within {ALIKE:g} times of its best span a factor of "
+                f"{factor(_tolerance(figures))} or more apart, and these ranges overlap",
+                f", and the constant that serves all is about {ALIKE:g} times as wrong as the best",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "the bias has to follow the slope: b tan(acos(n.l))",
+            f"the b that serves all best has up to {factor(regret['slope'])} times the wrong share of each one's own best, a "
+            f"constant {factor(regret['constant'])} times (held if less); each with its own best, the mean wrong share is "
+            f"{percent(best['slope'])} and {percent(best['constant'])}",
+            slope_helps,
+            because(
+                slope_helps,
+                "a plane's depth changes by the tangent over a texel, so one b is right on all slopes of a scene; the texel is "
+                "still in it",
+                "the tangent takes care of slopes, but not of the texel's size, which a b still has to be found for, and it "
+                "grows without bound where light grazes",
+            ),
+        ),
+        Claim(
+            REPORT,
+            f"held to at most {CLAMP} of the depths it is best",
+            f"mean wrong share, each with its own best b: {percent(best['clamped'])} with the bound, {percent(best['slope'])} "
+            "without (held if less)",
+            clamp_helps,
+            because(
+                clamp_helps,
+                "without a bound grazing surfaces are moved past all that touches them",
+                "the bound belongs to the report's own maps: where texels are larger it cuts off bias that is needed, and acne "
+                "comes back",
+                "the bound hardly matters for the best b",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "in a map of the back faces of closed meshes alone, with the normals asked, no bias is needed",
+            f"wrong of the cast shadow, front faces culled and no bias: {shares(culled)}; with the slope's bias and no culling: "
+            f"{shares(biased)}; neither: {shares(bare)} (held if at most {ALIKE:g} times the second)",
+            spares,
+            because(
+                spares,
+                "what is lit lies a body's thickness before what the map holds",
+                "bodies touch and pass into one another: where a lit face lies on a back face or just behind one, the two fight",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "and there is no peter-panning then",
+            f"cast shadow that is missed, front faces culled and no bias: {shares(missed[0])}; with the slope's bias: "
+            f"{shares(missed[1])} (held if at most {ALIKE:g} times that)",
+            no_panning,
+            because(
+                no_panning,
+                f"nothing is moved, so shadow begins where the back face does: {apart}",
+                f"{apart}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass into "
+                "one another have back faces on the very faces that they shade, or behind them, and those are lit",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "2 x 2 and 3 x 3 taps make edges ever softer",
+            f"points in half shadow, by taps a side: {'; '.join(f'{taps}: {shares(some)}' for taps, some in soft.items())} (held "
+            "if none with one, and the more with more)",
+            softer,
+            "a point at an edge is lit by the share of its taps that are; a bias made for one tap does not do for more: at 3 x 3 "
+            f"visibility is off by {shares(of('polygon_offset, 3', 'off'))} with `polygon_offset`, with `receiver_plane` by "
+            f"{shares(of('receiver_plane, 3', 'off'))}",
+        ),
+    ]
+    keys = ("wrong_cast", "false_shadow", "missed_shadow", "partial", "off")
+    tables = [
+        (
+            f"`{level} --view {name}`",
+            [{"map": row, **{key: percent(its[key]) for key in keys}} for row, its in figures[scene]["rows"].items()],
+        )
+        for scene, (level, name) in LEVELS.items()
+    ]
+    return Section(
+        "Bias, culling and taps",
+        f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits; one tap, or as many a side as are named; `x` is the "
+        "scale of the bias, 0 for none. `bodies` are maps of the meshes alone, without the level ground. `partial` is the share "
+        "of points facing the sun that are neither lit nor shaded, `off` by how much their visibility is off. The report's "
+        f"formulas look up the same maps as drawn, for {len(CONSTANTS)} values of b from {CONSTANTS[0]:g} to {CONSTANTS[-1]:g} of "
+        "the map's depths.",
+        tables,
+        claims,
+    )
+
+
+def _formula_cases(figures: Figures) -> list[dict[str, Any]]:
+    """What ``_by_formulas`` found, by scene and map size."""
+    return [case for scene in LEVELS for case in figures[scene]["formulas"].values()]
+
+
+def _regret(figures: Figures, formula: str) -> float:
+    """Of the one constant that is best in the worst case, how many times a case's own least wrong share it has there."""
+    wrong = np.array([case[formula] for case in _formula_cases(figures)])
+    return float((wrong / wrong.min(axis=1, keepdims=True)).max(axis=0).min())
+
+
+def _tolerance(figures: Figures) -> float:
+    """The least factor, over the cases, from the first to the last constant bias whose wrong share is alike to the least."""
+    wrong = (np.array(case["constant"]) for case in _formula_cases(figures))
+    good = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong]
+    return min(CONSTANTS[alike[-1]] / CONSTANTS[alike[0]] for alike in good)
+
+
+def _best(figures: Figures, formula: str) -> float:
+    """Mean wrong share, each case with its own best constant."""
+    return float(np.mean([min(case[formula]) for case in _formula_cases(figures)]))

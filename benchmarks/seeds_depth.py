@@ -1,0 +1,215 @@
+"""The bits of a depth: what 16, 24 and 32 of them make of shadows in mountains, beside what follows from a depth's step."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from claims import Claim, Figures, Section
+from seeds_spatialace import ENOUGH
+from seeds_views import Held, held, one_map, scene_of, settings_of, shallow
+from seeds_words import SPATIALACE, at_most, because, percent, whole_percent
+
+from shadows.map_windows import sun_maps
+from shadows.metrics import boundary
+from shadows.plan import ShadowMapSettings
+from terrain.grid import MapView
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene
+
+BITS = (16, 24, 32)
+SUNS = {3: SunSpec(azimuth=205, altitude=3), 30: SunSpec(azimuth=205, altitude=30)}
+MAP = 4096
+SIZE = (320, 320)
+RELIEF_M, SIDE_M, MIDDLE_M = 2000, 12_000, 6000
+EYE_M, AHEAD = (0.0, 0.0), (0.6, 0.8)
+PLANE, OFFSET = "receiver_plane", "polygon_offset"
+STEPS_OFF = {PLANE: 1.0, OFFSET: 4.5}
+"""How many steps of the map a depth may be off: half by rounding what is drawn, and half that the point is held nearer, or the four
+units that depths are drawn farther.
+"""
+
+
+def mountains(folder: Path) -> Scene:
+    """Mountains of 2,000 m, and on a slope of them thin walls, behind which a shadow begins at no depth at all."""
+    trimesh.creation.box(extents=(6.0, 0.2, 3.0)).export(folder / "wall.obj")
+    rng = np.random.default_rng(2)
+    eye, ahead = np.array(EYE_M), np.array(AHEAD)
+    away_m, aside_m = rng.uniform(20.0, 600.0, 150), rng.uniform(-0.4, 0.4, 150)
+    at = eye + away_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
+    target = [*(eye + 300.0 * ahead).tolist(), 0.0]
+    ground = {"kind": "ridges", "size": [SIDE_M] * 2, "cell": 30, "relief": RELIEF_M, "seed": 5}
+    level = {
+        "version": 1,
+        "terrain": {"generate": ground},
+        "meshes": [{"source": "wall.obj", "at": at.round(1).tolist(), "turn": 30}],
+        "views": {
+            "perspective": {"kind": "perspective", "eye": [*eye.tolist(), 40], "target": target, "fov": 50},
+            "map": {"kind": "map", "bounds": [-MIDDLE_M / 2, -MIDDLE_M / 2, MIDDLE_M / 2, MIDDLE_M / 2]},
+        },
+    }  # fmt: skip
+    return scene_of(level, folder)
+
+
+def measure() -> Figures:
+    figures: Figures = {}
+    with tempfile.TemporaryDirectory() as folder:
+        whole = mountains(Path(folder))
+        for altitude, sun in SUNS.items():
+            scene = whole.with_sun(sun)
+            for name in ("map", "perspective"):
+                look = held(scene, name, SIZE)
+                figures[f"{name}, {altitude} degrees"] = {bias: _by_bits(look, bias, altitude) for bias in STEPS_OFF}
+    return figures
+
+
+def _by_bits(look: Held, bias: str, altitude_deg: float) -> dict[str, Any]:
+    """Errors by bits; how many pixels change their class against 32 bits, as a share of the cast shadow, and how many may."""
+    plans = {bits: look.plan(one_map(MAP, bias=bias, depth_bits=bits)) for bits in BITS}
+    dark = {bits: np.nan_to_num(look.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
+    shaded = ~look.truth.lit & look.truth.there & ~look.truth.attached
+    found: dict[str, Any] = {"shadow": float(shaded.sum() / look.truth.there.sum())}
+    for bits, plan in plans.items():
+        settings = settings_of(look, plan)
+        assert isinstance(settings, ShadowMapSettings)
+        (drawn,) = sun_maps(look.buffer, look.scene, settings, None)
+        step_m = drawn.uniforms["window_m"][2] * drawn.uniforms["depth_step"]
+        off_m = STEPS_OFF[bias] * step_m
+        shift_px = off_m * np.cos(np.radians(altitude_deg)) / _pixel_m(look)
+        edge = boundary(shaded, look.truth.there)
+        found[str(bits)] = {
+            "wrong_cast": look.errors(np.where(look.buffer.there, 1.0 - dark[bits], np.nan))["wrong_cast"],
+            "step_m": step_m, "texels": step_m / max(drawn.uniforms["texel_m"]),
+            "shift_px": float(np.median(shift_px[edge])), "bound": float(2.0**0.5 * shift_px[edge].sum() / shaded.sum()),
+            "near": float((shaded & shallow(look, look.buffer, off_m)).sum() / shaded.sum()),
+            "changed": float((dark[bits] != dark[BITS[-1]]).sum() / shaded.sum()),
+            "healed": float(((dark[bits] != dark[BITS[-1]]) & look.truth.lit).sum() / shaded.sum()),
+        }  # fmt: skip
+    return found
+
+
+def _pixel_m(look: Held) -> np.ndarray:
+    """A pixel's side (rows, cols) on what faces the viewer, metres."""
+    if isinstance(look.view, MapView):
+        return np.full(look.buffer.there.shape, look.descriptor.pixel_m)
+    return look.ahead_m * look.view.pixel
+
+
+NO_FINER = 1e-4
+"""Share of the cast shadow that may change where a map is no finer than another."""
+
+
+def section(figures: Figures) -> Section:
+    cases = {(name, bias): its for name, by in figures.items() if isinstance(by, dict) for bias, its in by.items()}
+    fewer = [(key, bits, its[bits]) for key, its in cases.items() for bits in map(str, BITS[:-1])]
+    over = [(key, bits, row) for key, bits, row in fewer if row["changed"] > row["bound"]]
+    changed = {
+        (bits, bias): max(row["changed"] for (_, each), its, row in fewer if (each, its) == (bias, bits))
+        for bits in map(str, BITS[:-1])
+        for bias in STEPS_OFF
+    }
+    cost = {bias: max(abs(_cost(its)) for (_, each), its in cases.items() if each == bias) for bias in STEPS_OFF}
+    dearest = max(cases, key=lambda key: abs(_cost(cases[key])))
+    in_texels = max(its["16"]["texels"] for its in cases.values())
+    lit = {bits: _lit_share([row for (_, bias), its, row in fewer if (bias, its) == (OFFSET, bits)]) for bits in ("16", "24")}
+    bounded = not over
+    suffices = at_most(max(cost.values()), ENOUGH)
+    no_finer = at_most(max(changed["24", bias] for bias in STEPS_OFF), NO_FINER)
+    where = "; ".join(f"{name} with `{bias}` of {bits} bits" for (name, bias), bits, _ in over)
+    acne = (
+        f"with `{OFFSET}` {whole_percent(lit['24'])} of what changes are lit points: acne, which is no edge of a shadow. Its four "
+        "units are steps of 24 bits in the one map, and of the float's own exponent in the other, smaller where depths are below "
+        "1/2"
+    )
+    claims = [
+        Claim(
+            "derived here",
+            "a depth that is off by e shifts the start of a shadow on level ground by e cos(altitude), so that no more of it "
+            "changes than its edge is long times that",
+            f"at 16 bits at most {percent(changed['16', PLANE])} of the cast shadow changes with `{PLANE}`, "
+            f"{percent(changed['16', OFFSET])} with `{OFFSET}`; over the bound: {len(over)} of {len(fewer)} cases (held if none)",
+            bounded,
+            because(
+                bounded,
+                "of the edge only the part where shadow begins can move, not the one that a far crest throws, and walls and "
+                f"slopes are thicker than a step; with `{OFFSET}` {whole_percent(lit['16'])} of what changes at 16 bits are lit "
+                "points: acne that the larger units hide",
+                f"it is over in: {where}; {whole_percent(_lit_share([row for _, _, row in over]))} of what changes there are lit "
+                "points: acne, which is no edge of a shadow and comes and goes with the offset's unit",
+            ),
+        ),
+        Claim(
+            SPATIALACE,
+            "16 bits suffice for a landscape under the sun (the thesis calls its shadows a little coarse: so the bits have to "
+            f"cost no more than {percent(ENOUGH)} of the cast shadow, the error that the engine allows unless asked for less)",
+            f"16 bits change the wrong share of the cast shadow by at most {percent(cost[PLANE])} with `{PLANE}`, by "
+            f"{percent(cost[OFFSET])} with `{OFFSET}`, up or down, beside 32 bits, over {RELIEF_M} m of relief (held if at most "
+            f"{percent(ENOUGH)})",
+            suffices,
+            f"a step of 16 bits is up to {in_texels:.2f} of a texel"
+            + because(
+                suffices,
+                f", since a map of {MAP} texels has fewer of them than 65,535: texels are what an edge is off by. Most changes in "
+                f"{dearest[0]} with `{dearest[1]}`, where 16 bits are {'worse' if _cost(cases[dearest]) > 0.0 else 'better'}"
+                + (
+                    f": their larger units hide acne ({whole_percent(lit['16'])} of what changes are lit points)"
+                    if dearest[1] == OFFSET and _cost(cases[dearest]) < 0.0
+                    else ""
+                ),
+                "",
+            ),
+        ),
+        Claim(
+            "shadows/shadow_map.py",
+            "the sun's map of 32 bits is no finer than that of 24",
+            f"at most {percent(changed['24', PLANE])} of the cast shadow changes with `{PLANE}`, {percent(changed['24', OFFSET])} "
+            f"with `{OFFSET}` (held if at most {percent(NO_FINER)} with either)",
+            no_finer,
+            because(
+                no_finer,
+                "a float's steps near 1 are those of 24 bits, and both are far below what float32 makes of positions",
+                acne
+                if changed["24", PLANE] <= NO_FINER
+                else "a float's steps are finer than those of 24 bits wherever depths are below 1/2",
+            ),
+        ),
+    ]
+    table = [
+        {
+            "view, sun": name,
+            "bias": bias,
+            "bits": bits,
+            "step": f"{row['step_m']:.2f} m" if row["step_m"] >= 0.01 else f"{1000.0 * row['step_m']:.2g} mm",
+            "shift": f"{row['shift_px']:.2f} px" if row["shift_px"] >= 0.005 else "under 0.01 px",
+            "changed": percent(row["changed"]),
+            "may change": percent(row["near"]),
+            "bound": percent(row["bound"]),
+            "wrong_cast (32 bits)": f"{percent(row['wrong_cast'])} ({percent(cases[name, bias]['32']['wrong_cast'])})",
+        }
+        for (name, bias), bits, row in fewer
+    ]
+    return Section(
+        "The bits of a depth",
+        f"Generated mountains of {RELIEF_M} m over {SIDE_M // 1000} km, of which the map shows the middle half a side, with thin "
+        f"walls on a slope; {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP}, one tap. A point e behind its caster, along the ray, "
+        f"lies e cos(altitude) from the foot of an upright one on level ground. `{PLANE}` may be off by a step (half by rounding "
+        f"what is drawn, half that points are held nearer), `{OFFSET}` by four units and a half. `shift` is the median over edge "
+        "pixels; `bound` is their length (times the root of 2, for slanting ones) times the shift at each, over the cast shadow; "
+        "`changed` is what differs from 32 bits; `may change` is the share of the cast shadow, by rays, that lies so little "
+        "behind the first thing that the sun meets (acne is no part of it).",
+        [("Depth's bits", table)],
+        claims,
+    )
+
+
+def _cost(its: Figures) -> float:
+    """What 16 bits add to the wrong share of 32."""
+    return its["16"]["wrong_cast"] - its["32"]["wrong_cast"]
+
+
+def _lit_share(rows: list[Figures]) -> float:
+    """Of what changes, the share that is truly lit."""
+    return sum(row["healed"] for row in rows) / max(sum(row["changed"] for row in rows), 1e-30)

@@ -1,0 +1,279 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its grades (table 2), measured again.
+
+Errors are those against ray-traced truth (``shadows.metrics``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import permutations
+
+import numpy as np
+from algorithms import RIVALS
+from claims import Claim, Figures, Section
+from scipy.stats import spearmanr
+from seeds_times import LIGHTS, ratio, timed
+from seeds_views import Held, beside_truth, bundled
+from seeds_words import (
+    DRAW,
+    FOUR,
+    HYBRID,
+    PSM,
+    SAME,
+    SCENES,
+    SHORT,
+    SM,
+    SV,
+    THESIS,
+    at_least,
+    at_most,
+    because,
+    opposite,
+    percent,
+    whole_percent,
+)
+
+from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.resolve import FOREST
+
+ERROR_SIZE = (640, 512)
+
+MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
+"""How far the camera moves to its right, for what small moves change, as a share of the median distance of what it sees."""
+
+RIGHT = 0.001
+"""Share of the cast shadow, or of the decidable pixels, under which an error is none."""
+
+AGREES = 0.5
+"""Least rank correlation that counts as agreement."""
+
+GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
+    SM: {"boxgrid": (5, 2, 4), "rocks": (5, 3, 5), "street": (5, 2, 5), "room": (5, 4, 4), "water_tower": (5, 1, 5)},
+    PSM: {"boxgrid": (4, 3, 2), "rocks": (3, 3, 2), "street": (5, 2, 3), "room": (4, 2, 2), "water_tower": (4, 3, 2)},
+    SV: {"boxgrid": (1, 5, 5), "rocks": (2, 5, 5), "street": (5, 5, 5), "room": (3, 5, 5), "water_tower": (3, 5, 5)},
+    HYBRID: {"boxgrid": (2, 4, 5), "rocks": (1, 5, 5), "street": (5, 5, 5), "room": (2, 4, 5), "water_tower": (2, 3, 5)},
+}
+"""The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
+
+
+def errors(look: Held, asked: tuple[str, ...] = FOUR) -> Figures:
+    """Errors of what is asked for; of what is wrong the share that lies on foliage, and how many pixels a texel covers there
+    (median).
+    """
+    out: Figures = {}
+    for key in asked:
+        plan = look.plan(RIVALS[key])
+        visibility, texels_px = look.visibility(plan), look.texels_px(plan)
+        figures = look.errors(visibility, texels_px)
+        wrong = look.truth.decidable & ~look.truth.attached & ((visibility < 0.5) == look.truth.lit)
+        out[key] = {name: figures[name] for name in ("wrong_cast", "edge_p95", "interior")}
+        out[key]["on_foliage"] = float((look.buffer.kind[wrong] == FOREST).mean()) if wrong.any() else 0.0
+        out[key]["texel_px"] = float(np.median(texels_px[wrong])) if wrong.any() else 0.0
+    return out
+
+
+@cache
+def along_path(level: str) -> list[Figures]:
+    """Errors in a level's main view, the camera moved to its right by each of ``MOVES``."""
+    scene = bundled(level)
+    view = scene.view("main", size=ERROR_SIZE)
+    assert isinstance(view, PerspectiveView)
+    aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
+    moved = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in MOVES]
+    return [errors(beside_truth(scene, each, "main")) for each in moved]
+
+
+def measure() -> Figures:
+    return {
+        "paths": {scene: along_path(f"thesis_{scene}") for scene in SCENES},
+        "times": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+    }
+
+
+def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
+    """What each column of grades is held against, by scene and algorithm: less is better."""
+    paths, pairs = figures["paths"], [(scene, key) for scene in SCENES for key in FOUR]
+
+    def of(scene: str, key: str, name: str) -> list[float]:
+        return [at[key][name] for at in paths[scene]]
+
+    return {
+        "speed": {(scene, key): ratio(figures["times"][scene], key, SM) for scene, key in pairs},
+        "speed_sun": {(scene, key): ratio(figures["times"][f"{scene}_sun"], key, SM) for scene, key in pairs},
+        "wrong_cast": {(scene, key): float(np.mean(of(scene, key, "wrong_cast"))) for scene, key in pairs},
+        "edge_p95": {(scene, key): float(np.mean(of(scene, key, "edge_p95"))) for scene, key in pairs},
+        "robustness": {
+            (scene, key): max(of(scene, key, "interior")) + float(np.ptp(of(scene, key, "wrong_cast"))) for scene, key in pairs
+        },
+    }
+
+
+COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
+"""What is measured -> the grade that it is held against."""
+
+
+BY_AND_LARGE = "the order of the grades is that of the figures, by and large"
+LITTLE_APART = "edges are within a pixel or two for all of them, so that ranks go by little"
+HYBRID_SAVES = "the hybrid saves more of its volumes than it did then"
+COARSE = "texels of PSM are coarse far away"
+
+WHYS: dict[str, dict[str, str]] = {
+    "speed": {
+        "SM": "SM's map costs less to make than PSM's",
+        "PSM": "SM's look-up tests the triangle anew for each tap of a spot's map, PSM works it out once for each pixel",
+        "SV": "few volumes cost less than SM's look-up",
+        "hybrid": HYBRID_SAVES,
+    },
+    "speed_sun": {
+        "SM": "SM's map costs less to make than PSM's",
+        "PSM": "under the sun the look-ups of SM and PSM cost much the same",
+        "SV": "few volumes cost less than a look-up",
+        "hybrid": HYBRID_SAVES,
+    },
+    "wrong_cast": {
+        "SM": COARSE,
+        "PSM": "PSM, fitted to all that is seen, is finer than SM",
+        "SV": "volumes are exact",
+        "hybrid": "the hybrid is as right as SV, since its mask marks what its map does not prove",
+    },
+    "edge_p95": dict.fromkeys(SHORT.values(), LITTLE_APART),
+    "robustness": {
+        "SM": COARSE,
+        "PSM": "PSM errs and changes about as little as SM",
+        "SV": "volumes hardly change with the camera",
+        "hybrid": "the hybrid is as right as SV",
+    },
+}
+"""By column, and by what is better here than it was graded: why."""
+
+
+def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
+    """Spearman's rank correlation of a column's grades and what was measured: 1 where the better grade has the lesser figure."""
+    grades = [GRADES[key][scene][COLUMNS[column]] for scene, key in measured]
+    return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
+
+
+def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
+    """Scenes, with the pairs of algorithms that the grades order one way and the figures the other."""
+    out: dict[str, list[str]] = {}
+    for scene in SCENES:
+        for one, other in permutations(FOUR, 2):
+            better = GRADES[one][scene][COLUMNS[column]] > GRADES[other][scene][COLUMNS[column]]
+            if better and measured[scene, one] > measured[scene, other] * SAME + (0.0 if COLUMNS[column] == 0 else RIGHT):
+                out.setdefault(scene, []).append(f"{SHORT[one]} before {SHORT[other]}")
+    return out
+
+
+def section(figures: Figures) -> Section:
+    measured = _grade_figures(figures)
+    rows = []
+    for scene in SCENES:
+        for key in FOUR:
+            grade = GRADES[key][scene]
+            rows.append(
+                {
+                    "scene": SCENES[scene],
+                    "algorithm": key,
+                    "grades": " / ".join(map(str, grade)),
+                    "time of SM's": f"{measured['speed'][scene, key]:.2f}",
+                    "under the sun": f"{measured['speed_sun'][scene, key]:.2f}",
+                    "wrong_cast": percent(measured["wrong_cast"][scene, key]),
+                    "edge_p95": f"{measured['edge_p95'][scene, key]:.1f} px",
+                    "interior and change": percent(measured["robustness"][scene, key]),
+                }
+            )
+    said = {
+        "speed": "grades of speed, under the spot",
+        "speed_sun": "grades of speed, held against times under the sun",
+        "wrong_cast": "grades of quality, held against `wrong_cast`",
+        "edge_p95": "grades of quality, held against `edge_p95`",
+        "robustness": "grades of robustness",
+    }
+    claims = []
+    for column, values in measured.items():
+        rho, against = agreement(column, values), contradictions(column, values)
+        where = "; ".join(f"{SCENES[scene]}: {', '.join(pairs)}" for scene, pairs in against.items()) or "nowhere"
+        verdict = at_least(rho, AGREES)
+        turned = {pair.split(" before ")[1] for pairs in against.values() for pair in pairs}
+        reasons = "; ".join(WHYS[column][key] for key in SHORT.values() if key in turned)
+        why = because(
+            verdict,
+            BY_AND_LARGE,
+            reasons or "the figures differ by too little to be ranked",
+            f"{DRAW}; {reasons}" if reasons else DRAW,
+        )
+        if verdict and reasons:
+            why += f"; where it is not: {reasons}"
+        found = f"rank correlation {rho:.2f} (held if at least {AGREES}); graded the other way round: {where}"
+        claims.append(Claim(f"{THESIS}, table 2", said[column], found, verdict, why))
+    mean = {
+        key: {column: float(np.mean([values[scene, key] for scene in SCENES])) for column, values in measured.items()}
+        for key in FOUR
+    }
+    shaky = max(FOUR, key=lambda key: mean[key]["robustness"])
+    most_others = max(mean[key]["robustness"] for key in (SM, SV, HYBRID))
+    least_robust = at_least(mean[PSM]["robustness"], most_others)
+    quality = agreement("wrong_cast", measured["wrong_cast"])
+    untestable = opposite(at_least(quality, AGREES))
+    apart = at_most(max(mean[SV]["wrong_cast"], mean[HYBRID]["wrong_cast"]), min(mean[SM]["wrong_cast"], mean[PSM]["wrong_cast"]))
+    per, moved = (
+        ", ".join(f"{SHORT[key]} {percent(mean[key][column])}" for key in FOUR) for column in ("wrong_cast", "robustness")
+    )
+    thin = measured["wrong_cast"]["water_tower", HYBRID] - measured["wrong_cast"]["water_tower", SV]
+    loses = at_least(thin, RIGHT)
+    claims += [
+        Claim(
+            f"{THESIS}, 7.4",
+            "SV and the hybrid are high in quality, SM and PSM low",
+            f"mean `wrong_cast`: {per} (held if both of the former are less than both of the latter)",
+            apart,
+            because(apart, "volumes decide at edges, where maps are wrong", "what volumes decide is no better than what maps do"),
+        ),
+        Claim(
+            f"{THESIS}, 7.4",
+            "PSM is the least robust of the four",
+            f"mean of interior error and change: {moved} (held if PSM's is the largest)",
+            least_robust,
+            because(
+                least_robust,
+                "its map is another one for every place of the camera, and its texels far away are coarse",
+                f"{SHORT[shaky]} is: its texels stay coarse wherever the camera is, and what they get wrong is more to begin with",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.2.3",
+            "the hybrid loses thin casters (Water Tower) and is worse than SV there",
+            f"`wrong_cast` of the hybrid less that of SV: {percent(thin)} (held if at least {percent(RIGHT)})",
+            loses,
+            because(
+                loses,
+                "its map misses what is thinner than a texel",
+                "the mask is conservative: what its map does not prove is left to volumes, however thin (`mask: original` misses "
+                "as the thesis's does)",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.4",
+            "an objective test of quality and robustness is almost impossible",
+            f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality:.2f} (held if under "
+            f"{AGREES})",
+            untestable,
+            because(
+                untestable,
+                "the figure does not say what an eye says",
+                "truth can be traced now: what is right is known for each pixel",
+            ),
+        ),
+    ]
+    return Section(
+        "The grades (table 2)",
+        "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside what is measured under the same kind of "
+        f"light, the spot: times as above; errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means over "
+        f"{len(MOVES)} places of the camera within {whole_percent(max(MOVES))} of its distance to either side; and for robustness "
+        "the largest interior error on the way and how much `wrong_cast` changes (largest less least), added up. Correlations "
+        f"are Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {AGREES} counts as agreement.",
+        [("Grades and figures", rows)],
+        claims,
+    )

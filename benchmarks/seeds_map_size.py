@@ -1,0 +1,183 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 52 and 53 again: map size and cut-off angle.
+
+Every picture is held against ray-traced truth (``shadows.metrics``), with maps of one tap, so that texels are measured, not
+filters.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from claims import Claim, Figures, Section
+from seeds_pictures import Box, Cell, drawn, write_sheet
+from seeds_views import Held, Variant, found, held, level_of, scene_of
+from seeds_words import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
+
+from shadows.attached import lamp_in_frame
+from shadows.map_windows import BORDER_TEXELS
+from shadows.metrics import boundary
+
+FRAME = (1280, 1024)
+"""The thesis's own frames."""
+
+MAP_SIZES = (256, 512, 1024, 2048, 4096)
+FINE = 2048
+"""The size that the thesis speaks of."""
+
+WIDE_DEG = 58.0
+"""The cut-off angle of the thesis's water tower, by its own listing."""
+
+SHARP_PX = 1.0
+"""A shadow whose edges are off by at most this, at the 95th percentile, counts as sharp: the least that is more than none."""
+
+PREDICTED_WITHIN = 1.35
+"""By this factor a measured mean displacement may differ from the predicted one, where texels are larger than pixels."""
+
+CROP: Box = (440, 520, 200, 160)
+
+
+def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, float]:
+    """Unit axis (3,) and half angle, degrees, of the smallest cone from an apex about points (n, 3), to a thousandth of it.
+
+    Its axis goes through the middle of the smallest ball about the unit directions (M. Badoiu and K. Clarkson 2003, Smaller
+    core-sets for balls: each step goes a share of the way to the farthest one).
+    """
+    ways = points_m - apex_m
+    ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    axis = ways.mean(axis=0)
+    for step in range(2, 4000):
+        axis = axis + (ways[np.argmin(ways @ axis / np.linalg.norm(axis))] - axis) / step
+    axis /= np.linalg.norm(axis)
+    return axis, float(np.degrees(np.arccos((ways @ axis).min())))
+
+
+def texels_at_edges_px(look: Held, map_size: int) -> np.ndarray:
+    """How many pixels a texel of a spot's map covers at the pixels (n,) of truth's shadow edges.
+
+    d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s from there and r_i to
+    the eye, the angles a and b between the surface's normal and the ways to the light and to the eye (M. Stamminger and G.
+    Drettakis 2002; the thesis's equation 1).
+    """
+    buffer, lamp, receivers = look.buffer, look.scene.lamps[look.light], look.receivers
+    edge = boundary(~look.truth.lit & receivers, receivers)
+    points, normals = buffer.position_frame_m[edge].astype(np.float64), buffer.normal_frame[edge].astype(np.float64)
+    source, axis = lamp_in_frame(buffer, lamp)
+    to_light, to_eye = source - points, look.perspective.in_frame(buffer.frame)[0] - points
+    cosines = [np.abs((way * normals).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (to_eye, to_light)]
+    texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * BORDER_TEXELS)
+    return texel * -(to_light @ axis) / (look.ahead_m[edge] * look.perspective.pixel) * cosines[0] / cosines[1]
+
+
+def measure() -> Figures:
+    """The water tower's shadow by map size, under the smallest spot that holds the tower, and under a wide one."""
+    level, rows, cells = level_of("thesis_water_tower"), [], []
+    lamp = level["lights"]["lamp"]
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        tower = scene_of(level, folder).population.solids
+        assert tower is not None
+        apex_m = np.array(lamp["position"], np.float64)
+        axis, least_deg = smallest_cone(apex_m, tower.vertices_earth_m)
+        lamp["target"] = (apex_m + 0.9 * apex_m[2] / -axis[2] * axis).tolist()
+        for cutoff_deg in (1.001 * least_deg, WIDE_DEG):
+            lamp["cutoff"] = cutoff_deg
+            look = held(scene_of(level, folder), "close", FRAME)
+            for map_size in MAP_SIZES:
+                variant = Variant({"algorithm": "shadow_map", "map_size": map_size, "filter": 1})
+                figures, m = found(look, variant).figures, texels_at_edges_px(look, map_size)
+                rows.append({"cutoff_deg": cutoff_deg, "map_size": map_size, "texel_px": float(m.mean()), **figures})
+                words = f"{map_size}, {cutoff_deg:.1f}°: {percent(figures['wrong_cast'])} wrong"
+                cells.append(Cell(drawn(look, variant, CROP), words))
+    write_sheet("seeds-map-size.webp", cells, len(MAP_SIZES))
+    return {"rows": rows}
+
+
+def section(figures: Figures) -> Section:
+    rows = figures["rows"]
+    least_deg, wide_deg = (min(row["cutoff_deg"] for row in rows), max(row["cutoff_deg"] for row in rows))
+    small, wide = ([row for row in rows if row["cutoff_deg"] == angle] for angle in (least_deg, wide_deg))
+    fine, fine_wide = (next(row for row in part if row["map_size"] == FINE) for part in (small, wide))
+    predicted = [row for row in rows if row["texel_px"] >= 1.0]
+    ratios = [row["cast_edge_mean"] / (row["texel_px"] / 4.0) for row in predicted]
+    falls = all_of(
+        at_least(a["wrong_cast"], b["wrong_cast"]) for part in (small, wide) for a, b in zip(part, part[1:], strict=False)
+    )
+    sharp = fine["edge_p95"] <= SHARP_PX  # both are whole pixels, or near them: no draws
+    nice = all_of((falls, sharp))
+    worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(small, wide, strict=True))
+    jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_PX))
+    predicts = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), PREDICTED_WITHIN)
+    displaced = f"95 % of the edges are off by at most {fine['edge_p95']:.1f} px"
+    claims = [
+        Claim(
+            f"{THESIS}, figure 52",
+            f"jaggedness falls with the map's size, to very nice edges at {FINE} under the smallest cut-off",
+            f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine['wrong_cast'])} at {FINE}, "
+            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most {SHARP_PX:g} px there)",
+            nice,
+            because(
+                nice,
+                f"a texel covers {fine['texel_px']:.2f} px at {FINE}: an edge can hardly leave its pixel",
+                f"a texel still covers {fine['texel_px']:.2f} px at {FINE}"
+                if not sharp
+                else "where texels are smaller than pixels a larger map has nothing left to mend",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, figure 53",
+            f"a larger cut-off is worse at every size, and not even {FINE} removes its stairs",
+            f"{percent(fine_wide['wrong_cast'])} wrong at {FINE} under {wide_deg:.0f}°, beside {percent(fine['wrong_cast'])} "
+            f"under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse at every size, and over "
+            f"{SHARP_PX:g} px)",
+            jagged,
+            because(
+                jagged,
+                f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine['texel_px']:.1f} times as "
+                f"large, {fine_wide['texel_px']:.1f} px at {FINE}",
+                f"a texel of the wide cone covers {fine_wide['texel_px']:.1f} px at {FINE}",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, equation 1",
+            "aliasing goes by texel size times distances and angles; so a nearest look-up is off by a quarter of that in the mean",
+            f"where a texel is larger than a pixel ({len(predicted)} rows), the mean displacement is {min(ratios):.2f} to "
+            f"{max(ratios):.2f} of the predicted one (held if within a factor of {PREDICTED_WITHIN})",
+            predicts,
+            because(
+                predicts,
+                "a point is taken for its texel's centre, which lies up to half a texel off, evenly: a quarter in the mean",
+                "a quarter of a texel is the mean of one straight edge that runs along texels: bars thinner than a texel and "
+                "edges askew to texels are left out",
+            ),
+        ),
+    ]
+    table = [
+        {
+            "cut-off": f"{row['cutoff_deg']:.1f}°",
+            "map": str(row["map_size"]),
+            "wrong_cast": percent(row["wrong_cast"]),
+            "edge_p95": f"{row['edge_p95']:.1f} px",
+            "texel": f"{row['texel_px']:.2f} px",
+            "mean displacement": f"{row['cast_edge_mean']:.2f} px",
+            "predicted: texel / 4": f"{row['texel_px'] / 4:.2f} px",
+        }
+        for row in rows
+    ]
+    return Section(
+        "Map size and cut-off angle (figures 52 and 53)",
+        f"The water tower's shadow from close by, {FRAME[0]} x {FRAME[1]} pixels, one tap; the spot aimed so that its cone is the "
+        f"smallest that holds the tower ({least_deg:.1f}°), then opened to {wide_deg:.0f}°, as the thesis's listing has it. "
+        "`texel` is what the thesis's equation 1 predicts for a texel in the picture, the mean over the shadow's edges. Errors "
+        f"within {whole_percent(SAME - 1.0)} of one another count as the same.",
+        [("Shadow maps by size", table)],
+        claims,
+        [
+            (
+                "seeds-map-size.webp",
+                f"The same {CROP[2]} x {CROP[3]} pixels with maps of {', '.join(map(str, MAP_SIZES))} texels a side, under "
+                f"{least_deg:.1f}° above and {wide_deg:.0f}° below; what is wrong is counted in the whole picture",
+            )
+        ],
+    )

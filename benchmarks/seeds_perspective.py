@@ -1,0 +1,352 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 54 and 55 again: perspective maps by the light's place.
+
+Every picture is held against ray-traced truth (``shadows.metrics``), with maps of one tap. Some rows are *controls*, an algorithm
+with one idea taken out of it, to find the cause of a difference by experiment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from claims import Claim, Figures, Section
+from seeds_pictures import Box, Cell, write_sheet, wrong_in
+from seeds_views import Found, Held, Variant, found, held, level_of, scene_of
+from seeds_words import THESIS, all_of, at_least, at_most, because, factor, percent
+
+from shadows import perspective_shadow_map, post_perspective
+from shadows.post_perspective import PostPerspective
+from terrain.scene import Scene
+
+SIZE = (960, 768)
+TEXELS = 512
+"""Map size."""
+
+LIGHT_M = (113.0, 54.0)
+"""How far away and how high the spot of figure 54 stands, metres, over the middle circle: as in the bundled level."""
+
+SUN_ALTITUDE_DEG = 28.0
+FLOOR_M = 280.0
+"""The bundled floor of 200 m ends before a light that stands ahead of the viewer."""
+
+EQUAL = 1.25
+"""Errors that differ by at most this factor count as about equal."""
+
+MUCH_WORSE = 1.5
+
+NEARER = (1.5, 0.5, 0.25)
+"""Distances of the spot in figure 55 from the objects, as shares of the camera's."""
+
+NEAR_PLACES = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
+"""Where it stands as the objects see it: degrees clockwise of the view's direction, and degrees high."""
+
+NEAR_CUTOFF_DEG = 75.0
+SHOWN = NEAR_PLACES[0][0], NEARER[-1]
+"""Direction and distance of what the sheet of figure 55 shows."""
+
+DIRECTION_CROP: Box = (80, 330, 400, 270)
+BAD_CROP: Box = (240, 230, 480, 360)
+
+UNIFORM, OURS = "shadow_map", "perspective_shadow_map"
+FITTED, BARE, ALWAYS = "fitted, no perspective", "perspective, no slide-back", "perspective, best slide-back"
+MAPS = (UNIFORM, FITTED, BARE, ALWAYS, OURS)
+
+RIGHT, WIDE, FRONT, NEAR = "spot at the right", "wide spot at the right", "spot in front", "spot in front, near"
+BEHIND, EYE = "spot behind", "spot at the eye"
+SUN_RIGHT, SUN_FRONT, SUN_BEHIND = "sun at the right", "sun in front", "sun behind"
+
+LIGHTS: dict[str, tuple[float, float | None, float, dict[str, float]]] = {
+    RIGHT: (90.0, *LIGHT_M, {}),
+    WIDE: (90.0, *LIGHT_M, {"cutoff": 62.0}),
+    FRONT: (0.0, *LIGHT_M, {}),
+    NEAR: (0.0, 30.0, 15.0, {}),
+    BEHIND: (180.0, *LIGHT_M, {}),
+    EYE: (180.0, 34.0, 11.0, {}),
+    SUN_RIGHT: (90.0, None, SUN_ALTITUDE_DEG, {}),
+    SUN_FRONT: (0.0, None, SUN_ALTITUDE_DEG, {}),
+    SUN_BEHIND: (180.0, None, SUN_ALTITUDE_DEG, {}),
+}
+"""Lights of figure 54: degrees clockwise from the view, distance on the ground and height, metres, and what is other than in the
+bundled level; a sun's altitude, degrees."""
+
+
+@contextmanager
+def without_perspective() -> Iterator[None]:
+    """Perspective maps as uniform ones, fitted to the same receivers."""
+    with patch.object(post_perspective, "CONE_DEG", 90.0):
+        yield
+
+
+@contextmanager
+def without_uniform_maps() -> Iterator[None]:
+    """Perspective maps that are uniform ones only where no slide-back is possible, not where these have the smaller texels."""
+
+    def made(*of: Any) -> PostPerspective:
+        one = PostPerspective(*of)
+        return replace(one, texel=np.inf) if one.kind is None else one
+
+    with patch.object(post_perspective, "PostPerspective", made):
+        yield
+
+
+@contextmanager
+def without_slide_back() -> Iterator[None]:
+    """Perspective maps of the camera's own perspective, or of the shortest slide-back that keeps all on the map."""
+    ranked = perspective_shadow_map.post_perspectives
+
+    def shortest_first(*given: Any) -> list[PostPerspective]:
+        return sorted(ranked(*given), key=lambda each: each.slide_m)
+
+    with without_uniform_maps(), patch.object(perspective_shadow_map, "post_perspectives", shortest_first):
+        yield
+
+
+def variants() -> dict[str, Variant]:
+    """A map of all that the light shines at, and four of what is seen: without and with the camera's perspective."""
+    asked = {"map_size": TEXELS, "filter": 1}
+    perspective = {**asked, "algorithm": "perspective_shadow_map"}
+    return {
+        UNIFORM: Variant({**asked, "algorithm": "shadow_map", "cascades": 1}),
+        FITTED: Variant(perspective, without_perspective),
+        BARE: Variant(perspective, without_slide_back),
+        ALWAYS: Variant(perspective, without_uniform_maps),
+        OURS: Variant(perspective),
+    }
+
+
+def thirds(look: Held, dark: np.ndarray) -> dict[str, float]:
+    """Wrong pixels in the nearest and in the farthest third of what is truly in cast shadow, as shares of that third."""
+    truth, ahead_m = look.truth, look.ahead_m
+    cast = truth.decidable & ~truth.lit & look.receivers
+    wrong = truth.decidable & (dark == truth.lit) & look.buffer.there
+    first_m, last_m = np.quantile(ahead_m[cast], [1 / 3, 2 / 3])
+    parts = {"near": ahead_m <= first_m, "far": ahead_m > last_m}
+    return {name: float((wrong & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
+
+
+def rocks(folder: Path, view: str, turn_deg: float, away_m: float | None, up: float, **lamp: Any) -> Scene:
+    """The stone circles under a light ``turn_deg`` clockwise of where a view looks: a spot so far from what is looked at and so
+    high, metres; the sun, ``up`` degrees high, where there is no distance.
+    """
+    level = level_of("thesis_rocks_sun" if away_m is None else "thesis_rocks")
+    level["terrain"]["flat"]["size"] = [FLOOR_M, FLOOR_M]
+    (x, y, _), (eye_x, eye_y, _) = level["views"][view]["target"], level["views"][view]["eye"]
+    azimuth = np.arctan2(x - eye_x, y - eye_y) + np.radians(turn_deg)
+    if away_m is None:
+        level["sun"] = {"azimuth": float(np.degrees(azimuth)) % 360.0, "altitude": up}
+    else:
+        position = [float(x + away_m * np.sin(azimuth)), float(y + away_m * np.cos(azimuth)), up]
+        level["lights"]["lamp"] |= {"position": position, "target": [x, y, 0.0], **lamp}
+    return scene_of(level, folder)
+
+
+def _row(look: Held, name: str, variant: Variant, place: dict[str, Any]) -> tuple[Found, dict[str, Any]]:
+    each = found(look, variant)
+    return each, {**place, "map": name, **each.figures, "note": each.note}
+
+
+def measure_light_direction() -> Figures:
+    """The stone circles with the light about the viewer: uniform and perspective maps of one size, and controls."""
+    rows, cells = [], []
+    with TemporaryDirectory() as folder:
+        for light, (turn_deg, away_m, up, lamp) in LIGHTS.items():
+            look = held(rocks(Path(folder), "main", turn_deg, away_m, up, **lamp), "main", SIZE)
+            farthest_m = float(look.ahead_m[look.receivers].max())
+            for name, variant in variants().items():
+                each, row = _row(look, name, variant, {"light": light, "farthest_m": farthest_m})
+                rows.append({**row, **thirds(look, each.dark)})
+                if light in (RIGHT, FRONT, EYE) and name in (UNIFORM, OURS):
+                    text = f"{light}, {name}: {percent(row['wrong_cast'])} wrong"
+                    cells.append(Cell(wrong_in(look, each, DIRECTION_CROP), text))
+    write_sheet("seeds-light-direction.webp", cells, 2)
+    return {"rows": rows}
+
+
+def measure_bad_case() -> Figures:
+    """The stone circles from afar, with a spot that comes nearer to them than the camera is."""
+    spec, rows, cells = level_of("thesis_rocks")["views"]["overview"], [], []
+    away_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
+    with TemporaryDirectory() as folder:
+        for turn_deg, high_deg in NEAR_PLACES:
+            for share in NEARER:
+                flat, up = share * away_m * np.cos(np.radians(high_deg)), share * away_m * np.sin(np.radians(high_deg))
+                scene = rocks(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
+                look = held(scene, "overview", SIZE)
+                for name, variant in variants().items():
+                    each, row = _row(look, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share})
+                    rows.append(row)
+                    if (turn_deg, share) == SHOWN and name != BARE:
+                        cells.append(Cell(wrong_in(look, each, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong"))
+    write_sheet("seeds-bad-case.webp", cells, 2)
+    return {"rows": rows}
+
+
+def section_light_direction(figures: Figures) -> Section:
+    at = {(row["light"], row["map"]): row for row in figures["rows"]}
+
+    def ratio(light: str, one: str, other: str, key: str = "wrong_cast") -> float:
+        return at[light, one][key] / max(at[light, other][key], 1e-9)
+
+    def right(name: str, part: str) -> str:
+        return percent(at[RIGHT, name][part])
+
+    nearest, farthest = (ratio(RIGHT, ALWAYS, FITTED, part) for part in ("near", "far"))
+    nearer = all_of((at_most(nearest, 1.0), at_most(ratio(RIGHT, OURS, UNIFORM, "near"), 1.0)))
+    farther = at_least(farthest, 1.0)
+    front = {light: ratio(light, ALWAYS, FITTED) for light in (FRONT, NEAR, SUN_FRONT)}
+    equal = all_of((at_most(front[FRONT], EQUAL), at_least(front[FRONT], 1.0 / EQUAL)))
+    off_px = {light: at[light, UNIFORM]["cast_edge_mean"] for light in (RIGHT, FRONT, NEAR, BEHIND)}
+    eye_px, at_eye = at[EYE, UNIFORM]["cast_edge_mean"], ratio(EYE, ALWAYS, FITTED)
+    miner = all_of((at_least(at_eye, 1.0 / EQUAL), at_most(eye_px, min(off_px.values()))))
+    gain = {light: ratio(light, FITTED, ALWAYS) for light in (RIGHT, WIDE, SUN_RIGHT)}
+    farthest_m = {light: at[light, OURS]["farthest_m"] for light in gain}
+    sun_better = at_least(gain[SUN_RIGHT], max(gain[RIGHT], gain[WIDE]))
+    claims = [
+        Claim(
+            f"{THESIS}, figure 54",
+            "with the light at the right perspective maps make near shadows better",
+            f"wrong in the nearest third of the shadows: {right(OURS, 'near')}, beside {right(FITTED, 'near')} of a map fitted to "
+            f"what is seen without perspective and {right(UNIFORM, 'near')} of one for the whole cone (held if less than both)",
+            nearer,
+            f"the perspective alone multiplies near errors by {factor(nearest)}, the fit to what is seen does the rest",
+        ),
+        Claim(
+            f"{THESIS}, figure 54",
+            "at the cost of shadows far away",
+            f"wrong in the farthest third: {right(OURS, 'far')}, beside {right(FITTED, 'far')} fitted without perspective (and "
+            f"{right(UNIFORM, 'far')} for the whole cone; held if more than the former)",
+            farther,
+            f"the perspective alone multiplies far errors by {factor(farthest)}; beside a map of the whole cone the fit hides that",
+        ),
+        Claim(
+            f"{THESIS}, 7.2.2",
+            "with the light in front both are about equal: near objects are far from a spot, and the two perspectives cancel",
+            f"wrong with perspective over without, both fitted: {factor(front[FRONT])} under a spot {LIGHTS[FRONT][1]:.0f} m "
+            f"ahead (held if within a factor of {EQUAL}), {factor(front[NEAR])} under one {LIGHTS[NEAR][1]:.0f} m ahead, "
+            f"{factor(front[SUN_FRONT])} under the sun",
+            equal,
+            because(
+                equal,
+                "the two perspectives cancel",
+                "a spot as far away as in the bundled level sees near and far objects at much the same distance, so there is "
+                "little to cancel" + ("; one that stands nearer takes some of the gain away" if front[NEAR] > front[FRONT] else ""),
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.2.2",
+            "with the light behind, a miner's lamp, uniform maps are nearly perfect and perspective adds nothing",
+            f"with the spot just behind the eye uniform edges are off by {eye_px:.2f} px in the mean, from elsewhere by "
+            f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: {factor(at_eye)} "
+            f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL})",
+            miner,
+            because(
+                miner,
+                "lamp and eye see distances alike, so texels are as even in the picture as pixels are; what shadow is seen at "
+                "all lies along outlines, so that few pixels are wrong, though a large share of it",
+                "the lamp stands near the eye, not in it: what is left of the perspective still counts",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.2.2",
+            "directional light suits perspective maps better than spots",
+            f"with the light at the right perspective divides errors by {factor(gain[SUN_RIGHT])} under the sun, by "
+            f"{factor(gain[RIGHT])} under the spot, and by {factor(gain[WIDE])} under that spot opened to "
+            f"{LIGHTS[WIDE][3]['cutoff']:.0f}° (held if by most under the sun)",
+            sun_better,
+            because(
+                sun_better,
+                "even where a spot lights as much ground, its rays spread against the camera's perspective",
+                "what counts is how far the light reaches from near to far in what is seen: under the sun up to "
+                f"{farthest_m[SUN_RIGHT]:.0f} m, under the spot {farthest_m[RIGHT]:.0f} m, opened {farthest_m[WIDE]:.0f} m",
+            ),
+        ),
+    ]
+    table = [
+        {"light": light}
+        | {name: " / ".join(percent(at[light, name][key]) for key in ("wrong_cast", "near", "far")) for name in MAPS}
+        for light in LIGHTS
+    ]
+    return Section(
+        "Perspective maps by the light's direction (figure 54)",
+        f"The stone circles in their main view, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS} texels a side, one tap. Three "
+        f"controls stand between the algorithms, each with one idea taken out: *{FITTED}* is the same fit without the camera's "
+        f"perspective; *{BARE}* is the camera's own, or the shortest slide-back that is possible; *{ALWAYS}* takes a slide-back "
+        "even where a uniform map has the smaller texels. What is said of the perspective alone compares the last of these with "
+        "the first.",
+        [("wrong_cast / wrong share of the nearest third of the shadows / of the farthest third", table)],
+        claims,
+        [
+            (
+                "seeds-light-direction.webp",
+                "Left the map of the whole cone, right the perspective map; false shadow red, missed shadow blue",
+            )
+        ],
+    )
+
+
+def section_bad_case(figures: Figures) -> Section:
+    at = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
+    places = list(dict.fromkeys(key[:3] for key in at))
+    nearer = [place for place in places if place[2] < 1.0]
+
+    def times_uniform(name: str) -> list[float]:
+        return [at[*place, name]["wrong_cast"] / max(at[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
+
+    worst = {name: max(times_uniform(name)) for name in MAPS}
+    bad = at_least(worst[OURS], MUCH_WORSE)
+    stretched = all_of((at_least(worst[BARE], MUCH_WORSE), at_most(worst[FITTED], MUCH_WORSE)))
+    fallen_back = sum(at[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
+    claims = [
+        Claim(
+            f"{THESIS}, figure 55",
+            "where the light is nearer to the objects than the camera is, perspective maps are often far worse",
+            f"in {sum(ratio > MUCH_WORSE for ratio in times_uniform(OURS))} of {len(nearer)} such places over {MUCH_WORSE:g} "
+            f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {MUCH_WORSE:g} anywhere)",
+            bad,
+            because(
+                bad,
+                "the slide-back with the smallest texels in the mean has large ones where the shadows lie",
+                f"a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in {fallen_back} of "
+                f"these places; were the best slide-back taken always, the worst would be {factor(worst[ALWAYS])} times",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.2.2",
+            "because the camera's transformation stretches the objects until they are small in the map",
+            f"the camera's perspective with the shortest slide-back has up to {factor(worst[BARE])} times the errors of the "
+            f"uniform map; the same receivers without perspective up to {factor(worst[FITTED])} times (held if the former is "
+            f"over, the latter at most {MUCH_WORSE:g})",
+            stretched,
+            because(
+                stretched,
+                "with all else alike, taking the perspective out takes the errors away",
+                "in these places the fit to what is seen makes up for the stretching",
+            ),
+        ),
+    ]
+    table = [
+        {"spot": f"{turn:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
+        | {name: percent(at[turn, high, share, name]["wrong_cast"]) for name in MAPS}
+        for turn, high, share in places
+    ]
+    return Section(
+        "A bad case for perspective maps (figure 55)",
+        f"The stone circles from afar, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS}, under a spot of {NEAR_CUTOFF_DEG:.0f}° "
+        "that comes ever nearer to the middle circle. The thesis does not say where its light stood: these are places where "
+        "stretching is strong. Controls as above.",
+        [("wrong_cast", table)],
+        claims,
+        [
+            (
+                "seeds-bad-case.webp",
+                f"The spot {SHOWN[0]:.0f}° off the view's direction at {SHOWN[1]:g} of the camera's distance; false shadow red, "
+                "missed shadow blue",
+            )
+        ],
+    )

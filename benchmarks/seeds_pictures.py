@@ -1,0 +1,73 @@
+"""Sheets of pictures that the seeds' experiments draw: parts of views as rendered, and with their errors in colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, encoded
+from PIL import Image, ImageDraw, ImageFont
+from seeds_views import Found, Held, Variant
+
+from selector.compare import Row, false_colours
+from shadows.render import forget_kept, render_frame
+from terrain.camera import PerspectiveView
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+MOST_KB = 200
+
+IN_SHADOW = 0.45
+"""Share of its light that a pixel in shadow keeps in pictures of errors."""
+
+Box = tuple[int, int, int, int]
+"""Left, top, width and height of a crop, pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A picture with its caption."""
+
+    picture: Image.Image
+    text: str
+
+
+def drawn(look: Held, variant: Variant, box: Box, shrink: int = 1) -> Image.Image:
+    """A part of a view as it is rendered, ``shrink`` times smaller: of what does not go by the view's extent alone."""
+    with variant.without():
+        color = render_frame(look.scene, _part(look.perspective, box), look.plan(variant.asked)).color
+    forget_kept()
+    return Image.fromarray(color).convert("RGB").reduce(shrink)
+
+
+def wrong_in(look: Held, each: Found, box: Box) -> Image.Image:
+    """A part of what was found in gray, false shadow red and missed shadow blue."""
+    left, top, width, height = box
+    here = slice(top, top + height), slice(left, left + width)
+    gray = render_frame(look.scene, _part(look.perspective, box), look.plan({"algorithm": "none"})).color.mean(axis=2)
+    dark, lit, known = each.dark[here], look.truth.lit[here], look.truth.decidable[here]
+    shade = np.where(dark & look.receivers[here], IN_SHADOW * gray, gray)
+    row = Row(
+        figures={}, visibility=np.where(dark, np.uint8(0), np.uint8(255)), false_shadow=known & dark & lit,
+        missed_shadow=known & ~dark & ~lit,
+    )  # fmt: skip
+    return Image.fromarray(false_colours(shade, row))
+
+
+def _part(view: PerspectiveView, box: Box) -> PerspectiveView:
+    left, top, width, height = box
+    return view.part(top, left, height, width)
+
+
+def write_sheet(name: str, cells: Sequence[Cell], columns: int) -> None:
+    """Cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
+    width, height = cells[0].picture.size
+    step_x, step_y = width + GAP_PX, height + 2 * TEXT_PX + GAP_PX
+    page = Image.new("RGB", (columns * step_x + GAP_PX, -(-len(cells) // columns) * step_y + GAP_PX), PAPER)
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX - 3)
+    for number, cell in enumerate(cells):
+        x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
+        page.paste(cell.picture, (x, y))
+        draw.text((x, y + height + TEXT_PX), cell.text, INK, font, anchor="lm")
+    (IMAGES / name).write_bytes(encoded(page, ".webp", 1000 * MOST_KB))

@@ -1,0 +1,285 @@
+"""The bachelor's report of Copenhagen again: shadow volumes with and without silhouettes, z-pass and z-fail."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from claims import Claim, Figures, Section
+from seeds_times import in_turns
+from seeds_views import Held, bundled, held
+from seeds_words import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
+
+from shadows.edges import Edges, closed_parts, edges_of
+from shadows.passes import PassRecord
+from shadows.plan import VolumeSettings
+from shadows.silhouettes import ALL, FACING, Silhouette, facing, silhouette, turns_of
+from shadows.volume_drawing import count
+from shadows.volume_layers import batches
+from shadows.volumes import MOST_LAYERS, Volumes, light_in_frame, volumes_of
+from terrain.casting import caster_solids
+from terrain.compiled import compiled
+from terrain.level import SUN
+
+LEVELS = ("thesis_street_sun", "thesis_water_tower_sun", "thesis_rocks_sun", "thesis_boxgrid_sun")
+SIZE = (640, 512)
+REPEATS = 7
+INSIDE = "thesis_boxgrid_sun", "close"
+"""A level and its view whose eye is in the shadow."""
+
+ALIKE = 1e-4
+"""Pictures are the same where no larger share of their pixels differs."""
+
+INSIDE_WRONG = 0.001
+"""So much of the cast shadow may be wrong where counting is right."""
+
+Counting = Literal["auto", "z_fail"]
+
+
+def measure() -> Figures:
+    scenes = {level.removeprefix("thesis_").removesuffix("_sun"): _volumes_of(level) for level in LEVELS}
+    return {"scenes": scenes, "inside": _inside()}
+
+
+def _volumes_of(level: str) -> dict[str, float]:
+    """Volumes over the very same casting triangles, counted by z-fail, once with the edges that neighbours share and once with each
+    side an edge; and those of the engine, counted by z-fail, as it does by itself, and so without their caps.
+    """
+    look = held(bundled(level), "main", SIZE)
+    light = light_in_frame(look.buffer, look.scene, SUN)
+    vertices, triangles = caster_solids(look.scene.population, look.buffer.frame)
+    shared, apart = edges_of(vertices, triangles), unshared(triangles)
+    rule = np.where(closed_parts(shared), np.int8(FACING), np.int8(ALL))
+    turns = turns_of(facing(vertices, triangles, light), rule)
+    groups = batches(vertices, triangles, shared, turns, light, MOST_LAYERS)
+
+    def built(edges: Edges) -> list[Volumes]:
+        turns_of(facing(vertices, triangles, light), rule)  # what each new sun has to ask
+        return [extruded(vertices, silhouette(triangles, edges, some), light) for some in groups]
+
+    silhouettes, polygons, own = built(shared), built(apart), _engines(look, light)
+    sides = [replace(each, faces=each.faces[: each.first_cap], part=each.part[: each.first_cap], casting=0) for each in own]
+    ways: dict[str, tuple[list[Volumes], Counting]] = {
+        "silhouettes": (silhouettes, "z_fail"), "polygons": (polygons, "z_fail"),
+        "auto": (own, "auto"), "z_fail": (own, "z_fail"), "sides": (sides, "auto"),
+    }  # fmt: skip
+    counts = {name: _counted(look, light, *way) for name, way in ways.items()}
+    tasks: dict[str, Callable[[], object]] = {
+        "structure": lambda: closed_parts(edges_of(vertices, triangles)),
+        "build_silhouettes": lambda: built(shared),
+        "build_polygons": lambda: built(apart),
+    }
+    tasks |= {f"fill_{name}": lambda way=way: _counted(look, light, *way) for name, way in ways.items()}
+    neighbours_by_search(shared.ends[shared.of_triangle[:1]])  # compiles
+    start = time.perf_counter()
+    neighbours_by_search(shared.ends[shared.of_triangle])
+    search_ms = 1000.0 * (time.perf_counter() - start)
+    there, first = look.buffer.there.sum(), counts["auto"][0]
+    return {
+        **{f"{name}_ms": float(np.median([ms for ms, _ in taken])) for name, taken in in_turns(tasks, REPEATS).items()},
+        "search_ms": search_ms,
+        "triangles": len(triangles), "casting": int((turns != 0).sum()),
+        "sides": sum(each.first_cap for each in silhouettes), "sides_polygons": sum(each.first_cap for each in polygons),
+        **{f"faces_{name}": faces for name, (_, faces) in counts.items()},
+        **{f"differs_{name}": float(((dark > 0) != (first > 0)).sum() / there) for name, (dark, _) in counts.items()},
+    }  # fmt: skip
+
+
+def _engines(look: Held, light: np.ndarray) -> list[Volumes]:
+    """The volumes that the engine makes of a view's meshes."""
+    return volumes_of(look.buffer, look.scene, light, ("meshes",), look.casters, PassRecord(""))
+
+
+def _counted(look: Held, light: np.ndarray, volumes: list[Volumes], counting: Counting) -> tuple[np.ndarray, int]:
+    """How many volumes hold each point that faces the sun (rows, cols), and how many faces were drawn for that."""
+    record = PassRecord("")
+    wanted = look.receivers
+    return count(
+        look.buffer, look.scene, light, volumes, VolumeSettings(counting=counting), wanted, False, record
+    ), record.triangles
+
+
+def unshared(triangles: np.ndarray) -> Edges:
+    """Edges of triangles (m, 3) as if none shared any: the silhouette of such a mesh is that of each triangle by itself."""
+    start, end = triangles, np.roll(triangles, -1, axis=1)
+    ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=-1).reshape(-1, 2)
+    along = np.where(start < end, np.int8(1), np.int8(-1))
+    return Edges(ends.astype(np.int32), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3), along)
+
+
+def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
+    """The sun's volumes over a silhouette's caps: a triangle to infinity from each edge, and the caps, all of them one caster."""
+    count = len(vertices)
+    a, b = np.repeat(of.edges, of.times, axis=0).T
+    sides = np.column_stack([b, a, np.full(len(a), count)])
+    points = np.vstack([np.column_stack([vertices, np.ones(count)]), np.append(-light[:3], 0.0)])
+    used = vertices[of.caps.ravel()]
+    faces = np.concatenate([sides, of.caps]).astype(np.int32)
+    low, high = used.min(axis=0)[None], used.max(axis=0)[None]
+    return Volumes(points.astype(np.float32), faces, np.zeros(len(faces), np.int32), low, high, of.edges, len(sides), len(of.caps))
+
+
+@compiled
+def neighbours_by_search(ends):  # type: ignore[no-untyped-def]
+    """The neighbour (m, 3) of each side of triangles whose sides have ends (m, 3, 2), -1 for none: every side held against every
+    other one.
+    """
+    count = len(ends)
+    out = np.full((count, 3), -1, np.int32)
+    for t in range(count):
+        for k in range(3):
+            a, b = ends[t, k, 0], ends[t, k, 1]
+            for other in range(t + 1, count):
+                for j in range(3):
+                    if ends[other, j, 0] == a and ends[other, j, 1] == b:
+                        out[t, k], out[other, j] = other, t
+    return out
+
+
+def _inside() -> dict[str, float]:
+    """With the eye in the shadow: wrong shares of the cast shadow for z-pass alone, for z-fail, and as casters ask for it."""
+    level, name = INSIDE
+    look = held(bundled(level), name, SIZE)
+    light = light_in_frame(look.buffer, look.scene, SUN)
+    own = _engines(look, light)
+    beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: all is counted by z-pass
+    by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]
+    ways: dict[str, tuple[list[Volumes], Counting]] = {
+        "z_pass": (by_pass, "auto"),
+        "z_fail": (own, "z_fail"),
+        "auto": (own, "auto"),
+    }
+    wrong = {}
+    for key, way in ways.items():
+        layers, _ = _counted(look, light, *way)
+        wrong[key] = look.errors(look.finished((layers == 0).astype(np.float32)))["wrong_cast"]
+    return wrong
+
+
+def section(figures: Figures) -> Section:
+    scenes, inside = figures["scenes"], figures["inside"]
+    rows = scenes.values()
+
+    def span(of: Callable[[dict[str, float]], float]) -> str:
+        return listed({name: of(row) for name, row in scenes.items()})
+
+    def alone(row: dict[str, float]) -> float:
+        return row["build_polygons_ms"] + row["fill_polygons_ms"]
+
+    def joined(row: dict[str, float], structure: str) -> float:
+        return (row[f"{structure}_ms"] + row["build_silhouettes_ms"] + row["fill_silhouettes_ms"]) / alone(row)
+
+    apart, bare = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
+    fewer = all_of([*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(apart, ALIKE)])
+    slower = any_of(at_least(joined(row, "search"), 1.0) for row in rows)
+    faster = all_of(at_most(joined(row, "structure"), 1.0) for row in rows)
+    fewer_faces = all_of(at_most(row["faces_sides"], row["faces_z_fail"]) for row in rows)
+    quicker = all_of(at_most(row["fill_sides_ms"], row["fill_z_fail_ms"]) for row in rows)
+    robust = all_of((at_most(inside["z_fail"], INSIDE_WRONG), at_least(inside["z_pass"], INSIDE_WRONG)))
+    claims = [
+        Claim(
+            REPORT,
+            "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
+            f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
+            f"the pixels {up_to(apart)} differ (held if fewer everywhere, and at most {percent(ALIKE)} differ)",
+            fewer,
+            because(
+                fewer,
+                "the two sides at an edge between two casting triangles cancel; only those are left whose neighbour faces away",
+                "casters share too few edges",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "made badly, silhouettes make volumes slower than none: there by finding neighbours through comparing all edges",
+            "time with silhouettes over time without, when every side is held against every other: "
+            f"{span(lambda row: joined(row, 'search'))} (held if over 1 anywhere)",
+            slower,
+            because(
+                slower,
+                "the search grows with the square of the triangles "
+                f"({listed({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves grows with their number",
+                "at so few triangles the search is cheaper than the filling that it saves",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "a better structure of edges would make them much faster",
+            "time over that without silhouettes, the edge table made anew each time: "
+            f"{span(lambda row: joined(row, 'structure'))} (held if under 1 everywhere)",
+            faster,
+            because(
+                faster,
+                "a hash of vertex pairs finds all edges in one pass over the triangles ("
+                f"{span(lambda row: row['search_ms'] / row['structure_ms'])} times as fast as the search), and what is filled "
+                "shrinks with the sides. The table does not depend on the light, so it is made once for a mesh",
+                "making the table costs more than the sides that it saves, where a mesh is drawn once alone",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "z-pass draws fewer faces than z-fail, since it needs no caps",
+            f"faces without caps over those of z-fail: {span(lambda row: row['faces_sides'] / row['faces_z_fail'])} (held if "
+            f"under 1 everywhere); of the pixels {up_to(bare)} differ without caps",
+            fewer_faces,
+            ("a cap lies on a surface that is drawn, and is never before what is seen. " if bare <= ALIKE else "")
+            + "The engine draws caps for z-pass too, and leaves out faces wholly on the side of the points that does not count "
+            "either way, so that which way draws more of them is up to the view: by default "
+            f"{span(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",
+        ),
+        Claim(
+            REPORT,
+            "z-pass is faster than z-fail",
+            f"time of filling, z-pass without caps over z-fail: {span(lambda row: row['fill_sides_ms'] / row['fill_z_fail_ms'])} "
+            f"(held if under 1 everywhere); by default {span(lambda row: row['fill_auto_ms'] / row['fill_z_fail_ms'])}",
+            quicker,
+            because(
+                quicker,
+                "fewer faces pass over fewer pixels",
+                "faces are not what filling takes: either way the same stencil is cleared, given depths and read, and faces "
+                "cover very different shares of the picture",
+                "in some scenes the two are within the noise of one another: the same stencil is cleared, given depths and read",
+            ),
+        ),
+        Claim(
+            REPORT,
+            "z-pass is wrong with the eye in a volume; z-fail is right",
+            f"wrong of the cast shadow with the eye in the shadow: z-pass {percent(inside['z_pass'])}, z-fail "
+            f"{percent(inside['z_fail'])}, caster by caster {percent(inside['auto'])} (held if z-fail gets at most "
+            f"{percent(INSIDE_WRONG)} wrong and z-pass more)",
+            robust,
+            because(
+                robust,
+                "z-pass counts from the eye and starts at 0, though the eye is in volumes already; z-fail starts at infinity, "
+                "where there are none. By default each caster whose volume may reach the near plane is counted by z-fail, the "
+                "others by z-pass",
+                "no volume holds the eye in this view",
+            ),
+        ),
+    ]
+    table = [
+        {
+            "scene": titled(name),
+            "triangles": str(row["triangles"]),
+            "casting": str(row["casting"]),
+            "sides (polygons)": f"{row['sides']} ({row['sides_polygons']})",
+            "search": factor(row["search_ms"] / alone(row)),
+            "edge table": factor(row["structure_ms"] / alone(row)),
+            "build": factor(row["build_silhouettes_ms"] / alone(row)),
+            "fill": factor(row["fill_silhouettes_ms"] / alone(row)),
+            "table, build and fill": factor(joined(row, "structure")),
+        }
+        for name, row in scenes.items()
+    ]
+    return Section(
+        "Silhouettes, z-pass and z-fail",
+        f"Main views of the thesis's scenes under the sun, {SIZE[0]} x {SIZE[1]}. Volumes of the same triangles (those of closed "
+        "bodies that face the sun) are built twice by the same code: with the edges that neighbours share, and as if each side "
+        "of a triangle were an edge of its own, one volume a triangle; both are counted by z-fail, as in the report. Times are "
+        f"ratios to building and filling a volume for each polygon, taking turns, medians of {REPEATS} (the search is timed once).",
+        [("Silhouettes against one volume a polygon", table)],
+        claims,
+    )

@@ -1,0 +1,232 @@
+"""The SpatialAce thesis (Chalmers) again: frames with maps redrawn and kept, by the map's size, and what 16 bits and 512 texels
+a side are worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from algorithms import frames_of_sizes
+from claims import Claim, Figures, Section
+from seeds_times import in_turns
+from seeds_views import Asked, Held, bundled, held, one_map, settings_of, shallow
+from seeds_words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
+
+from shadows.metrics import block_shares, coverage_error
+from shadows.passes import PassLog
+from shadows.plan import Plan, ShadowMapSettings
+from shadows.render import forget_kept
+from shadows.truth import coverage_truth
+
+REPEATS = 11
+FRAME = (800, 600)
+SIZES = (64, 128, 256, 512, 1024)
+CHOSEN = "512"
+"""The size that the thesis settles for."""
+
+THEIR_FPS_WITHOUT = 58.88
+THEIR_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68, 16.68, 16.41, 16.15)}
+"""The thesis's frames a second, without shadows and by the size of the map."""
+
+BLOCK_PX = 16
+"""Side of the blocks that shadow shares are compared in."""
+
+HIDDEN_TEXELS = 2.0
+"""So near to where a surface turns towards the sun, in texels of the map, a place counts as its edge."""
+
+STEEP, FLAT, TWICE = 1.5, 1.1, 2.0
+"""A cost grows steeply from the smallest map to the largest from the first on, hardly up to the second; a gain is large from the
+third on.
+"""
+
+ENOUGH = 0.03
+"""An error that the engine asks for where nothing else is asked (``shadows.max_error``)."""
+
+TENTH = 0.1
+"""What bits change may be at most this share of what is off anyway."""
+
+LEAST_LEAK = 0.01
+"""Share of what is turned away that a map has to leave lit before there is anything to hide."""
+
+
+def measure() -> Figures:
+    look = held(bundled("spatialace"), "main", FRAME)
+    rows = frames_of_sizes(REPEATS, SIZES, depth_bits=16)
+    true_shares = coverage_truth(look.buffer, look.scene, look.casters, BLOCK_PX)
+
+    def quality(asked: Asked) -> dict[str, float]:
+        seen = look.visibility(look.plan(asked))
+        wrong_cast = look.errors(seen)["wrong_cast"]
+        return {"wrong_cast": wrong_cast, "coverage": coverage_error(block_shares(1.0 - seen), true_shares)}
+
+    def soft(size: int, bits: int) -> Asked:
+        return one_map(size, depth_bits=bits, filter="auto")
+
+    return {
+        "times": {f"{name} {size}": {"ratio": row["ratio"], "draws": row["map_draws"]} for (name, size), row in rows.items()},
+        "passes_ms": _passes_ms(look, {size: look.plan(soft(size, 16)) for size in SIZES}),
+        "quality": {str(size): quality(soft(size, 16)) for size in SIZES},
+        "deeper": {str(size): quality(soft(size, 24)) for size in SIZES},
+        "without": quality({"algorithm": "none"}),
+        "hidden": {str(size): _hidden(look, look.plan(one_map(size, depth_bits=16, bias="polygon_offset"))) for size in SIZES},
+    }
+
+
+def _passes_ms(look: Held, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
+    """Median milliseconds of drawing a map and of looking it up, by the map's size; sizes take turns."""
+
+    def drawn(plan: Plan) -> PassLog:
+        forget_kept()
+        log = PassLog()
+        look.visibility(plan, log)
+        return log
+
+    def pass_ms(log: PassLog, name: str) -> float:
+        return sum(record.ms for record in log.records.values() if record.name.endswith(name))
+
+    taken = in_turns({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
+    return {
+        size: {name: float(np.median([pass_ms(log, name) for _, log in turns])) for name in ("depth map", "visibility")}
+        for size, turns in taken.items()
+    }
+
+
+def _hidden(look: Held, plan: Plan) -> dict[str, float]:
+    """What a map alone, biased as maps were, says of surfaces turned away from the sun: the share that it leaves lit, and how much
+    of that, and of all that is turned away, lies within ``HIDDEN_TEXELS``, along the rays, of what the sun meets first.
+
+    Their normals are turned round, so that the map takes them for receivers; ``polygon_offset`` makes no use of normals.
+    """
+    turned = look.turned
+    flipped = replace(
+        look.buffer, normal_frame=np.where(turned[..., None], -1.0, 1.0).astype(np.float32) * look.buffer.normal_frame
+    )
+    leaks = turned & (replace(look, buffer=flipped).visibility(plan) >= 0.5)
+    settings = settings_of(look, plan)
+    assert isinstance(settings, ShadowMapSettings)
+    texel_m = max(settings.cascades[0].texel_m)
+    near = shallow(look, flipped, HIDDEN_TEXELS * texel_m) & turned
+    return {
+        "texel_m": texel_m,
+        "turned": float(turned.sum() / look.buffer.there.sum()),
+        "lit": float(leaks.sum() / turned.sum()),
+        "near": float(near.sum() / turned.sum()),
+        "lit_near": float((leaks & near).sum() / max(leaks.sum(), 1)),
+    }
+
+
+def section(figures: Figures) -> Section:
+    frame, ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
+    first, last = str(SIZES[0]), str(SIZES[-1])
+    growth = {how: frame[f"{how} {last}"]["ratio"] / frame[f"{how} {first}"]["ratio"] for how in THEIR_FPS}
+    theirs = {how: fps[0] / fps[-1] for how, fps in THEIR_FPS.items()}
+    kept, redrawn = (frame[f"{how} {CHOSEN}"]["ratio"] for how in ("kept", "redrawn"))
+    place = SIZES.index(int(CHOSEN))
+    their_gain = THEIR_FPS["kept"][place] / THEIR_FPS["redrawn"][place]
+    map_share = {size: its["depth map"] / (its["depth map"] + its["visibility"]) for size, its in ms.items()}
+    steep, flat, pays = at_least(growth["redrawn"], STEEP), at_most(growth["kept"], FLAT), at_least(redrawn / kept, TWICE)
+    coverage, without = quality[CHOSEN]["coverage"], figures["without"]["coverage"]
+    deeper = max(abs(its["coverage"] - figures["deeper"][size]["coverage"]) for size, its in quality.items())
+    suffices = all_of(
+        (at_most(coverage, ENOUGH), at_least(without, TWICE * coverage), at_most(deeper, TENTH * coverage)),
+    )
+    hidden = figures["hidden"][CHOSEN]
+    hides = all_of((at_least(hidden["lit"], LEAST_LEAK), at_least(hidden["lit_near"], TWICE * hidden["near"])))
+    claims = [
+        Claim(
+            SPATIALACE,
+            f"redrawing the map for each frame costs the more the larger it is: {factor(theirs['redrawn'])} times as much at "
+            f"{last} as at {first}",
+            f"{factor(growth['redrawn'])} times as much (held from {STEEP:g} on)",
+            steep,
+            f"making the map is {whole_percent(map_share[first])} of the shadow's time at {first} texels a side and "
+            f"{whole_percent(map_share[last])} at {last}"
+            + because(
+                steep,
+                ", so its texels are what a frame pays for",
+                "; the rest is looking it up at each pixel, of which there are as many whatever its size. By the thesis's own "
+                "account much of its time went into making the depth buffer and storing it away as a texture, and better drivers "
+                "halved that; here a map is looked up where it was drawn",
+                "; what a larger map costs is as much as it takes to count as steep",
+            ),
+        ),
+        Claim(
+            SPATIALACE,
+            f"while nothing moves a kept map costs hardly more the larger it is: {factor(theirs['kept'])} times as much at {last} "
+            f"as at {first}",
+            f"{factor(growth['kept'])} times as much (held up to {FLAT:g})",
+            flat,
+            because(
+                flat,
+                "a pixel looks up the same number of texels whatever the size",
+                f"looking it up takes {factor(ms[last]['visibility'] / ms[first]['visibility'])} times as long at {last} as at "
+                f"{first}",
+            ),
+        ),
+        Claim(
+            SPATIALACE,
+            f"keeping the map is what makes a map of {CHOSEN} bearable: redrawn frames take {factor(their_gain)} times as long",
+            f"{factor(redrawn / kept)} times as long (held from {TWICE:g} on)",
+            pays,
+            because(
+                pays,
+                "drawing is most of what the shadow costs",
+                f"the look-up is paid either way: a kept frame takes {factor(kept)} times as long as one without shadows, a "
+                f"redrawn one {factor(redrawn)} times",
+            ),
+        ),
+        Claim(
+            SPATIALACE,
+            f"16 bits of depth and {CHOSEN} texels a side suffice: a little coarse, but far better than none",
+            f"blocks' shadow shares are off by {percent(coverage)}, without shadows by {percent(without)}; 24 bits change that by "
+            f"{up_to(deeper)} at any size (held if off by at most {percent(ENOUGH)}, by at most half of that without, "
+            f"and if bits change at most {whole_percent(TENTH)} of it)",
+            suffices,
+            f"a texel is {hidden['texel_m']:.1f} m wide, "
+            + because(
+                suffices,
+                "next to which a step of 16 bits is small",
+                "and edges are off by as much",
+                "and what edges are off by is about what is allowed",
+            ),
+        ),
+        Claim(
+            SPATIALACE,
+            "a map's self-shadow does not reach the edges; giving what is turned away from the sun the shadow's shade hides that",
+            f"of the surface turned away a biased map of {CHOSEN} alone leaves {percent(hidden['lit'])} lit, and "
+            f"{whole_percent(hidden['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what the sun "
+            f"meets first, where {whole_percent(hidden['near'])} of all that is turned away lies; decided by the normal, none of "
+            f"it is lit (held if at least {percent(LEAST_LEAK)} is lit, near there at least {TWICE:g} times as often as elsewhere)",
+            hides,
+            because(
+                hides,
+                "where a surface has just turned away the map holds its own lit side, less than the bias before it; that is why "
+                "attached shadow is decided before any algorithm here",
+                "what the map leaves lit does not gather where surfaces turn away",
+            ),
+        ),
+    ]
+    table = [
+        {
+            "map": size,
+            "redrawn": factor(frame[f"redrawn {size}"]["ratio"]),
+            "kept": factor(frame[f"kept {size}"]["ratio"]),
+            "theirs redrawn": factor(THEIR_FPS_WITHOUT / THEIR_FPS["redrawn"][k]),
+            "theirs kept": factor(THEIR_FPS_WITHOUT / THEIR_FPS["kept"][k]),
+            "map made": whole_percent(map_share[size]),
+            "wrong_cast": percent(quality[size]["wrong_cast"]),
+            "coverage": percent(quality[size]["coverage"]),
+            "turned away, lit by the map": percent(figures["hidden"][size]["lit"]),
+        }
+        for k, size in enumerate(map(str, SIZES))
+    ]
+    return Section(
+        "SpatialAce: maps redrawn and kept",
+        f"`spatialace --view main`, {FRAME[0]} x {FRAME[1]}, one map of 16 bits. Times are those of whole frames, taking turns, "
+        f"medians of {REPEATS}, as ratios to frames without shadows (theirs: {THEIR_FPS_WITHOUT} frames a second over those with "
+        "the map); `map made` is the share of fitting and drawing the map in the time of the shadow alone, `coverage` by how "
+        "much blocks' shadow shares are off.",
+        [("Frames against frames without shadows, and errors", table)],
+        claims,
+    )

@@ -1,0 +1,356 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its times and its stencil, measured again.
+
+What `benchmarks/seeds.py` runs as ``stages`` (figure 47, section 7.1 and what chapter 2 says of frames) and ``stencil`` (figure
+22), beside ``grades`` and ``advice`` of ``seeds_grades``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from algorithms import RIVALS, plans_of, shot
+from claims import Claim, Figures, Section
+from seeds_times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, in_turns, medians, ratio, timed
+from seeds_views import bundled
+from seeds_words import (
+    DRAW,
+    FOUR,
+    HYBRID,
+    PSM,
+    SAME,
+    SCENES,
+    SHORT,
+    SM,
+    SV,
+    THESIS,
+    Verdict,
+    all_of,
+    at_least,
+    at_most,
+    because,
+    factor,
+    listed,
+    named,
+    percent,
+    titled,
+    whole_percent,
+)
+
+from selector.rules import choose
+from shadows.plan import Plan
+from shadows.render import forget_kept, render_frame
+from terrain.descriptor import describe
+
+HALF_SIZE = 640, 512
+STENCIL_REPEATS, FRAME_REPEATS = 7, 4
+MAP_SIZES = 256, 1024
+THEIR_GROWTH = 260.0 / 200.0
+"""How much longer the thesis's frames take with the larger of these maps."""
+
+THEIR_MAP_SHARE = 0.25, 0.45
+"""What counts as about the share, 35 %, that making the map has of its frames."""
+
+LITTLE = 1.5
+"""Up to so many times another time is a little behind it."""
+
+MUCH_THE_SAME = 0.8
+"""Of a time, what is still about as long."""
+
+INDEPENDENT = 1.25
+"""Up to so many times as long with four times the pixels a time does not depend on them."""
+
+STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
+
+
+def timed_sizes(level: str) -> Figures:
+    """Times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
+    runs = {}
+    for size in (SIZE, HALF_SIZE):
+        its = shot(level, "main", size)
+        plans = plans_of(its, {key: RIVALS[key] for key in FOUR})
+        runs |= {f"{key} {size[0]}": (its, plan) for key, plan in plans.items()}
+    return medians(runs, REPEATS)
+
+
+def whole_frames(level: str) -> Figures:
+    """Median milliseconds of finished frames without shadows and with maps of ``MAP_SIZES`` made anew, and what part is making
+    the map.
+    """
+    scene = bundled(level)
+    view = scene.view("main", size=SIZE)
+    descriptor = describe(scene, view, "main")
+    asked = {"none": {"algorithm": "none"}} | {str(size): RIVALS[SM] | {"map_size": size} for size in MAP_SIZES}
+    plans = {key: choose(descriptor, scene.loaded.level, overrides) for key, overrides in asked.items()}
+
+    def drawn(plan: Plan) -> float:
+        forget_kept()
+        return sum(record.ms for record in render_frame(scene, view, plan).passes if record.name.endswith("depth map"))
+
+    taken = in_turns({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
+    medians_ms = {key: np.median(np.array(some), axis=0) for key, some in taken.items()}
+    return {key: {"ms": float(whole_ms), "map": float(map_ms / whole_ms)} for key, (whole_ms, map_ms) in medians_ms.items()}
+
+
+def measure_stages() -> Figures:
+    return {
+        "views": {f"{scene}{sun}": timed(f"thesis_{scene}{sun}", "main") for sun in LIGHTS for scene in SCENES},
+        "sizes": timed_sizes("thesis_water_tower"),
+        "frames": whole_frames("thesis_water_tower"),
+    }
+
+
+def measure_stencil() -> Figures:
+    ways = SV, "two passes"
+    return {"levels": {level: timed(f"thesis_{level}", "main", ways, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
+
+
+def section_stages(figures: Figures) -> Section:
+    tables, claims = [], []
+    for sun, light in LIGHTS.items():
+        views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENES}
+        rows = [_stage_row(scene, key, at) for scene, at in views.items() for key in FOUR]
+        tables.append((f"Under {light}: times of shadow_map, and the shares of the stages", rows))
+        claims += _timing_claims(views, light)
+    return Section(
+        "Times of the four algorithms (figure 47)",
+        f"The five scenes in their main views, {SIZE[0]} x {SIZE[1]}, maps of 1024 (the hybrid's of its own choice), everything "
+        f"made anew for each frame; medians of {REPEATS} turns. Our passes beside the thesis's stages: *map* is placing the map "
+        "and drawing the scene from the light; *look-up* is rendering with the map, in the hybrid finding the silhouette pixels; "
+        "*volumes* is finding silhouettes and making volumes of them; *counting* is drawing volumes into the stencil; *between* "
+        "is what no pass accounts for, in the hybrid above all telling which points lie on lit faces of casters. The thesis's "
+        f"times hold a drawing of the scene too, ours the shadow alone. Times within {whole_percent(SAME - 1.0)} count as the "
+        "same; what hangs on less is a draw.",
+        tables,
+        [*claims, *_size_claims(figures["sizes"]), *_frame_claims(figures["frames"])],
+    )
+
+
+def _stage_row(scene: str, key: str, at: Figures) -> dict[str, str]:
+    stages = at[key]["redrawn"]["stages"]
+    whole = sum(stages.values())
+    cells = {name: whole_percent(stages[name] / whole) if stages[name] / whole >= 0.005 else "" for name in STAGE_NAMES}
+    return {"scene": SCENES[scene], "algorithm": key, "of shadow_map": f"{ratio(at, key, SM):.2f}", **cells}
+
+
+def _timing_claims(views: Figures, light: str) -> list[Claim]:
+    def over(one: str, other: str) -> dict[str, float]:
+        return {scene: ratio(at, one, other) for scene, at in views.items()}
+
+    def stage_ms(at: Figures, key: str, *stages: str) -> float:
+        return sum(at[key]["redrawn"]["stages"][name] for name in stages)
+
+    def median_share(key: str, stage: str) -> str:
+        return whole_percent(float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()])))
+
+    def claim(says: str, found: str, verdict: Verdict, why: str) -> Claim:
+        return Claim(f"{THESIS}, 7.1, {light}", says, found, verdict, why)
+
+    least = {scene: min(ratio(at, key, SM) for key in FOUR[1:]) for scene, at in views.items()}
+    behind, beaten, hybrid = over(PSM, SM), over(SV, PSM), over(HYBRID, SV)
+    looked = float(np.median([stage_ms(at, PSM, "look-up") / stage_ms(at, SM, "look-up") for at in views.values()]))
+    stages = (
+        f"making the map is {median_share(SM, 'map')} of SM's time (medians) and {median_share(PSM, 'map')} of PSM's; PSM's "
+        f"look-up takes {factor(looked)} times as long as SM's"
+    )
+    if light == "the spot" and looked * SAME < 1.0:
+        stages += (
+            ": a spot's map tests the triangle anew for each tap, a perspective map works it out once for each pixel, and it "
+            "alone leaves out what is turned away from the light"
+        )
+    volume = {
+        scene: stage_ms(at, HYBRID, "volumes", "counting") / stage_ms(at, SV, "volumes", "counting") for scene, at in views.items()
+    }
+    loses = [scene for scene in views if hybrid[scene] > SAME]
+    bare = {scene: stage_ms(views[scene], HYBRID, "volumes", "counting") / views[scene][SV]["redrawn"]["ms"] for scene in loses}
+    lead = {scene: ratio(at, HYBRID, max((SM, PSM, SV), key=lambda key, at=at: ratio(at, key, SM))) for scene, at in views.items()}
+    last = {scene: max(FOUR, key=lambda key, at=at: ratio(at, key, SM)) for scene, at in views.items()}
+    fastest = all_of(at_least(value, 1.0) for value in least.values())
+    near = all_of(all_of((at_least(value, 1.0), at_most(value, LITTLE))) for value in behind.values())
+    street = all_of(at_most(value, 1.0) if scene == "street" else at_least(value, 1.0) for scene, value in beaten.items())
+    boxgrid = all_of(at_most(value, 1.0) if scene == "boxgrid" else at_least(value, 1.0) for scene, value in hybrid.items())
+    cheaper = all_of(
+        at_most(value, 1.0) if scene in ("boxgrid", "water_tower") else MUCH_THE_SAME <= value <= 1.0 / MUCH_THE_SAME
+        for scene, value in volume.items()
+    )
+    for_map = all_of(at_most(value, 1.0) for value in bare.values()) if loses else None
+    slowest = all_of(at_least(lead[scene], 1.0) for scene in ("rocks", "street"))
+    return [
+        claim(
+            "SM is the fastest everywhere",
+            f"time of the fastest other, of SM's: {listed(least)} (held if over 1 everywhere)",
+            fastest,
+            because(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
+        ),
+        claim(
+            "PSM is a little behind SM in all scenes",
+            f"time of PSM, of SM's: {listed(behind)} (held if over 1 and at most {LITTLE:g} everywhere)",
+            near,
+            because(near, stages, stages, f"{DRAW}: {stages}"),
+        ),
+        claim(
+            "SV beats PSM in Street, and only there",
+            f"time of SV, of PSM's: {listed(beaten)} (held if under 1 in Street, over 1 elsewhere)",
+            street,
+            because(
+                street,
+                "Street's volumes have few faces, which draw in less time than pixels are looked up",
+                "beside Street there are scenes in which volumes cover little of the picture"
+                if beaten["street"] * SAME <= 1.0
+                else "what SV costs with few faces is the same for all scenes: depths are drawn, the stencil is read back; next to "
+                "that PSM's look-up is cheap enough",
+            ),
+        ),
+        claim(
+            "SV beats the hybrid in all scenes but BoxGrid",
+            f"time of the hybrid, of SV's: {listed(hybrid)} (held if under 1 in BoxGrid, over 1 elsewhere)",
+            boxgrid,
+            because(
+                boxgrid,
+                "only there volumes cover the picture so often that leaving them out pays for map and mask",
+                "what the hybrid leaves out would be filled by the processor here, which fills slowly: that pays for map and "
+                f"mask in {named([scene for scene, value in hybrid.items() if value * SAME <= 1.0])}",
+            ),
+        ),
+        claim(
+            "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
+            f"time of the hybrid's volumes and counting, of SV's: {listed(volume)} (held if under 1 in these two, and within a "
+            f"factor of {1.0 / MUCH_THE_SAME:g} elsewhere)",
+            cheaper,
+            because(
+                cheaper,
+                "shadow upon shadow is what the mask saves",
+                "they are drawn in rectangles of marked tiles alone, with the faces that matter there: so the hybrid saves in "
+                "proportion to what it leaves to its map, in plain scenes too",
+            ),
+        ),
+        claim(
+            "where the hybrid is slower, it is for its map and its search for silhouette pixels",
+            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed(bare)} (held if under 1 everywhere)"
+            if loses
+            else "it is slower nowhere",
+            for_map,
+            because(
+                for_map,
+                "with all that makes its map and its mask taken off it would not be slower",
+                "what it draws of its volumes is no less than all of them",
+                DRAW if loses else "nothing to explain",
+            ),
+        ),
+        claim(
+            "the hybrid is the slowest of the four where shadows are plain (Rocks, Street)",
+            f"time of the hybrid, of the slowest other's: {listed(lead)} (held if over 1 in these two); slowest: "
+            f"{', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in last.items())}",
+            slowest,
+            because(
+                slowest,
+                "map and mask come on top of volumes that cost little",
+                "where SV is slower, what the hybrid's map decides saves more than map and mask cost; where SM is, its look-up "
+                "costs more than few volumes",
+            ),
+        ),
+    ]
+
+
+def _size_claims(sizes: Figures) -> list[Claim]:
+    grown = {key: sizes[f"{key} {SIZE[0]}"]["redrawn"]["ms"] / sizes[f"{key} {HALF_SIZE[0]}"]["redrawn"]["ms"] for key in FOUR}
+    per = ", ".join(f"{SHORT[key]} {value:.1f}" for key, value in grown.items())
+    found = f"times with four times the pixels, of those before (Water Tower, the spot): {per}"
+    free, less = at_most(max(grown[SM], grown[PSM]), INDEPENDENT), at_most(grown[HYBRID], grown[SV])
+    return [
+        Claim(
+            f"{THESIS}, 7.1",
+            "SM and PSM do not depend on the screen's resolution",
+            f"{found} (held if at most {INDEPENDENT:g} for both)",
+            free,
+            because(
+                free,
+                "the map costs most",
+                "every pixel is looked up, and on a processor pixels are what costs; only the map itself does not depend on them",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.1",
+            "a higher resolution hits the hybrid less than SV",
+            f"{found} (held if less for the hybrid)",
+            less,
+            because(
+                less,
+                "its map stays as it is, and marked pixels grow with the length of edges",
+                "what is common to both, depths and the read-back of the stencil, grows with the pixels and outweighs what is "
+                "left out",
+            ),
+        ),
+    ]
+
+
+def _frame_claims(frames: Figures) -> list[Claim]:
+    small, large = (frames[str(size)] for size in MAP_SIZES)
+    grown = large["ms"] / small["ms"]
+    half_as_steep = 1.0 + (THEIR_GROWTH - 1.0) / 2.0
+    near = all_of((at_least(large["map"], THEIR_MAP_SHARE[0]), at_most(large["map"], THEIR_MAP_SHARE[1])))
+    steep = at_least(grown, half_as_steep)
+    return [
+        Claim(
+            f"{THESIS}, 2.1 and 2.2.10",
+            "making the map takes 45 % of a frame by copying, 35 % when drawn into a texture",
+            f"drawn into a texture {percent(large['map'])} of a finished frame (Water Tower, the spot, a map of {MAP_SIZES[1]}; "
+            f"held from {whole_percent(THEIR_MAP_SHARE[0])} to {whole_percent(THEIR_MAP_SHARE[1])})",
+            near,
+            because(
+                near,
+                "the share is much the same",
+                "depths alone are drawn, with no pixel of the picture shaded; a frame's time goes with its pixels, on which a "
+                "processor works where a graphics card of 2005 hardly felt them",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 2.2",
+            f"a map of {MAP_SIZES[1]} instead of {MAP_SIZES[0]} makes a frame {factor(THEIR_GROWTH)} times as long (260 against "
+            "200 frames a second)",
+            f"{factor(grown)} times as long (held from half that growth on, {factor(half_as_steep)}); a frame with the smaller "
+            f"one takes {factor(small['ms'] / frames['none']['ms'])} times one without shadows",
+            steep,
+            because(
+                steep,
+                "texels cost",
+                "texels are a small part of the frame: there are as many pixels to look up, whatever the map",
+            ),
+        ),
+    ]
+
+
+def section_stencil(figures: Figures) -> Section:
+    rows = [
+        {
+            "scene": titled(level),
+            **{how: f"{ratio(at, 'two passes', SV, how):.2f}" for how in ("redrawn", "kept")},
+            "counting alone": f"{_counting_ms(at, 'two passes') / _counting_ms(at, SV):.2f}",
+        }
+        for level, at in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
+    ]
+    at = figures["levels"]["water_tower"]
+    faster = all_of(at_least(ratio(at, "two passes", SV, how), 1.0) for how in ("redrawn", "kept"))
+    saved = "each face is sent, transformed and clipped once instead of twice"
+    beside = (
+        "two passes draw the same pixels in all: each face is filled once, and dropped once before it is filled. What is saved "
+        "is transforming corners a second time, which is little beside filling and reading the stencil back"
+    )
+    return Section(
+        "One- and two-sided stencil (figure 22)",
+        f"Shadow volumes with `stencil: two_pass` as times of `one_pass`, main views, {SIZE[0]} x {SIZE[1]}, medians of "
+        f"{STENCIL_REPEATS} turns. The thesis's scene is its water tower.",
+        [("Two passes, of one", rows)],
+        [
+            Claim(
+                f"{THESIS}, 3.2.6",
+                "counting both sides in one pass is noticeably faster than in two",
+                f"two passes take {factor(ratio(at, 'two passes', SV))} times as long in the water tower, "
+                f"{factor(ratio(at, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
+                faster,
+                because(faster, saved, beside, f"{DRAW}: {beside}"),
+            )
+        ],
+    )
+
+
+def _counting_ms(at: Figures, key: str) -> float:
+    return at[key]["redrawn"]["stages"]["counting"]

@@ -1,0 +1,94 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figure 56 again: thin casters and the hybrid's map."""
+
+from __future__ import annotations
+
+from claims import Claim, Figures, Section
+from seeds_pictures import Box, Cell, write_sheet, wrong_in
+from seeds_views import Variant, bundled, found, held
+from seeds_words import THESIS, all_of, at_least, at_most, because, percent
+
+FRAME = (1280, 1024)
+"""The thesis's own frames."""
+
+MAP_SIZES = (128, 256, 512, 1024)
+SHOWN = (128, 512)
+MASKS = ("original", "conservative")
+
+MOST_WRONG = 0.001
+"""Share of cast shadow that an exact algorithm may get wrong: what lies within the rasteriser's 1/256 pixel of an edge."""
+
+CROP: Box = (180, 500, 480, 300)
+
+
+def measure() -> Figures:
+    """The water tower's ladder and braces by the hybrids, by map size."""
+    rows, cells = [], []
+    look = held(bundled("thesis_water_tower"), "close", FRAME)
+    for mask in MASKS:
+        for map_size in MAP_SIZES:
+            each = found(look, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
+            rows.append({"mask": mask, "map_size": map_size, **each.figures})
+            if map_size in SHOWN:
+                words = f"{mask}, map of {map_size}: {percent(each.figures['wrong_cast'])} wrong"
+                cells.append(Cell(wrong_in(look, each, CROP), words))
+    write_sheet("seeds-thin.webp", cells, 2)
+    return {"rows": rows}
+
+
+def section(figures: Figures) -> Section:
+    original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in MASKS)
+    coarse, fine = original[0], original[-1]
+    worst = max(row["wrong_cast"] for row in conservative)
+    misses = all_of((at_least(coarse["missed_shadow"], fine["missed_shadow"]), at_least(coarse["wrong_cast"], MOST_WRONG)))
+    exact = at_most(worst, MOST_WRONG)
+    matters = None if exact is None else not exact
+    claims = [
+        Claim(
+            f"{THESIS}, figure 56",
+            "with a small map the hybrid misses thin casters",
+            f"the original mask misses {percent(coarse['missed_shadow'])} of the shadow at {coarse['map_size']} texels, "
+            f"{percent(fine['missed_shadow'])} at {fine['map_size']}; connected parts of the picture that are wrong away from "
+            f"edges: {coarse['interior_parts']} and {fine['interior_parts']} (held if it misses more with the smaller map, and "
+            f"over {percent(MOST_WRONG)} of the cast shadow is wrong there)",
+            misses,
+            because(
+                misses,
+                "a bar or a gap between texel centres shows in none of the four texels compared: they agree, nothing is marked "
+                "there, and no volume is asked",
+                "all bars are as wide as these texels",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, 7.2.3",
+            "the right map size is all but impossible to tell, and left to the programmer",
+            f"the conservative mask gets at most {percent(worst)} of the cast shadow wrong at any size from {MAP_SIZES[0]} to "
+            f"{MAP_SIZES[-1]} (held if over {percent(MOST_WRONG)}); it leaves {percent(conservative[0]['marked'])} of the pixels "
+            f"to volumes at the smallest, {percent(conservative[-1]['marked'])} at the largest",
+            matters,
+            because(
+                matters,
+                "its marks leave out pixels that they should not",
+                "its texels hold intervals of depth of all that touches them, and every pixel that these do not decide is "
+                "marked: the size is a matter of speed alone",
+            ),
+        ),
+    ]
+    keys = ("wrong_cast", "missed_shadow", "false_shadow", "interior")
+    table = [
+        {
+            "mask": row["mask"],
+            "map": str(row["map_size"]),
+            **{key: percent(row[key]) for key in keys},
+            "wrong parts": str(row["interior_parts"]),
+            "marked": percent(row["marked"]),
+        }
+        for row in figures["rows"]
+    ]
+    return Section(
+        "Thin casters and the hybrid's map (figure 56)",
+        f"The water tower's shadow from close by, {FRAME[0]} x {FRAME[1]} pixels, under its spot: ladder, braces and railing. "
+        "`marked` is the share of pixels that the mask leaves to volumes, `interior` the share that is wrong away from edges.",
+        [("Hybrids by mask and map size", table)],
+        claims,
+        [("seeds-thin.webp", "The original mask above, the conservative one below; false shadow red, missed shadow blue")],
+    )

@@ -1,0 +1,76 @@
+"""Times of shadow algorithms, and of other tasks, that take turns.
+
+Times are those of the shadow alone (``algorithms.turns``), medians; what is timed once in a process is not timed again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import TypeVar
+
+import numpy as np
+from algorithms import RIVALS, WAYS, Shot, plans_of, shot, turns
+from claims import Figures
+from seeds_words import FOUR
+
+from shadows.plan import Plan
+
+T = TypeVar("T")
+
+LIGHTS = {"": "the spot", "_sun": "the sun"}
+
+SIZE = 1280, 1024
+REPEATS = 3
+
+STAGES = {
+    "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
+}  # fmt: skip
+"""Passes of the algorithms -> the stages that the thesis tells apart; what is left lies between the passes."""
+BETWEEN = "between"
+STAGE_NAMES = (*dict.fromkeys(STAGES.values()), BETWEEN)
+
+
+@cache
+def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
+    """Times of what is asked for in a view."""
+    its = shot(level, view, SIZE)
+    every = {**RIVALS, **WAYS}
+    return medians({key: (its, plan) for key, plan in plans_of(its, {key: every[key] for key in asked}).items()}, repeats)
+
+
+def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
+    """Median milliseconds of each run, all in all and by stage, redrawn and kept, and the share of pixels that are marked."""
+    found = turns(runs, repeats)
+    out: Figures = {}
+    for (key, how), taken in found.times_ms.items():
+        stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
+        for all_ms, passes_ms in zip(taken, found.passes_ms[key, how], strict=True):
+            for name in STAGE_NAMES[:-1]:
+                stages[name].append(sum(ms for each, ms in passes_ms.items() if STAGES[each] == name))
+            stages[BETWEEN].append(all_ms - sum(passes_ms.values()))
+        medians_ms = {name: float(np.median(some)) for name, some in stages.items()}
+        out.setdefault(key, {})[how] = {"ms": float(np.median(taken)), "stages": medians_ms}
+    for key, log in found.logs.items():
+        out[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].there.sum())
+    return out
+
+
+def ratio(at: Figures, one: str, other: str, how: str = "redrawn") -> float:
+    """Time of one algorithm, of another's."""
+    return at[one][how]["ms"] / at[other][how]["ms"]
+
+
+def in_turns(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:
+    """Milliseconds of tasks and what they give, task by task; they take turns, forwards and backwards by turns, and the first turn,
+    which compiles and allocates, is left out.
+    """
+    taken: dict[str, list[tuple[float, T]]] = {name: [] for name in tasks}
+    for number in range(repeats + 1):
+        for name in [*tasks][:: 1 if number % 2 else -1]:
+            start = time.perf_counter()
+            given = tasks[name]()
+            if number:
+                taken[name].append((1000.0 * (time.perf_counter() - start), given))
+    return taken

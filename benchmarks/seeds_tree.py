@@ -1,0 +1,178 @@
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figure 57 again: a tree whose meshes are not closed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
+
+import numpy as np
+import trimesh
+from claims import Claim, Figures, Section
+from seeds_pictures import Box, Cell, drawn, write_sheet
+from seeds_thin import MOST_WRONG
+from seeds_views import Level, Variant, found, held, scene_of
+from seeds_words import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
+
+from shadows import volumes
+from shadows.edges import Edges, signed_sums
+from shadows.silhouettes import Silhouette, silhouette
+
+SIZE = (960, 768)
+TEXELS = 1024
+WHOLE: Box = (0, 0, *SIZE)
+BARK, LEAF = (96, 74, 54, 255), (78, 118, 52, 255)
+
+
+@contextmanager
+def closed_meshes_alone() -> Iterator[None]:
+    """Volumes of the triangles that face the light, with sides at edges between two triangles, as for closed meshes."""
+
+    def between_two(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
+        facing = np.maximum(turns, 0)
+        whole = silhouette(triangles, edges, facing)
+        meeting = np.bincount(edges.of_triangle[edges.of_triangle >= 0], minlength=len(edges.ends))
+        kept = meeting[np.flatnonzero(signed_sums(edges, facing))] == 2
+        return Silhouette(whole.edges[kept], whole.times[kept], whole.caps)
+
+    with patch.object(volumes, "silhouette", between_two):
+        yield
+
+
+def open_tree(seed: int = 7) -> trimesh.Trimesh:
+    """A tree of open tubes that run into one another, and of leaves that are two crossed rectangles each; metres.
+
+    Nothing is closed, leaves face all ways, and half of them are oriented the other way round.
+    """
+    rng = np.random.default_rng(seed)
+    trunk = np.array([[0, 0, 0], [0.1, 0.05, 2.2], [-0.05, 0.1, 4.4], [0.1, 0, 7.6]])
+    parts, leaves_at = [_open_tube(trunk, [0.34, 0.25, 0.17, 0.04])], []
+    for number in range(12):
+        height, turn = 2.0 + 0.42 * number, 2.4 * number
+        out = np.array([np.cos(turn), np.sin(turn), 0.0])
+        start, length = np.array([0, 0, height]), 3.3 - 0.2 * number
+        ends = start + length * (np.array([[0.0], [0.5], [1.0]]) * out + np.array([[0.0], [0.16], [0.42]]) * [0, 0, 1])
+        parts.append(_open_tube(ends, [0.11, 0.07, 0.02]))
+        for share in (0.45, 0.7, 0.9):
+            at = start + share * (ends[2] - start)
+            tip = at + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * out)
+            parts.append(_open_tube(np.array([at, tip]), [0.035, 0.012]))
+            leaves_at.append(at + np.linspace(0.1, 1.1, 10)[:, None] * (tip - at))
+    colors = [BARK] * sum(len(faces) for _, faces in parts)
+    for at in np.concatenate(leaves_at):
+        at = at + rng.normal(scale=0.14, size=3)
+        axis = _unit(rng.normal(size=3))
+        aside = _unit(np.cross(axis, rng.normal(size=3)))
+        for across in (aside, np.cross(axis, aside)):
+            corners = at + 0.16 * np.array([-axis - across, axis - across, axis + across, across - axis])
+            faces = np.array([[0, 1, 2], [0, 2, 3]])
+            parts.append((corners, faces if rng.random() < 0.5 else faces[:, ::-1]))
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    faces = np.concatenate([its + start for (_, its), start in zip(parts, first, strict=True)])
+    colors += [LEAF] * (len(faces) - len(colors))
+    return trimesh.Trimesh(np.concatenate([vertices for vertices, _ in parts]), faces, face_colors=colors, process=False)
+
+
+def _open_tube(path_m: np.ndarray, radii_m: list[float], sides: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a tube along a path (k, 3), without ends."""
+    along = _unit(path_m[-1] - path_m[0])
+    across = _unit(np.cross(along, np.eye(3)[np.argmin(np.abs(along))]))
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(along, across)
+    vertices = (path_m[:, None] + np.array(radii_m)[:, None, None] * circle).reshape(-1, 3)
+    k = np.arange(sides)
+    ring = np.concatenate([
+        np.stack([k, (k + 1) % sides, k + sides], axis=1), np.stack([(k + 1) % sides, (k + 1) % sides + sides, k + sides], axis=1)
+    ])  # fmt: skip
+    return vertices, np.concatenate([ring + sides * part for part in range(len(path_m) - 1)])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
+
+
+TREE_LIGHTS: dict[str, Level] = {
+    "spot": {"sun": "none", "lights": {"lamp": {"kind": "spot", "position": [-14, -9, 19], "target": [0, 0, 4], "cutoff": 24}}},
+    "sun": {"sun": {"azimuth": 237, "altitude": 42}},
+}
+CLOSED = "volumes as of closed meshes"
+TREE_ROWS = {
+    SM: Variant({"algorithm": "shadow_map", "map_size": TEXELS, "cascades": 1, "filter": 1}),
+    PSM: Variant({"algorithm": "perspective_shadow_map", "map_size": TEXELS, "filter": 1}),
+    CLOSED: Variant({"algorithm": "shadow_volume"}, closed_meshes_alone),
+    SV: Variant({"algorithm": "shadow_volume"}),
+    HYBRID: Variant({"algorithm": "hybrid"}),
+}
+
+
+def measure() -> Figures:
+    """An open tree under a spot and under the sun, by all four algorithms and by volumes that take it for closed."""
+    rows, cells, tree = [], [], open_tree()
+    sides = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
+    floor = {"version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [100, 100]}}, "meshes": [{"source": "tree.ply"}]}
+    eye = {"kind": "perspective", "eye": [8.5, -18.5, 8.5], "target": [2.2, 0.8, 3.3], "fov": 29, "size": list(SIZE)}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        tree.export(folder / "tree.ply")
+        for light, keys in TREE_LIGHTS.items():
+            look = held(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
+            for algorithm, variant in TREE_ROWS.items():
+                figures = found(look, variant).figures
+                rows.append({"light": light, "algorithm": algorithm, **figures})
+                if light == "sun" and algorithm != PSM:
+                    words = f"{algorithm}: {percent(figures['wrong_cast'])} wrong"
+                    cells.append(Cell(drawn(look, variant, WHOLE, shrink=2), words))
+    write_sheet("seeds-tree.webp", cells, 2)
+    return {"rows": rows, "triangles": len(tree.faces), "open_edges": int((sides == 1).sum()), "edges": len(sides)}
+
+
+def section(figures: Figures) -> Section:
+    at = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
+
+    def worst(algorithm: str, figure: str) -> float:
+        return max(at[light, algorithm][figure] for light in TREE_LIGHTS)
+
+    maps = max(worst(SM, "interior"), worst(PSM, "interior"))
+    wrong = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, CLOSED)}
+    whole, fail = at_most(maps, MOST_WRONG), at_least(max(wrong[SV], wrong[HYBRID]), MOST_WRONG)
+    claims = [
+        Claim(
+            f"{THESIS}, figure 57",
+            "shadow maps and perspective ones do not care how the geometry is made",
+            f"at most {percent(maps)} of the picture is wrong away from shadow edges (held if at most {percent(MOST_WRONG)})",
+            whole,
+            because(
+                whole,
+                "a depth map draws triangles one by one and knows no edges between them",
+                "twigs and leaves are thinner than texels: whole ones are lost, which has nothing to do with open meshes",
+            ),
+        ),
+        Claim(
+            f"{THESIS}, figure 57",
+            "shadow volumes and the hybrid need closed meshes, and fail on the tree",
+            f"wrong at most in {percent(wrong[SV])} (volumes) and {percent(wrong[HYBRID])} (hybrid) of the cast shadow (held if "
+            f"over {percent(MOST_WRONG)} of either); volumes that are made as of closed meshes in {percent(wrong[CLOSED])}",
+            fail,
+            because(
+                fail,
+                "sides of open edges are counted wrongly",
+                "a side counts as often as triangles meet at its edge without cancelling, once at an open one, and of open "
+                "bodies all triangles cast: taking both away brings the failure back",
+            ),
+        ),
+    ]
+    keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior")
+    table = [
+        {"light": row["light"], "algorithm": row["algorithm"]} | {key: percent(row[key]) for key in keys} for row in figures["rows"]
+    ]
+    return Section(
+        "An open tree (figure 57)",
+        f"A tree of {figures['triangles']} triangles: tubes without ends that run into one another, leaves of two crossed "
+        f"rectangles, oriented at random; {figures['open_edges']} of its {figures['edges']} edges have one triangle. {SIZE[0]} x "
+        f"{SIZE[1]} pixels, maps of {TEXELS}, one tap.",
+        [("Errors by algorithm", table)],
+        claims,
+        [("seeds-tree.webp", "A map, volumes that take the tree for closed, volumes, and the hybrid, under the sun")],
+    )

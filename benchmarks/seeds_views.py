@@ -1,0 +1,193 @@
+"""Views beside their ray-traced truth: what the seeds' experiments hold algorithms against."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+
+from api.catalogue import find_level
+from selector.footprint import texel_footprint_px
+from selector.rules import choose
+from shadows.attached import attached
+from shadows.metrics import edge_distances, errors_of
+from shadows.passes import PassLog
+from shadows.plan import Plan, Settings
+from shadows.render import FILLS, forget_kept
+from shadows.truth import ALL_KINDS, Truth, lit_from, ray_scene
+from shadows.truth_cache import cached_truth
+from terrain.camera import PerspectiveView
+from terrain.descriptor import Descriptor, describe
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.level import SUN, load_level
+from terrain.picture import geometry_of
+from terrain.reach import Casters, casters_of
+from terrain.scene import Scene, build_scene
+
+SAMPLES = 4
+"""Sub-samples a pixel by which truth tells what is decidable."""
+
+Asked = dict[str, Any]
+Level = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A view of a scene with its first light: what it shows, what casts, and the truth that pictures are held against."""
+
+    scene: Scene
+    view: MapView | PerspectiveView
+    light: str
+    descriptor: Descriptor
+    buffer: GeometryBuffer
+    casters: Casters
+    truth: Truth
+
+    @cached_property
+    def receivers(self) -> np.ndarray:
+        """Where cast shadow can lie (rows, cols): surface that the light can reach."""
+        return self.buffer.there & ~attached(self.buffer, self.scene, self.light)
+
+    @property
+    def turned(self) -> np.ndarray:
+        """Where the surface is turned away from the light or lies outside of its cone (rows, cols)."""
+        return self.buffer.there & ~self.receivers
+
+    @property
+    def perspective(self) -> PerspectiveView:
+        assert isinstance(self.view, PerspectiveView)
+        return self.view
+
+    @property
+    def ahead_m(self) -> np.ndarray:
+        """How far ahead of the eye what is seen lies (rows, cols)."""
+        eye, camera_from_frame = self.perspective.in_frame(self.buffer.frame)
+        return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
+
+    def plan(self, asked: Asked) -> Plan:
+        """A plan; ``bias_scale`` is no key of a level: it goes into the settings themselves."""
+        asked = dict(asked)
+        scale = asked.pop("bias_scale", None)
+        plan = choose(self.descriptor, self.scene.loaded.level, asked)
+        if scale is None:
+            return plan
+        scaled = {kind: its.model_copy(update={"bias_scale": scale}) for kind, its in plan.settings[self.light].items()}
+        return plan.model_copy(update={"settings": {self.light: scaled}})
+
+    def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
+        """The light's visibility as a plan fills it, attached shadow included; NaN off the surface."""
+        out = np.ones(self.buffer.there.shape, np.float32)
+        for step in plan.steps:
+            if step.algorithm in FILLS:
+                fill = FILLS[step.algorithm]
+                out *= fill(self.buffer, self.scene, step.light, step.kinds, self.casters, step.settings, log or PassLog())
+        return self.finished(out)
+
+    def finished(self, visibility: np.ndarray) -> np.ndarray:
+        """A visibility with attached shadow in it, NaN off the surface."""
+        return np.where(self.buffer.there, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
+
+    def texels_px(self, plan: Plan) -> np.ndarray:
+        """How many pixels a texel of a plan's maps covers on level ground (rows, cols); 0 without maps."""
+        out = np.zeros(self.buffer.there.shape)
+        for step in plan.steps:
+            if step.algorithm in FILLS:
+                out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
+        return out
+
+    def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
+        """The figures of ``shadows.metrics.Errors``."""
+        return asdict(errors_of(visibility, self.truth, self.descriptor.pixel_m, texels_px))
+
+
+def held(scene: Scene, name: str, size: tuple[int, int]) -> Held:
+    """A view of a scene, by name, in pixels (cols, rows), with its truth."""
+    return beside_truth(scene, scene.view(name, size=size), name)
+
+
+def beside_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> Held:
+    """Any view with its truth; ``name`` is the level's view whose settings it shares."""
+    buffer, light = geometry_of(scene, view), scene.light_names[0]
+    casters = casters_of(scene, buffer)
+    truth = cached_truth(buffer, scene, casters, SAMPLES, light)
+    return Held(scene, view, light, describe(scene, view, name), buffer, casters, truth)
+
+
+def bundled(name: str) -> Scene:
+    """The scene of a bundled level."""
+    return build_scene(load_level(find_level(name)))
+
+
+def level_of(name: str) -> Level:
+    """A bundled level as it stands in its file."""
+    return YAML(typ="safe").load(find_level(name))
+
+
+def scene_of(level: Level, folder: Path) -> Scene:
+    """The scene of a level that is written to a folder, beside the files that it names."""
+    path = folder / "level.yaml"
+    path.write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def one_map(size: int, **asked: Any) -> Asked:
+    """One hard-edged shadow map of 24 bits, unless something else is asked."""
+    return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **asked}
+
+
+def settings_of(look: Held, plan: Plan) -> Settings:
+    """Settings that all casters share."""
+    return next(iter(plan.settings[look.light].values()))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is asked for, and, of a control, what is taken out of it meanwhile."""
+
+    asked: Asked
+    without: Callable[[], AbstractContextManager[Any]] = nullcontext
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What an algorithm made of a view: where it is dark (rows, cols), figures, and what its passes remark."""
+
+    dark: np.ndarray
+    figures: dict[str, float]
+    note: str
+
+
+def found(look: Held, variant: Variant) -> Found:
+    """What an algorithm makes of a view, everything drawn anew: errors, ``cast_edge_mean``, the mean displacement of the edges of
+    cast shadow alone, pixels, and ``marked``, the share of the surface's pixels that a hybrid leaves to its volumes.
+    """
+    log = PassLog()
+    forget_kept()
+    with variant.without():
+        plan = look.plan(variant.asked)
+        visibility, texels_px = look.visibility(plan, log), look.texels_px(plan)
+    forget_kept()
+    dark = np.nan_to_num(visibility, nan=1.0) < 0.5
+    edges_px = edge_distances(dark & look.receivers, ~look.truth.lit & look.receivers, look.receivers)
+    records = log.records.values()
+    figures = look.errors(visibility, texels_px) | {
+        "cast_edge_mean": float(edges_px.mean()) if edges_px.size else 0.0,
+        "marked": sum(record.marked for record in records) / max(int(look.buffer.there.sum()), 1),
+    }
+    return Found(dark, figures, " ".join(record.note for record in records if record.note))
+
+
+def shallow(look: Held, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
+    """Where points see the sun once they are moved so far towards it: less than that behind the first thing that the sun meets."""
+    assert look.scene.sun is not None
+    to_sun = buffer.frame.frame_from_earth @ look.scene.sun.to_sun_earth
+    moved = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
+    return lit_from(moved, look.scene, SUN, ray_scene(look.buffer, look.scene, look.casters, ALL_KINDS))
