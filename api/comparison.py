@@ -63,7 +63,8 @@ def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map")
     base = render_frame(scene, comparison.view, plan).color
     about = _about(scene, comparison, view)
     write_report(folder / "report.html", comparison, base, about)
-    write_scatter(folder / "scatter.svg", comparison, f"{about['level']}, {view}: {about['light']}; {about['device']}")
+    title = [f"{scene.loaded.name}, {view}", f"{about['light']}; {about['size']}; {about['device']}"]
+    write_scatter(folder / "scatter.svg", comparison, title)
     for row in comparison.rows:
         Image.fromarray(false_colours(base.mean(axis=2), row)).save(folder / f"{row.figures['name']}.png")
 

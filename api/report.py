@@ -47,8 +47,8 @@ def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: di
     path.write_text(report(comparison, base, about), encoding="utf-8")
 
 
-def write_scatter(path: Path, comparison: Comparison, title: str) -> None:
-    """Write the scatter of error against time as an SVG file. Raises ``OSError``."""
+def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
+    """Write the scatter of error against time, under the lines of a title, as an SVG file. Raises ``OSError``."""
     path.write_text(still(comparison, title, _part("report.css")), encoding="utf-8")
 
 

@@ -15,8 +15,8 @@ from selector.compare import Comparison
 
 WIDTH, HEIGHT = 860.0, 540.0
 LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0
-HEAD_PX, LEGEND_COLUMNS = 34.0, 2
-"""Of the picture by itself: what its title takes, and names of the legend in a line."""
+HEAD_PX, LEGEND_PX, LEGEND_COLUMNS = 54.0, 14.0, 2
+"""Of the picture by itself: what its title takes, where its legend begins, and names of that in a line."""
 CHARACTER_PX, LINE_PX = 8.3, 16.0
 """Of labels, a little more than any font takes."""
 
@@ -59,26 +59,21 @@ def _plot(comparison: Comparison) -> str:
     ])  # fmt: skip
 
 
-def still(comparison: Comparison, title: str, style: str) -> str:
-    """The scatter as a picture of its own, an SVG file: with a title, the legend and a style (CSS)."""
-    names, lines = _families(comparison), [[]]
-    for name in names:
-        if len(lines[-1]) == LEGEND_COLUMNS:
-            lines.append([])
-        lines[-1].append(name)
-    height = HEAD_PX + HEIGHT + LINE_PX * 1.4 * len(lines) + 8.0
-    keys = (
-        tag("g", mark_of(name).drawn(0, 0, 5.2), _text(12, 4.5, name), transform=f"translate({x:.1f} {y:.1f})")
-        for (k, line) in enumerate(lines)
-        for name, x, y in (
-            (name, LEFT + n * (WIDTH - LEFT) / LEGEND_COLUMNS, HEAD_PX + HEIGHT + 22.4 * k + 8) for n, name in enumerate(line)
-        )
-    )
+def still(comparison: Comparison, title: list[str], style: str) -> str:
+    """The scatter as a picture of its own, an SVG file: with lines of a title, the legend and a style (CSS)."""
+    names = _families(comparison)
+    foot = HEAD_PX + HEIGHT + 8.0
+    keys = []
+    for k, name in enumerate(names):
+        down, across = divmod(k, LEGEND_COLUMNS)
+        x, y = LEGEND_PX + across * (WIDTH - LEGEND_PX) / LEGEND_COLUMNS, foot + 1.4 * LINE_PX * down
+        keys.append(tag("g", mark_of(name).drawn(8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})"))
+    height = foot + 1.4 * LINE_PX * -(-len(names) // LEGEND_COLUMNS)
     return tag(
         "svg",
         tag("style", escape(style, quote=False)),
         tag("rect", width="100%", height="100%", fill="#fff"),
-        _text(LEFT, 22, title, class_="name"),
+        *(_text(LEGEND_PX, 22.0 + LINE_PX * 1.2 * k, line, class_="title" if k else "name") for k, line in enumerate(title)),
         tag("g", _plot(comparison), transform=f"translate(0 {HEAD_PX:g})", class_="scatter"),
         *keys,
         xmlns="http://www.w3.org/2000/svg",

@@ -321,10 +321,10 @@ def test_marks_differ_in_shape_and_colour() -> None:
 def test_the_scatter_alone_is_a_picture_of_its_own(rows, tmp_path) -> None:
     """An SVG file that is well-formed, names what the report's scatter names, and needs nothing from elsewhere."""
     path = tmp_path / "scatter.svg"
-    write_scatter(path, rows, NASTY)
+    write_scatter(path, rows, ["First", NASTY])
     root = ElementTree.parse(path).getroot()
     texts = {"".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")}
     casting = [row.figures for row in rows.rows if casts(row.figures, rows.light)]
-    assert NASTY in texts and {family(each, rows.light) for each in casting} <= texts
+    assert {"First", NASTY} <= texts and {family(each, rows.light) for each in casting} <= texts
     assert len(list(root.iter("{http://www.w3.org/2000/svg}a"))) == len(casting) > 1
     assert "http" not in path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
