@@ -131,12 +131,14 @@ def compare(
     ] = None,
 ) -> None:
     """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
-    from api.comparison import show, write
+    from api.comparison import check_outputs, show, write
     from api.snapshot import scene_and_view
     from selector.compare import TIME_LIMIT_S
     from selector.compare import compare as measure
 
-    scene, seen = scene_and_view(find_level(level), view, parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs)
+    path, sun, shape = find_level(level), parse_sun(time, azimuth, altitude), _size(size)
+    check_outputs(output, json_file)
+    scene, seen = scene_and_view(path, view, sun, shape, _bounds(bounds), crs)
     with _progress("Comparing") as advance:
         comparison = measure(scene, seen, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
     show(comparison)

@@ -17,9 +17,21 @@ from selector.compare import Comparison, Row, false_colours
 from selector.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
+from terrain.errors import InputError
 from terrain.gl import device
 from terrain.level import SUN
 from terrain.scene import Scene
+
+
+def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
+    """Make the folder, before minutes are spent on what could not be written. Raises ``InputError``."""
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            raise InputError("--output", str(folder), "a folder, or where one can be made") from None
+    if rows_file is not None and (rows_file.is_dir() or not rows_file.parent.is_dir()):
+        raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
 def show(comparison: Comparison, console: Console | None = None) -> None:
@@ -58,7 +70,6 @@ def show(comparison: Comparison, console: Console | None = None) -> None:
 
 def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
     """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue."""
-    folder.mkdir(parents=True, exist_ok=True)
     plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": "none"})
     base = render_frame(scene, comparison.view, plan).color
     about = _about(scene, comparison, view)

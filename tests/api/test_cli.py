@@ -246,6 +246,14 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypa
     assert ((none[..., 2] - none[..., 0]) > 100).mean() > 0.02, "missed shadow is blue"
 
 
+@pytest.mark.parametrize("option", ["-o", "--json"])
+def test_compare_says_at_once_that_it_cannot_write(run, tmp_path, option):
+    (tmp_path / "file").write_text("kept")
+    status, _, err = run("compare", "jacksboro", *SMALL, option, str(tmp_path / "file" / "inside"))
+    assert status == 2 and err.count("\n") == 1 and str(tmp_path / "file" / "inside") in err and "folder" in err
+    assert (tmp_path / "file").read_text() == "kept"
+
+
 def test_truth_needs_no_opengl(tmp_path):
     """A map view by rays makes no OpenGL context, and says so."""
     code = (
