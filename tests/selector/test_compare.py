@@ -67,7 +67,8 @@ def test_a_plan_is_timed_after_its_first_run_or_by_it_alone(gl, scene):
         assert figures["ms_p95"] >= figures["ms_median"] > 0.0
         assert list(figures["stages"]) == ["depth map", "visibility"]
         if runs == 1:
-            assert 0.5 * figures["ms_median"] < sum(figures["stages"].values()) <= figures["ms_median"]
+            assert all(ms > 0.0 for ms in figures["stages"].values())
+            assert sum(figures["stages"].values()) <= figures["ms_median"] + 0.001
 
 
 def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):
