@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -68,8 +69,10 @@ def _constant_bias() -> None:
 def _near_plane() -> None:
     from shadows import post_perspective
 
-    matrix = post_perspective.camera_matrix
+    matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
+    # By the texels that it gives it would lose to a uniform map: it is taken all the same.
+    post_perspective._texel = lambda *seen: float(next(rank))
 
 
 def _flat_earth() -> None:
@@ -123,7 +126,7 @@ MUTANTS = {
         (("test_bias", "test_tilted_planes_are_lit", "shadow_map"), ("test_bias", "test_level_ground_is_lit", "shadow_map")),
     ),
     "near_plane": Mutant(
-        "a perspective map's near plane lies a thousandth of a millimetre before the eye", _near_plane,
+        "a perspective map's near plane lies a thousandth of a millimetre before the eye, and no texels are compared", _near_plane,
         (("test_properties", "test_found_situations", "perspective_shadow_map"),),
     ),
     "flat_earth": Mutant(
