@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -128,8 +128,10 @@ def compare(
     on_step: Callable[[int, int], None] | None = None,
     light: str | None = None,
     time_limit_s: float = TIME_LIMIT_S,
+    plans: Sequence[Plan] | None = None,
 ) -> Comparison:
-    """Measure every candidate on one geometry; ``on_step(done, total)`` is called as the work goes on.
+    """Measure every candidate (``plans``, or those of ``candidates``) on one geometry; ``on_step(done, total)`` is called as the
+    work goes on.
 
     ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``. Every candidate is
     drawn once for its errors; then all are timed in turns, so that what else a machine does meets them alike, the quickest first.
@@ -138,7 +140,7 @@ def compare(
     """
     start = time.perf_counter()
     light = _light(scene, light)
-    plans = candidates(scene, view, name, light)
+    plans = candidates(scene, view, name, light) if plans is None else plans
     total = len(plans) + REPEATS + 2
     step = on_step or (lambda done, of: None)
     grounds = _grounds(scene, view, light, fine)

@@ -1,66 +1,70 @@
-"""The `rules` policy: a plan from readable rules over the descriptor, without a device."""
+"""Descriptor, wishes and picks -> Plan: what runs for each light and kind of casters, with what settings, and why."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic_core import PydanticCustomError
 
+from selector.advice import advised
 from selector.map_settings import lamp_map_settings, sun_map_settings
 from selector.perspective_settings import perspective_map_settings
+from selector.picks import Pick, Wishes
+from selector.serves import kinds_of_lights, parts_of
 from selector.volume_settings import hybrid_settings, volume_settings
 from shadows.passes import PassLog
 from shadows.plan import Plan, Reasoned, Settings, SweepSettings, Target, TruthSettings
-from shadows.registry import ALGORITHMS, LightKind, Part, able
+from shadows.registry import ALGORITHMS, Part, able
 from shadows.render import passes_of
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Level, Shadows, algorithm_choice, override, spelt
-
-MOST_BEND_PX = 0.25
-"""How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
+from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
 
 
-def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | None = None) -> Plan:
-    """The plan of a view. ``overrides`` (algorithm, map_size, depth_bits, filter) go before what the level says.
+def choose(
+    descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None, picks: Mapping[str, Pick] | None = None
+) -> Plan:
+    """The plan of a view. ``overrides`` (fields of ``Shadows``) go before what is wished (a level's own ``shadows``), and that goes
+    before ``picks``, one a light; without any those of the rules are taken.
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
     overrides = overrides or {}
-    asked = override(level.shadows, overrides)
-    effects, left_out = _effects(descriptor, level, asked)
+    asked = override(wishes.shadows, overrides)
+    picks = advised(descriptor, asked.max_error) if picks is None else picks
+    effects, left_out = _effects(descriptor, wishes, asked)
     missing = {effect.name: effect.reason for effect in left_out}
-    forced = {name for name in EFFECTS if _wish(level, name) == "on"}
+    forced = {name for name in EFFECTS if _wish(wishes, name) == "on"}
     try:
-        choice = algorithm_choice(asked.algorithm, level.light_names)
+        choice = algorithm_choice(asked.algorithm, wishes.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
     who = "the level" if overrides.get("algorithm") is None else "the request"
     algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
     settings: dict[str, dict[CasterKind, Settings]] = {}
     reasons: list[Reasoned] = []
-    kinds_of = {SUN: "sun"} if descriptor.highest_sun_deg is not None or not descriptor.lamps else {}
-    kinds_of |= {lamp.name: lamp.kind for lamp in descriptor.lamps}
+    kinds_of = kinds_of_lights(descriptor)
     for light, kind_of_light in kinds_of.items():
         for caster in descriptor.casters:
             wish = choice.get(light, {}).get(caster)
-            name, reason = _algorithm(descriptor, light, caster, wish, who, missing, forced)
-            _check(name, light, caster, _parts(descriptor, kind_of_light, caster), who)
+            name, reason = _algorithm(descriptor, light, caster, wish, who, missing, forced, picks.get(light))
+            _check(name, light, caster, parts_of(descriptor, kind_of_light, caster), who)
             algorithm.setdefault(light, {})[caster] = name
             reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
     for light, per_kind in algorithm.items():
         resolved: dict[str, Settings | None] = {}
         for caster, name in per_kind.items():
             if name not in resolved:
-                resolved[name], why = _settings(name, descriptor, light, asked, missing.get("soft_edges"))
+                resolved[name], why = _settings(name, descriptor, light, asked, picks.get(light), missing.get("soft_edges"))
                 reasons += why
             if (its := resolved[name]) is not None:
                 settings.setdefault(light, {})[caster] = its
     effects, left_out = _with_work(effects, left_out, algorithm, settings)
     used = {name for per_kind in algorithm.values() for name in per_kind.values()}
-    wanted = [_parts(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
+    wanted = [parts_of(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
     plan = Plan(
         view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
         rejected=[
@@ -73,13 +77,13 @@ def choose(descriptor: Descriptor, level: Level, overrides: dict[str, Any] | Non
     return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
 
 
-def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+def _effects(descriptor: Descriptor, wishes: Wishes, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out."""
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
         verdict = effect.verdict(name, descriptor)
-        wish = _wish(level, name)
+        wish = _wish(wishes, name)
         runs, reason = verdict.called_for, verdict.reason
         if wish != "auto":
             runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
@@ -92,8 +96,8 @@ def _effects(descriptor: Descriptor, level: Level, asked: Shadows) -> tuple[list
     return effects, left_out
 
 
-def _wish(level: Level, name: EffectName) -> str:
-    return "auto" if level.effects == "auto" else level.effects.get(name, "auto")
+def _wish(wishes: Wishes, name: EffectName) -> str:
+    return "auto" if wishes.effects == "auto" else wishes.effects.get(name, "auto")
 
 
 def _with_work(
@@ -131,6 +135,7 @@ def _algorithm(
     who: str,
     missing: dict[str, str],
     forced: set[EffectName],
+    pick: Pick | None,
 ) -> tuple[AlgorithmName, str]:
     """The algorithm of a light for a kind of casters, and the reason; ``missing`` are the effects left out, with theirs, ``forced``
     those that the level forces on.
@@ -149,14 +154,9 @@ def _algorithm(
         return "none", kind_of_sun(descriptor, caster).reason
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return "none", f"{light} reaches nothing that is seen"
-    return "shadow_map", f"the algorithm at hand for {caster} under {'the sun' if light == SUN else light}"
-
-
-def _parts(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Part, ...]:
-    """What an algorithm is asked to serve, for a light of a kind and a kind of casters."""
-    level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
-    view: tuple[Part, ...] = (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
-    return (*view, light, caster, "level" if level_ground else "uneven")
+    if pick is None or caster not in pick.algorithm:
+        return "shadow_map", "it serves every view, light and kind of casters"
+    return pick.algorithm[caster], pick.why.get(caster, pick.name)
 
 
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Part, ...], who: str) -> None:
@@ -181,9 +181,19 @@ def _rejected(
 
 
 def _settings(
-    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
+    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, pick: Pick | None, sharp: str | None
 ) -> tuple[Settings | None, list[Reasoned]]:
     """The settings of an algorithm, if it has any, and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
+    picked = {key: value for key, value in (pick.settings if pick else {}).items() if getattr(asked, key) == "auto"}
+    chosen = [Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why]
+    settings, reasons = _resolved(name, descriptor, light, asked.model_copy(update=picked), sharp)
+    taken = {key for key in picked if hasattr(getattr(settings, "map", settings), key)}
+    return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
+
+
+def _resolved(
+    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
+) -> tuple[Settings | None, list[Reasoned]]:
     ignored, hard = [], []
     if light == SUN and sharp is not None and asked.filter != 1:
         hard.append(Reasoned(name="filter 1", reason=f"sharp edges: {sharp}"))

@@ -123,9 +123,13 @@ bool receive(ivec2 pixel) {
         }
     }
     if (on_nodes && !own) {
-        ivec2 node = ivec2(floor(first_node + node_step * vec2(pixel) + 0.5));
+        vec2 at = first_node + node_step * vec2(pixel), nearest = floor(at + 0.5), aside = at - nearest;
+        bool in_se = aside.x + aside.y > 0.0;  // of the quads that the node is a corner of the cut in
+        int mine = aside.x >= 0.0 ? aside.y >= 0.0 ? 5 : in_se ? 0 : 1 : aside.y < 0.0 ? 2 : in_se ? 4 : 3;
+        ivec2 node = ivec2(nearest);
         middle = turned * in_light(texelFetch(node_frame_m, node, 0).xyz);
-        for (int k = 0; k < 6; k++) ring[k] = turned * in_light(texelFetch(node_frame_m, node + RING[k], 0).xyz) - middle;
+        for (int k = 0; k < 6; k++)
+            ring[k] = turned * in_light(texelFetch(node_frame_m, node + RING[(mine + k) % 6], 0).xyz) - middle;
         ring[6] = ring[0];
         triangles = 6;
     }
@@ -150,11 +154,19 @@ bool is_on_own(vec2 at, out float z) {
     return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
 }
 
+// The area that the light sees between two places, taken from the node, and which way round it they follow one another.
+float around(vec3 a, vec3 b) { return lamp ? dot(middle, cross(a, b)) : cross2(a.xy, b.xy); }
+
 // ... in general any of them. Apart, since a test in each tap's loop would cost more than the taps.
 bool is_on_any(vec2 at, out float z) {
-    for (int k = 0; k < triangles; k++) {
+    vec2 centre = at + 0.5;
+    vec3 there = lamp ? vec3((2.0 * centre / vec2(map_size) - 1.0) * tangent, 1.0) : vec3(centre * texel_m, 0.0);
+    float facing = around(ring[0], ring[1]);
+    int way = around(point - middle, there - middle) * facing >= 0.0 ? 1 : 5;
+    for (int n = 0, k = 0; n < triangles; n++, k = (k + way) % 6) {
         float slack;
-        if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {
+        if (around(ring[k], ring[k + 1]) * facing < 0.0) return false;
+        if (meets(middle, ring[k], ring[k + 1], centre, z, slack)) {
             z = mix(point.z, z, bias_scale) - slack - error_m;
             return true;
         }
