@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from terrain.level import AlgorithmName, CasterKind, EffectName, Shadows
+
+PolicyName = Literal["rules", "predict", "measure"]
+"""``rules``: what is known beforehand; ``predict``: cost and error models; ``measure``: candidates run against truth."""
 
 
 class Wishes(Protocol):

@@ -1,0 +1,59 @@
+"""Policies behind one interface: a descriptor and wishes, or a scene and a view, -> ``Plan``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from selector.picks import PolicyName, Wishes
+from selector.rules import choose
+from shadows.plan import Plan, Reasoned
+from terrain.camera import PerspectiveView
+from terrain.descriptor import Descriptor, describe
+from terrain.errors import InputError
+from terrain.grid import MapView
+from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from selector.device_profile import DeviceProfile
+
+UNCALIBRATED = "this device is not calibrated for predictions (skugga calibrate does it): the rules decide"
+
+
+def select(
+    descriptor: Descriptor,
+    wishes: Wishes,
+    overrides: dict[str, Any] | None = None,
+    policy: PolicyName = "predict",
+    device: DeviceProfile | None = None,
+) -> Plan:
+    """The plan of a view by the policy ``rules`` or ``predict``; without a device's calibration ``predict`` falls back to
+    ``rules``, and the plan says so.
+
+    Raises ``InputError`` for what is wrong, ``measure`` among it, and ``UnsupportedError`` for what cannot be served.
+    """
+    if policy == "measure":
+        raise InputError("policy", policy, "rules, predict: to measure takes the scene itself, at design time (skugga select)")
+    if policy == "predict" and device is not None:
+        from selector.predict import predicted_plan
+
+        return predicted_plan(descriptor, wishes, overrides, device)
+    plan = choose(descriptor, wishes, overrides)
+    if policy == "rules":
+        return plan
+    return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=UNCALIBRATED)]})
+
+
+def plan_of_view(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    name: str = "map",
+    overrides: dict[str, Any] | None = None,
+    policy: PolicyName = "predict",
+    device: DeviceProfile | None = None,
+) -> Plan:
+    """The plan of a scene's view by any policy. Raises as ``select`` does."""
+    if policy == "measure":
+        from selector.measuring import measured_plan
+
+        return measured_plan(scene, view, name, overrides)
+    return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device)
