@@ -14,13 +14,14 @@ NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --n
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long lint viewer viewer-if-possible clean
+.PHONY: help setup run test test-long hunt lint viewer viewer-if-possible clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make run        set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
 	@echo "make test       the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long  the tests that take minutes"
+	@echo "make hunt       draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make lint       ruff"
 	@echo "make viewer     build the viewer into api/static/"
 	@echo "make clean      remove everything that make has made"
@@ -38,6 +39,10 @@ test: setup $(if $(CI),viewer,viewer-if-possible)
 # The same two processes; files in the order of their names, but for the mutants, which go last.
 test-long: setup
 	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m long $(ARGS)
+
+# Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
+hunt: setup
+	$(VENV)/bin/python -m tests.hard_cases.hunt $(ARGS)
 
 lint: $(INSTALLED)
 	$(VENV)/bin/ruff check .

@@ -10,11 +10,13 @@ from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request, Response
+from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api import problems, routes_health, routes_levels, routes_snapshot, routes_tiles, routes_viewer
+from api import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
 from api.answers import EXPOSED_HEADERS, VERSION
+from api.errors import TooLargeError
 from api.pool import Pool
 from api.render_worker import worker_main
 from api.served import ServedLevels
@@ -64,14 +66,16 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
     )  # fmt: skip
     app.state.service = service
     app.add_middleware(
-        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD"],
+        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"],
+        allow_headers=["Content-Type"],
         expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(HeadAsGet)
+    app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     problems.install(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
-    for router in (routes_levels.router, routes_tiles.router, routes_snapshot.router, routes_health.router):
-        app.include_router(router)
+    for routes in (routes_levels, routes_plan, routes_tiles, routes_snapshot, routes_health):
+        app.include_router(routes.router)
     routes_viewer.install(app, routes_viewer.STATIC_FOLDER)
     return app
 
@@ -92,6 +96,37 @@ class HeadAsGet:
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
         await self.app({**scope, "method": "GET"}, receive, send_head)
+
+
+class BoundedBody:
+    """Refuses bodies of more than so many bytes, before they are read where they tell their length."""
+
+    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+        self.app, self.max_bytes = app, max_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        error = TooLargeError(
+            "body", f"more than {self.max_bytes} bytes", f"at most {self.max_bytes} bytes (SKUGGA_MAX_BODY_BYTES)"
+        )
+        told = dict(scope["headers"]).get(b"content-length", b"0")
+        if told.isdigit() and int(told) > self.max_bytes:
+            await problems.domain_problem(Request(scope), error)(scope, receive, send)
+            return
+        read = 0
+
+        async def receive_some() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            if read > self.max_bytes:
+                raise HTTPException(413, str(error))
+            return message
+
+        await self.app(scope, receive_some, send)
 
 
 class Server(uvicorn.Server):

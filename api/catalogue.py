@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from configs import LEVELS_FOLDER
-from selector.rules import choose
-from terrain.descriptor import describe
+from selector.select import plan_of_view
 from terrain.errors import InputError, UnsupportedError
 from terrain.level import load_level
 from terrain.picture import imagery_of
@@ -57,7 +56,7 @@ def remarks(path: Path) -> list[str]:
     level = scene.loaded.level
     for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
         try:
-            choose(describe(scene, scene.view(name), name), level)
+            plan_of_view(scene, scene.view(name), name, policy="rules")
         except UnsupportedError as error:
             raise UnsupportedError(f"{path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
     elevation, notes = scene.elevation, []

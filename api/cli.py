@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +29,27 @@ _UsageError = typer.BadParameter.__mro__[1]
 
 LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+View = Annotated[str, typer.Option(help="A view of the level.")]
+Time = Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")]
+Azimuth = Annotated[float | None, typer.Option(help="Degrees clockwise from north.")]
+Altitude = Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
+Bounds = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
+Crs = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
+Seconds = Annotated[float | None, typer.Option(help="The clock of moving casters.")]
+
+Algorithm = Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")]
+MapSize = Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")]
+Cascades = Annotated[int | None, typer.Option(help="Shadow maps of a perspective view, 1 to 4.")]
+DepthBits = Annotated[int | None, typer.Option(help="16, 24 or 32.")]
+Filter = Annotated[str | None, typer.Option(help="Taps a side: 1, 2, 3 or 5; or sun: the penumbra of its disc.")]
+Bias = Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")]
+Culling = Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")]
+Fit = Annotated[str | None, typer.Option(help="Where shadow maps lie: stable (a fixed lattice) or tight.")]
+Stencil = Annotated[str | None, typer.Option(help="Both sides of shadow volumes in one_pass, or in two_pass.")]
+Counting = Annotated[str | None, typer.Option(help="auto, or z_fail for all shadow volumes.")]
+Mask = Annotated[str | None, typer.Option(help="What a hybrid leaves to volumes: conservative or original.")]
 
 
 @app.callback()
@@ -54,7 +77,7 @@ def serve(
 def render(
     level: LevelName,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
-    view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
+    view: View = "map",
     layer: Annotated[
         str,
         typer.Option(
@@ -62,25 +85,25 @@ def render(
             "silhouettes, volumes, shadow-height."
         ),
     ] = "color",
-    algorithm: Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")] = None,
-    time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
-    altitude: Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
-    bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
-    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
-    map_size: Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")] = None,
-    cascades: Annotated[int | None, typer.Option(help="Shadow maps of a perspective view, 1 to 4.")] = None,
-    depth_bits: Annotated[int | None, typer.Option(help="16, 24 or 32.")] = None,
-    filter: Annotated[str | None, typer.Option(help="Taps a side: 1, 2, 3 or 5; or sun: the penumbra of its disc.")] = None,
-    bias: Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")] = None,
-    culling: Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")] = None,
-    fit: Annotated[str | None, typer.Option(help="Where shadow maps lie: stable (a fixed lattice) or tight.")] = None,
-    stencil: Annotated[str | None, typer.Option(help="Both sides of shadow volumes in one_pass, or in two_pass.")] = None,
-    counting: Annotated[str | None, typer.Option(help="auto, or z_fail for all shadow volumes.")] = None,
-    mask: Annotated[str | None, typer.Option(help="What a hybrid leaves to volumes: conservative or original.")] = None,
+    algorithm: Algorithm = None,
+    time: Time = None,
+    azimuth: Azimuth = None,
+    altitude: Altitude = None,
+    size: Size = None,
+    bounds: Bounds = None,
+    crs: Crs = None,
+    map_size: MapSize = None,
+    cascades: Cascades = None,
+    depth_bits: DepthBits = None,
+    filter: Filter = None,
+    bias: Bias = None,
+    culling: Culling = None,
+    fit: Fit = None,
+    stencil: Stencil = None,
+    counting: Counting = None,
+    mask: Mask = None,
     light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
-    seconds: Annotated[float | None, typer.Option(help="The clock of moving casters.")] = None,
+    seconds: Seconds = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
@@ -88,19 +111,10 @@ def render(
     from api.snapshot import snapshot, statistics
 
     check_suffix(layer, output)
-    overrides = {
-        "algorithm": None if algorithm is None else parse_algorithm(algorithm, "--algorithm"),
-        "map_size": map_size,
-        "cascades": cascades,
-        "depth_bits": depth_bits,
-        "filter": int(filter) if filter is not None and filter.isdecimal() else filter,
-        "bias": bias,
-        "culling": culling,
-        "fit": fit,
-        "stencil": stencil,
-        "counting": counting,
-        "mask": mask,
-    }
+    overrides = _overrides(
+        algorithm, filter, map_size=map_size, cascades=cascades, depth_bits=depth_bits, bias=bias, culling=culling, fit=fit,
+        stencil=stencil, counting=counting, mask=mask,
+    )  # fmt: skip
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
         kept = PASS_LAYERS & {layer}
@@ -111,19 +125,84 @@ def render(
 
 
 @app.command()
+def select(
+    level: LevelName,
+    view: View = "map",
+    policy: Annotated[
+        str, typer.Option(help="rules: what is known beforehand; predict: by this device; measure: against truth, in minutes.")
+    ] = "predict",
+    as_json: AsJson = False,
+    write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
+    descriptor: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view, as POST /plan takes them.")
+    ] = None,
+    max_error: Annotated[float | None, typer.Option(help="Share of the cast shadow that may be wrong, up to 1.")] = None,
+    max_ms: Annotated[float | None, typer.Option(help="Milliseconds that shadows may take.")] = None,
+    algorithm: Algorithm = None,
+    time: Time = None,
+    azimuth: Azimuth = None,
+    altitude: Altitude = None,
+    size: Size = None,
+    bounds: Bounds = None,
+    crs: Crs = None,
+    map_size: MapSize = None,
+    cascades: Cascades = None,
+    depth_bits: DepthBits = None,
+    filter: Filter = None,
+    bias: Bias = None,
+    culling: Culling = None,
+    fit: Fit = None,
+    stencil: Stencil = None,
+    counting: Counting = None,
+    mask: Mask = None,
+    seconds: Seconds = None,
+) -> None:
+    """Choose algorithms and settings for a view, and say why."""
+    from api.choice import choose, pin_down, write_descriptor
+    from api.selection import in_words
+
+    overrides = _overrides(
+        algorithm, filter, max_error=max_error, max_ms=max_ms, map_size=map_size, cascades=cascades, depth_bits=depth_bits,
+        bias=bias, culling=culling, fit=fit, stencil=stencil, counting=counting, mask=mask,
+    )  # fmt: skip
+    seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
+    with _waiting("Measuring" if policy == "measure" else "Choosing"):
+        choice = choose(find_level(level), view, policy, overrides, *seen, anew=write)
+        said = pin_down(choice) if write else None
+    if descriptor is not None:
+        write_descriptor(choice, descriptor)
+    typer.echo(choice.plan.model_dump_json(indent=2) if as_json else in_words(choice.plan, choice.heading))
+    if said is not None:
+        typer.echo(said, err=True)
+
+
+@app.command()
+def calibrate(as_json: AsJson = False) -> None:
+    """Measure this device, so that `predict` can tell what shadows will take on it."""
+    from api.calibrated import in_words
+    from selector.calibration import calibrate as measure
+    from selector.device_profile import save_profile
+
+    with _progress("Calibrating") as advance:
+        profile = measure(advance)
+    path = save_profile(profile)
+    typer.echo(profile.model_dump_json(indent=2) if as_json else in_words(profile, path))
+
+
+@app.command()
 def compare(
     level: LevelName,
-    view: Annotated[str, typer.Option(help="A view of the level.")] = "map",
+    view: View = "map",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
-    time: Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
-    altitude: Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")] = None,
-    bounds: Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")] = None,
-    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")] = None,
+    time: Time = None,
+    azimuth: Azimuth = None,
+    altitude: Altitude = None,
+    size: Size = None,
+    bounds: Bounds = None,
+    crs: Crs = None,
     light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
     time_limit: Annotated[
@@ -222,6 +301,15 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
+def _overrides(algorithm: str | None, filter: str | None, **others: Any) -> dict[str, Any]:
+    """Options as a request's changes of a level's ``shadows``."""
+    return {
+        "algorithm": None if algorithm is None else parse_algorithm(algorithm, "--algorithm"),
+        "filter": int(filter) if filter is not None and filter.isdecimal() else filter,
+        **others,
+    }
+
+
 def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
@@ -241,6 +329,18 @@ def _bounds(text: str | None) -> tuple[float, float, float, float] | None:
     except ValueError:
         raise InputError("--bounds", text, "W,S,E,N: four numbers in units of the output CRS") from None
     return west, south, east, north
+
+
+@contextmanager
+def _waiting(what: str) -> Iterator[None]:
+    """A sign of life on a terminal, for work that does not tell how far it is."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
+        yield
 
 
 class _progress:  # noqa: N801  (used as a function)

@@ -32,6 +32,10 @@ class NotServedError(NotFoundError):
         super().__init__(message)
 
 
+class TooLargeError(InputError):
+    """A request's body has more bytes than the settings allow."""
+
+
 class WorkerCrashError(RenderError):
     """A render process ended in the middle of its work."""
 
@@ -62,6 +66,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
     SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
+    TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
     NotFoundError: Outcome(404, WRONG_INPUT, "not_found"),
     NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
     BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),

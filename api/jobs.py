@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -14,7 +14,13 @@ from api.layers import PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level import SunSpec, parse_algorithm
 
+if TYPE_CHECKING:
+    from selector.device_profile import DeviceProfile
+
 PictureFormat = Literal["png", "webp", "jpg"]
+
+ServedPolicy = Literal["rules", "predict"]
+"""Policies that a request may name; ``measure`` takes minutes, at design time."""
 
 
 class _Value(BaseModel):
@@ -35,9 +41,17 @@ class Overrides(_Value):
     mask: str | None = None
 
     def for_selector(self) -> dict[str, Any]:
-        """As ``selector.rules.choose`` takes them. Raises ``InputError``."""
+        """As policies of ``selector.select`` take them. Raises ``InputError``."""
         algorithm = None if self.algorithm is None else parse_algorithm(self.algorithm)
         return {**self.model_dump(), "algorithm": algorithm}
+
+
+class PlanOverrides(Overrides):
+    """What a request asks of a plan: of the shadows, and what they may cost."""
+
+    max_error: float | None = None
+    max_ms: float | None = None
+    cascades: int | None = None
 
 
 class LevelKey(_Value):
@@ -59,13 +73,29 @@ class BlockJob(_Value):
     overrides: Overrides = Overrides()
 
 
+class Tiles(_Value):
+    """The tiles of a zoom, of which all have the same plan."""
+
+    matrix_set: str
+    zoom: int
+
+
 class PlanJob(_Value):
-    """Make the plan of a level's view without drawing it."""
+    """Make the plan of a level's view, or of tiles, without drawing it."""
 
     level: LevelKey
-    view: str
+    view: str | Tiles
+    policy: ServedPolicy = "predict"
     sun: SunSpec | None = None
-    overrides: Overrides = Overrides()
+    overrides: PlanOverrides = PlanOverrides()
+
+
+class DescriptorJob(_Value):
+    """Describe a level's view, or tiles: what plans are made from."""
+
+    level: LevelKey
+    view: str | Tiles
+    sun: SunSpec | None = None
 
 
 class SnapshotJob(_Value):
@@ -86,14 +116,15 @@ class SnapshotJob(_Value):
     overrides: Overrides = Overrides()
 
 
-Job = BlockJob | PlanJob | SnapshotJob
+Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob
 
 
 @dataclass(frozen=True)
 class Ready:
-    """A render process has warmed up."""
+    """A render process has warmed up: what it draws with, and the calibration that its plans go by while it lives."""
 
     renderer: str
+    device: DeviceProfile | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +132,7 @@ class Block:
     """A finished block: ``color`` (rows, cols, 3) uint8, ``visibility`` (rows, cols) float32, NaN off the surface.
 
     ``plan_json`` is the plan, ``headline`` its algorithms as in overrides; ``passes`` are names with milliseconds;
-    the caster reach is in metres; ``renderer`` drew it.
+    the caster reach is in metres; ``renderer`` drew it, by plans of a ``calibration`` (its digest).
     """
 
     color: np.ndarray
@@ -113,6 +144,7 @@ class Block:
     reach_needed_m: float
     reach_clipped: bool
     renderer: str
+    calibration: str = ""
 
     @property
     def there(self) -> np.ndarray:
@@ -144,6 +176,7 @@ class Snapshot:
     reach_needed_m: float
     reach_clipped: bool
     renderer: str
+    calibration: str = ""
 
     @property
     def nbytes(self) -> int:
@@ -156,6 +189,13 @@ class PlanAnswer:
     """A plan as JSON."""
 
     plan_json: str
+
+
+@dataclass(frozen=True)
+class DescriptorAnswer:
+    """A descriptor as JSON."""
+
+    descriptor_json: str
 
 
 @dataclass(frozen=True)
@@ -186,5 +226,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = Block | Snapshot | PlanAnswer
+Result = Block | Snapshot | PlanAnswer | DescriptorAnswer
 Answer = Result | Failure

@@ -8,7 +8,9 @@ import logging
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from api.calibrated import digest_of
 from api.errors import WorkerCrashError
 from api.jobs import Answer, Block, Failure, Job, Result, Snapshot
 from api.render_worker import WorkerConfig, worker_main
@@ -16,6 +18,9 @@ from api.settings import Settings, cores
 from api.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import ByteCache
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
+
+if TYPE_CHECKING:
+    from selector.device_profile import DeviceProfile
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
@@ -60,7 +65,9 @@ class Pool:
         self._slots: list[asyncio.Task[None]] = []
         self._start_error: SkuggaError | None = None
         self._closed = False
+        self._settled = asyncio.Event()
         self.renderer: str | None = None
+        self.device: DeviceProfile | None = None
         self.pids: set[int] = set()
         self.tally = Tally()
 
@@ -68,6 +75,15 @@ class Pool:
     def ready(self) -> bool:
         """Whether a render process has warmed up."""
         return bool(self.pids)
+
+    @property
+    def calibration(self) -> str:
+        """The digest of the calibration that new plans go by."""
+        return digest_of(self.device)
+
+    async def settled(self) -> None:
+        """Wait until it is known what the first process draws with, or that it cannot be started."""
+        await self._settled.wait()
 
     @property
     def queued(self) -> int:
@@ -85,6 +101,7 @@ class Pool:
     async def close(self) -> None:
         """End the processes and fail what is on its way."""
         self._closed = True
+        self._settled.set()
         for slot in self._slots:
             slot.cancel()
         await asyncio.gather(*self._slots, return_exceptions=True)
@@ -147,13 +164,16 @@ class Pool:
         """Whether the process ended in good order or at least after good work."""
         try:
             began = asyncio.get_running_loop().time()
-            self.renderer = (await worker.start(self._settings.start_timeout_s)).renderer
+            ready = await worker.start(self._settings.start_timeout_s)
+            self.renderer, self.device = ready.renderer, ready.device
         except SkuggaError as error:
             log.error("a render process could not be started: %s", error)
             self._start_error = error
             if not self.ready:
                 self._fail_all(GraphicsError(str(error)), list(self._queue.values()))
             return False
+        finally:
+            self._settled.set()
         took = asyncio.get_running_loop().time() - began
         self._start_error = None
         self.tally.started += 1

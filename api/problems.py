@@ -85,7 +85,13 @@ def install(app: FastAPI) -> None:
 
 
 def _first_wrong(error: RequestValidationError) -> InputError:
+    """The first thing that is wrong: a parameter by its name, a part of the body by its path."""
     detail = error.errors()[0]
-    name = str(detail["loc"][-1])
+    where, *path = detail["loc"]
     allowed = detail["msg"].removeprefix("Input should be ")
-    return InputError(name, detail.get("input"), allowed[:1].lower() + allowed[1:])
+    allowed = allowed[:1].lower() + allowed[1:]
+    if where != "body":
+        return InputError(str(detail["loc"][-1]), detail.get("input"), allowed)
+    if detail["type"] == "json_invalid":
+        return InputError("body", f"broken at character {path[0]}", f"JSON ({detail['ctx']['error']})")
+    return InputError(".".join(str(part) for part in path) or "body", detail.get("input"), allowed)

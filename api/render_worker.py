@@ -10,25 +10,52 @@ import os
 import signal
 import time as clock
 from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from morecantile import tms as matrix_sets
 
-from api.jobs import Answer, Block, BlockJob, Failure, Job, LevelKey, PlanAnswer, PlanJob, Ready, Result, Snapshot, SnapshotJob
+from api.calibrated import calibration, digest_of
+from api.jobs import (
+    Answer,
+    Block,
+    BlockJob,
+    DescriptorAnswer,
+    DescriptorJob,
+    Failure,
+    Job,
+    LevelKey,
+    PlanAnswer,
+    PlanJob,
+    Ready,
+    Result,
+    Snapshot,
+    SnapshotJob,
+    Tiles,
+)
 from api.layers import encode_picture, picture_of
-from selector.rules import choose
-from shadows.render import render_frame
+from selector.select import plan_of_view
+from shadows.plan import Plan
+from shadows.render import Frame, render_frame
+from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.errors import GraphicsError, RenderError, SkuggaError
-from terrain.grid import BLOCK_PX, MapView, tile_grid
+from terrain.grid import BLOCK_PX, Grid, MapView, tile_grid
 from terrain.level import load_level
 from terrain.scene import Scene, build_scene
+from terrain.slopes import extent_on_grid
+
+if TYPE_CHECKING:
+    from selector.device_profile import DeviceProfile
 
 MAX_SCENES = 16
 """Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
+
+MAX_TILE_PLANS = 256
+"""Plans of tiles that a process keeps: some KiB each."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
@@ -80,36 +107,97 @@ class Scenes:
         return scene
 
 
+class TilePlans:
+    """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
+
+    def __init__(self, limit: int = MAX_TILE_PLANS) -> None:
+        self._limit = limit
+        self._plans: OrderedDict[Hashable, Plan] = OrderedDict()
+
+    def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
+        """The plan that was made for a key, or is made now."""
+        plan = self._plans.pop(key, None) or make()
+        self._plans[key] = plan
+        while len(self._plans) > self._limit:
+            self._plans.popitem(last=False)
+        return plan
+
+
+@dataclass(frozen=True, eq=False)
+class Desk:
+    """What a render process keeps while it lives: its renderer, the device's calibration, scenes and plans of tiles."""
+
+    renderer: str
+    device: DeviceProfile | None = None
+    scenes: Scenes = field(default_factory=Scenes)
+    plans: TilePlans = field(default_factory=TilePlans)
+
+    @property
+    def calibration(self) -> str:
+        """The digest of the calibration."""
+        return digest_of(self.device)
+
+
 def block_view(job: BlockJob) -> MapView:
     """The view of a block: its pixels are the tile matrix's own."""
-    grid = tile_grid(matrix_sets.get(job.matrix_set), job.zoom)
-    return MapView(grid, float(job.block_y * BLOCK_PX), float(job.block_x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+    return _block(tile_grid(matrix_sets.get(job.matrix_set), job.zoom), job.block_x, job.block_y)
 
 
-def work(job: Job, scenes: Scenes, renderer: str) -> Result:
+def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
+    """The view of the block that holds the level's middle: what is planned for all tiles of the zoom is planned for this one."""
+    grid = tile_grid(matrix_sets.get(tiles.matrix_set), tiles.zoom)
+    (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
+    return _block(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
+
+
+def _block(grid: Grid, x: int, y: int) -> MapView:
+    return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+
+
+def work(job: Job, desk: Desk) -> Result:
     """Do a job. Raises ``SkuggaError``."""
-    scene = scenes.get(job.level).with_sun(job.sun)
-    name = "map" if isinstance(job, BlockJob) else job.view
-    if isinstance(job, BlockJob):
-        view = block_view(job)
-    elif isinstance(job, SnapshotJob):
-        scene = scene.at_second(job.seconds)
-        view = scene.view(name, size=job.size)
-    else:
-        view = scene.view(name)
-    plan = choose(describe(scene, view, name), scene.loaded.level, job.overrides.for_selector())
-    if isinstance(job, PlanJob):
-        return PlanAnswer(plan.model_dump_json())
-    frame = render_frame(scene, view, plan)
-    facts = {
-        "headline": plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes), "renderer": renderer,
+    scene = desk.scenes.get(job.level).with_sun(job.sun)
+    match job:
+        case DescriptorJob():
+            return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
+        case PlanJob():
+            overrides = job.overrides.for_selector()
+            plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, desk.device)
+            return PlanAnswer(plan.model_dump_json())
+        case BlockJob():
+            plan = _plan_of_tiles(job, scene, desk)
+            frame = render_frame(scene, block_view(job), plan)
+            return Block(color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, desk))
+        case SnapshotJob():
+            scene = scene.at_second(job.seconds)
+            view = scene.view(job.view, size=job.size)
+            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, job.overrides.for_selector(), device=desk.device))
+            start = clock.perf_counter()
+            body = encode_picture(picture_of(frame.under(job.light), job.layer), f".{job.format}")
+            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, desk))
+
+
+def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
+    """A view, and the name that its plan has."""
+    return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
+
+
+def _plan_of_tiles(job: BlockJob, scene: Scene, desk: Desk) -> Plan:
+    tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
+
+    def make() -> Plan:
+        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.overrides.for_selector(), device=desk.device)
+
+    return desk.plans.get((job.level, tiles, job.sun, job.overrides), make)
+
+
+def _facts(frame: Frame, desk: Desk) -> dict[str, Any]:
+    """What a picture says of what drew it."""
+    return {
+        "headline": frame.plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
+        "renderer": desk.renderer, "calibration": desk.calibration,
         "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
     }  # fmt: skip
-    if isinstance(job, BlockJob):
-        return Block(color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **facts)
-    start = clock.perf_counter()
-    body = encode_picture(picture_of(frame.under(job.light), job.layer), f".{job.format}")
-    return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **facts)
 
 
 def worker_main(pipe: Connection, config: WorkerConfig) -> None:
@@ -118,12 +206,11 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     from api.warm_up import warm_up
 
-    scenes = Scenes()
     try:
-        renderer = warm_up(config.expect_renderer)
-        pipe.send(Ready(renderer))
+        desk = Desk(warm_up(config.expect_renderer), calibration())
+        pipe.send(Ready(desk.renderer, desk.device))
         while True:
-            answer = _answer(pipe.recv(), scenes, renderer)
+            answer = _answer(pipe.recv(), desk)
             pipe.send(answer)
             if isinstance(answer, Failure) and answer.fatal:
                 return
@@ -133,9 +220,9 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         return
 
 
-def _answer(job: Job, scenes: Scenes, renderer: str) -> Answer:
+def _answer(job: Job, desk: Desk) -> Answer:
     try:
-        return work(job, scenes, renderer)
+        return work(job, desk)
     except SkuggaError as error:
         return Failure.of(error, fatal=isinstance(error, GraphicsError))
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it

@@ -16,8 +16,9 @@ from api.report_page.markup import breakable, definitions, script_json, tag
 from api.report_page.pictures import LEVELS, Errors, Pictures, palette, pictures
 from api.report_page.scatter import legend, scatter, still
 from api.report_page.table import GLOSSARY, table
-from api.summary import FLOORS, Figures, casts, duration, in_words, on_front, percent
+from api.summary import FLOORS, Figures, casts, in_words, on_front
 from selector.compare import Comparison
+from selector.words import duration, percent
 
 MOST_BYTES = 5_000_000
 """Of a page; what its text leaves of this is for pictures."""

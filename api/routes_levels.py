@@ -1,8 +1,7 @@
-"""What is served: levels, TileJSON and plans."""
+"""What is served: levels and their TileJSON."""
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 from urllib.parse import quote
 
@@ -10,10 +9,10 @@ from fastapi import APIRouter, Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
 
 from api.answers import json_answer
-from api.jobs import PictureFormat, PlanAnswer, PlanJob
-from api.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, only, wishes
+from api.jobs import PictureFormat
+from api.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
 from api.problems import problem_docs
-from api.service import TheService, unless_gone
+from api.service import TheService
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
@@ -80,27 +79,6 @@ async def tilejson(
             "skugga": {"layer": layer, "tile_matrix_set": tms, "sun": where},
         },
     )
-
-
-@router.get(
-    "/levels/{level}/plan",
-    summary="The plan of a view",
-    dependencies=[Depends(only("view", *PICTURE_PARAMETERS))],
-    responses=problem_docs(500, 503, 504),
-)
-async def plan(
-    request: Request,
-    service: TheService,
-    level: str,
-    wanted: Annotated[Wishes, Depends(wishes)],
-    view: View = None,
-) -> dict[str, Any]:
-    """What the selector chooses for a view, and why."""
-    served = await service.level(level)
-    job = PlanJob(level=served.key, view=served.view_named(view), sun=wanted.sun, overrides=wanted.overrides)
-    answer = await unless_gone(request, service.pool.run(job))
-    assert isinstance(answer, PlanAnswer)
-    return json_answer(request, json.loads(answer.plan_json))  # type: ignore[return-value]
 
 
 def _base_url(request: Request, public_url: str | None) -> str:

@@ -56,12 +56,12 @@ async def snapshot(
 
     asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}))
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
-    headers = cache_headers(tag_of(service.pool.renderer, *asked), fresh_s)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
     drawn = await unless_gone(request, service.pool.run(job))
     assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, *asked), fresh_s)
+    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *asked), fresh_s)
     headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
     return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])

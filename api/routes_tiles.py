@@ -93,7 +93,7 @@ async def _answer(
 
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
     asked = (level.version, name, tms, zxy, scale, format, layer, wanted.query())
-    headers = cache_headers(tag_of(service.pool.renderer, *asked), fresh_s)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -112,7 +112,7 @@ async def _answer(
     block = await unless_gone(request, service.pool.run(job))
     assert isinstance(block, Block)
     body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
-    headers = cache_headers(tag_of(block.renderer, *asked), fresh_s)
+    headers = cache_headers(tag_of(block.renderer, block.calibration, *asked), fresh_s)
     headers |= drawn_headers(block, "block", kept, encode_ms)
     return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
 

@@ -50,6 +50,7 @@ class Settings(BaseSettings):
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
     block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each) and snapshots.")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
+    max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
     empty_tile: Literal["transparent", "204", "404"] = Field(
         default="transparent", description="Answer for a tile inside the zooms but off the data."
     )

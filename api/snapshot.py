@@ -7,11 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from selector.rules import choose
+from api.calibrated import calibration_for
+from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
 from terrain.camera import PerspectiveView
-from terrain.descriptor import describe
 from terrain.grid import MapView
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
@@ -32,7 +32,8 @@ def snapshot(
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
     scene, seen = scene_and_view(level, view, sun, size, bounds, crs, seconds)
-    plan = choose(describe(scene, seen, view), scene.loaded.level, overrides)
+    device = calibration_for(scene.loaded.level.shadows, overrides)
+    plan = plan_of_view(scene, seen, view, overrides, device=device)
     return scene, render_frame(scene, seen, plan, on_block, layers)
 
 

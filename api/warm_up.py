@@ -11,10 +11,9 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
-from selector.rules import choose
+from selector.select import plan_of_view
 from shadows.render import render_frame
 from terrain import gl
-from terrain.descriptor import describe
 from terrain.errors import GraphicsError
 from terrain.grid import BLOCK_PX, MapView, tile_grid
 from terrain.level import Level, LoadedLevel
@@ -72,7 +71,7 @@ def _visibility_beside_wall() -> tuple[float, float]:
         view = MapView(
             grid, row // BLOCK_PX * BLOCK_PX, col // BLOCK_PX * BLOCK_PX, 1.0, 1.0, BLOCK_PX, BLOCK_PX
         )  # fmt: skip
-        frame = render_frame(scene, view, choose(describe(scene, view), level))
+        frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.elevation.close()
     away = BESIDE_M / grid.step
     row, cols = int(row % BLOCK_PX), (int(np.rint(col % BLOCK_PX - away)), int(np.rint(col % BLOCK_PX + away)))

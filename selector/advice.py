@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from selector.advice_rules import RULES, Case
 from selector.picks import Pick
-from selector.serves import kinds_of_lights
+from selector.serves import kinds_of_lights, serves
 from terrain.descriptor import Descriptor
-from terrain.level import SUN
+from terrain.level import AlgorithmName, Shadows
+
+FALLBACK: AlgorithmName = "shadow_map"
+"""What is taken where no rule speaks."""
+
+NO_RULE = "no rule speaks for another, and a map serves every view, light and kind of casters"
 
 
-def advised(descriptor: Descriptor, max_error: float) -> dict[str, Pick]:
-    """What the rules take for each light."""
-    return {
-        light: Pick(
-            "shadow_map",
-            dict.fromkeys(descriptor.casters, "shadow_map"),
-            why={
-                kind: f"the algorithm at hand for {kind} under {'the sun' if light == SUN else light}"
-                for kind in descriptor.casters
-            },
+def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Pick]:
+    """What the rules take for each light, with the first rule that applies as the reason, and its source."""
+    picks = {}
+    for light in kinds_of_lights(descriptor):
+        taken = {kind: _first(Case(descriptor, light, kind, asked)) for kind in descriptor.casters}
+        picks[light] = Pick(
+            "rules", {kind: name for kind, (name, _) in taken.items()}, why={kind: why for kind, (_, why) in taken.items()}
         )
-        for light in kinds_of_lights(descriptor)
-    }
+    return picks
+
+
+def _first(case: Case) -> tuple[AlgorithmName, str]:
+    """The algorithm of the first rule that applies and whose algorithm can serve the case, and the reason."""
+    for rule in RULES:
+        if serves(rule.takes, case.descriptor, case.light, case.kind) and (why := rule.applies(case)) is not None:
+            return rule.takes, f"{why} ({rule.source})"
+    return FALLBACK, NO_RULE

@@ -5,34 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from selector.against_truth import SAMPLES, ErrorName, Ground, View, ViewTruth, truth_of_view
 from selector.candidates import candidates, name_of
-from selector.footprint import texel_footprint_px
 from shadows import truth as truth_module
-from shadows.attached import attached
-from shadows.metrics import BLOCK_PX as COVERAGE_PX
-from shadows.metrics import block_shares, coverage_error, errors_of
+from shadows.metrics import errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step
-from shadows.render import FILLS, bands_of, forget_kept
-from shadows.truth import Truth
-from shadows.truth_cache import cached_truth
-from terrain.camera import PerspectiveView
+from shadows.render import FILLS, forget_kept
 from terrain.descriptor import describe
 from terrain.errors import InputError
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView, blocks_of
 from terrain.level import SUN
 from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
 from terrain.scene import Scene
-
-View = MapView | PerspectiveView
-
-ErrorName = Literal["wrong_cast", "coverage"]
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
@@ -43,24 +31,6 @@ TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
 """Time from which on a comparison begins nothing more, and the share of it from which on no more rows."""
 
 FINE_SAMPLES = 16
-SAMPLES = 4
-
-FOGGY = 0.5
-"""Where more of the surface than this is not decidable, coverage is the error that counts."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """One block's part of a view: its geometry, its casters, its truth, where no light can fall, and where it lies in the view."""
-
-    buffer: GeometryBuffer
-    light: str
-    casters: Casters
-    truth: Truth
-    true_shares: np.ndarray
-    attached: np.ndarray
-    row: int
-    col: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +113,10 @@ def compare(
     plans = candidates(scene, view, name, light) if plans is None else plans
     total = len(plans) + REPEATS + 2
     step = on_step or (lambda done, of: None)
-    grounds = _grounds(scene, view, light, fine)
+    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES)
     step(1, total)
-    first = grounds[0]
-    real = _whole_truth(view, grounds)
-    error: ErrorName = "coverage" if real.boundary > FOGGY else "wrong_cast"
-    floor = _noise_floor(scene, grounds, real, view, error)
+    first = real.grounds[0]
+    floor = _noise_floor(scene, real)
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
@@ -160,29 +128,29 @@ def compare(
         if names <= took_s.keys() and began_s + max(map(took_s.get, names), default=0.0) > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
-            trials.append(_trial(scene, view, grounds, real, plan, pixel_m))
+            trials.append(_trial(scene, real, plan, pixel_m))
             its_s = time.perf_counter() - start - began_s
             took_s |= {each: min(its_s, took_s.get(each, its_s)) for each in names}
         step(done, total)
     for turn in range(REPEATS):
-        for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.there.any() else []:
+        for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
-                _time_again(scene, grounds, trial)
+                _time_again(scene, real.grounds, trial)
         step(len(plans) + 3 + turn, total)
     rows = [_timed(trial) for trial in trials]
-    _mark_pareto(rows, error)
+    _mark_pareto(rows, real.error)
     remarks = _remarks(scene, real, rows)
     if left_out:
         remarks.append(f"left out for want of time ({time_limit_s:g} s): {', '.join(left_out)}")
-    return Comparison(view, light, rows, real.there, error, real.boundary, surface, floor, remarks)
+    return Comparison(view, light, rows, real.whole.there, real.error, real.whole.boundary, surface, floor, remarks)
 
 
 def measure(scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0) -> Row:
     """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
-    grounds = _grounds(scene, view, _light(scene, light), fine)
-    trial = _trial(scene, view, grounds, _whole_truth(view, grounds), plan, describe(scene, view, plan.view).pixel_m)
+    real = truth_of_view(scene, view, _light(scene, light), FINE_SAMPLES if fine else SAMPLES)
+    trial = _trial(scene, real, plan, describe(scene, view, plan.view).pixel_m)
     for _ in range(repeats):
-        _time_again(scene, grounds, trial)
+        _time_again(scene, real.grounds, trial)
     return _timed(trial)
 
 
@@ -200,87 +168,48 @@ def _light(scene: Scene, light: str | None) -> str:
     return light or (*scene.light_names, SUN)[0]
 
 
-def _grounds(scene: Scene, view: View, light: str, fine: bool) -> list[Ground]:
-    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    return [_ground(scene, light, block, row, col, fine) for block, row, col in parts]
-
-
-def _ground(scene: Scene, light: str, block: View, row: int, col: int, fine: bool) -> Ground:
-    buffer = geometry_of(scene, block)
-    casters = casters_of(scene, buffer)
-    real = cached_truth(buffer, scene, casters, FINE_SAMPLES if fine else SAMPLES, light)
-    shares = truth_module.coverage_truth(buffer, scene, casters, COVERAGE_PX, light=light)
-    return Ground(buffer, light, casters, real, shares, attached(buffer, scene, light), row, col)
-
-
-def _paste(view: View, grounds: list[Ground], parts: list[np.ndarray], empty: Any) -> np.ndarray:
-    """One array of the view from one of each block."""
-    whole = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
-    for ground, part in zip(grounds, parts, strict=True):
-        rows, cols = part.shape
-        top, left = max(ground.row, 0), max(ground.col, 0)
-        bottom, right = min(ground.row + rows, view.rows), min(ground.col + cols, view.cols)
-        whole[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
-    return whole
-
-
-def _whole_truth(view: View, grounds: list[Ground]) -> Truth:
-    fields = ("lit", "attached", "decidable", "there")
-    return Truth(*(_paste(view, grounds, [getattr(g.truth, field) for g in grounds], False) for field in fields))
-
-
-def _noise_floor(scene: Scene, grounds: list[Ground], real: Truth, view: View, error: ErrorName) -> float:
+def _noise_floor(scene: Scene, real: ViewTruth) -> float:
     """The error of truth's own sub-samples of another seed (their majority, their share) against truth."""
-    light = grounds[0].light
-    if (light == SUN and not scene.sun_is_up) or not real.there.any():
+    light = real.grounds[0].light
+    if (light == SUN and not scene.sun_is_up) or not real.whole.there.any():
         return 0.0
     votes = []
-    for ground in grounds:
+    for ground in real.grounds:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
         count = np.zeros(ground.buffer.there.shape, np.float32)
         for its_view in truth_module.sub_views(ground.buffer.view, SAMPLES, seed=1):
             sample = geometry_of(scene, its_view, ground.buffer.frame)
             count += truth_module.lit_from(sample, scene, light, rays)
         votes.append(np.where(ground.buffer.there, count / SAMPLES, np.nan))
-    if error == "coverage":
-        return _coverage(grounds, votes)
-    return errors_of(_paste(view, grounds, votes, np.nan), real, 1.0).wrong_cast
+    if real.error == "coverage":
+        return real.coverage(votes)
+    return errors_of(real.pasted(votes, np.nan), real.whole, 1.0).wrong_cast
 
 
-def _coverage(grounds: list[Ground], parts: list[np.ndarray]) -> float:
-    """Mean difference of the shadow shares of visibilities (rows, cols) of the blocks from truth's."""
-    errors = [coverage_error(block_shares(1.0 - part), ground.true_shares) for ground, part in zip(grounds, parts, strict=True)]
-    return float(np.mean(errors))
-
-
-def _trial(scene: Scene, view: View, grounds: list[Ground], real: Truth, plan: Plan, pixel_m: float) -> Trial:
+def _trial(scene: Scene, real: ViewTruth, plan: Plan, pixel_m: float) -> Trial:
     """A plan's first run, and its figures but for the times."""
-    light = grounds[0].light
+    light, truth = real.grounds[0].light, real.whole
     steps = [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
-    run = _run(scene, grounds, steps)
-    footprints = []
-    for ground, part in zip(grounds, run.parts, strict=True):
+    run = _run(scene, real.grounds, steps)
+    for ground, part in zip(real.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
-        texels = [texel_footprint_px(scene, step, ground.buffer, pixel_m) for step in steps or [None]]
-        footprints.append(np.max(texels, axis=0))
-    visibility = _paste(view, grounds, run.parts, np.nan)
-    found = errors_of(visibility, real, pixel_m, _paste(view, grounds, footprints, 0.0))
-    seen = np.nan_to_num(visibility, nan=1.0)
-    dark, true_dark = seen < 0.5, ~real.lit
+    found = real.errors(run.parts, steps, pixel_m)
+    seen = np.nan_to_num(real.pasted(run.parts, np.nan), nan=1.0)
+    dark, true_dark = seen < 0.5, ~truth.lit
     records = run.log.records.values()
     figures = {
         "name": name_of(plan, light),
         "algorithm": plan.model_dump(mode="json")["algorithm"],
         "settings": plan.model_dump(mode="json")["settings"],
         **asdict(found),
-        "coverage": _coverage(grounds, run.parts),
+        "coverage": real.coverage(run.parts),
         "bytes": max((record.bytes for record in records), default=0),
         "counters": {name: sum(getattr(record, name) for record in records) for name in COUNTERS},
         "notes": [record.note for record in records if record.note],
     }
     levels = np.rint(255.0 * seen).astype(np.uint8)
-    row = Row(figures, levels, real.decidable & dark & ~true_dark, real.decidable & ~dark & true_dark)
+    row = Row(figures, levels, truth.decidable & dark & ~true_dark, truth.decidable & ~dark & true_dark)
     return Trial(steps, row, run.times)
 
 
@@ -329,8 +258,8 @@ def _mark_pareto(rows: list[Row], error: str) -> None:
         row.figures["pareto"] = not beaten
 
 
-def _remarks(scene: Scene, real: Truth, rows: list[Row]) -> list[str]:
-    remarks = []
+def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[Row]) -> list[str]:
+    real, remarks = view_truth.whole, []
     if not real.there.any():
         remarks.append("the view shows no surface: there is nothing to compare")
     elif not scene.light_names:
@@ -341,7 +270,7 @@ def _remarks(scene: Scene, real: Truth, rows: list[Row]) -> list[str]:
         remarks.append("nothing lies in cast shadow: only false shadow can be measured")
     elif not real.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
-    if real.there.any() and real.boundary > FOGGY:
+    if real.there.any() and view_truth.error == "coverage":
         remarks.append("over half of the surface is not decidable: coverage is the error that counts")
     if not rows:
         remarks.append("no algorithm but none serves this view")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from shadows.map_windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
-from terrain.descriptor import Band, Descriptor, LampFacts, joined
+from terrain.descriptor import Band, Descriptor, LampFacts
 from terrain.errors import UnsupportedError
 from terrain.level import Shadows
 
@@ -127,37 +128,32 @@ def _cascades(
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
-    def extent(band: Band) -> np.ndarray:
-        span = np.subtract(band.high_light_m, band.low_light_m)
-        return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP))
-
-    def texels_a_pixel(run: Band) -> float:
-        """Texels along the run's longer side for one a pixel, at distance 1."""
-        return float(_footprint(extent(run), altitude).max()) / descriptor.pixel
-
-    def worst_px(runs: list[Band]) -> float:
-        return max(texels_a_pixel(run) / run.near_m for run in runs)
-
-    def mean_px(runs: list[Band]) -> float:
-        parts = [[band for band in descriptor.bands if run.near_m <= band.near_m < run.far_m] for run in runs]
-        nearness = [sum(band.share / band.near_m for band in part) for part in parts]
-        return sum(texels_a_pixel(run) * near for run, near in zip(runs, nearness, strict=True))
-
-    ways, wished_px = [], _wished_px(descriptor)
+    bands, pixel, wished_px = descriptor.bands, descriptor.pixel, _wished_px(descriptor)
+    extent_m = _run_extents_m(bands)
+    texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
+    near_m = np.array([band.near_m for band in bands])
+    nearness = np.array(
+        [[sum(each.share / each.near_m for each in bands[i:j]) for j in range(1, len(bands) + 1)] for i in range(len(bands))]
+    )
+    ways = []
     for count in range(1, 5) if asked.cascades == "auto" else [asked.cascades]:
-        splits = _splits(descriptor.bands, count)
-        worst = min(worst_px(runs) for runs in splits)
+        first, last = _splits(len(bands), count)
+        worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
+        worst = float(worst_px.min())
         size = _power(worst / wished_px, LARGEST) if asked.map_size == "auto" else asked.map_size
         inner = size - 2 * BORDER_TEXELS
         most = np.inf if asked.map_size != "auto" else max(worst, wished_px * inner)
-        ways.append((max(worst / inner, wished_px), len(splits[0]) * size**2, inner, most, splits))
-    _, _, inner, most, splits = min(ways, key=lambda way: way[:2])
-    best = min((runs for runs in splits if worst_px(runs) <= most), key=mean_px)
+        mean_px = np.where(worst_px <= most, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
+        best = int(np.argmin(mean_px))
+        ways.append(
+            (max(worst / inner, wished_px), first.shape[1] * size**2, inner, float(worst_px[best]), first[best], last[best])
+        )
+    _, _, inner, worst, first, last = min(ways, key=lambda way: way[:2])
     if asked.cascades == "auto":
-        why = f"a texel covers at most {worst_px(best) / inner:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
-        reasons.append(Reasoned(name=f"cascades {len(best)}", reason=why))
-    far = [band.far_m for band in best[:-1]]
-    return [(far_m, extent(band), band.near_m * descriptor.pixel) for far_m, band in zip([*far, None], best, strict=True)]
+        why = f"a texel covers at most {worst / inner:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
+        reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
+    far_m = [*(bands[j].far_m for j in last[:-1]), None]
+    return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]
 
 
 def _wished_px(descriptor: Descriptor) -> float:
@@ -169,14 +165,25 @@ def _power(texels: float, most: int) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * BORDER_TEXELS)), SMALLEST, most))
 
 
-def _splits(bands: tuple[Band, ...], count: int) -> list[list[Band]]:
-    """All ways to join neighbouring bands to ``count`` runs (as many as there are bands, if those are fewer)."""
-    count = min(count, len(bands))
-    ways = []
-    for cuts in combinations(range(1, len(bands)), count - 1):
-        ends = [0, *cuts, len(bands)]
-        ways.append([joined(bands[first:last]) for first, last in zip(ends, ends[1:], strict=False)])
-    return ways
+def _run_extents_m(bands: tuple[Band, ...]) -> np.ndarray:
+    """Extents in light space (n, n, 3), metres, rounded up, of the bands from one to another joined; of a band before it: NaN."""
+    low, high = (np.array([getattr(band, name) for band in bands]) for name in ("low_light_m", "high_light_m"))
+    span = np.full((len(bands), len(bands), 3), np.nan)
+    for i in range(len(bands)):
+        span[i, i:] = np.maximum.accumulate(high[i:]) - np.minimum.accumulate(low[i:])
+    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP))
+
+
+@lru_cache(maxsize=128)
+def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """All ways to join neighbouring bands to ``count`` runs (as many as there are bands, if those are fewer): numbers of the first
+    and of the last band of each run, int64 (ways, runs).
+    """
+    count = min(count, bands)
+    ways = list(combinations(range(1, bands), count - 1))
+    cuts = np.array(ways, np.int64).reshape(len(ways), count - 1)
+    ends = np.full((len(ways), 1), bands)
+    return np.hstack([0 * ends, cuts]), np.hstack([cuts, ends]) - 1
 
 
 def _footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:

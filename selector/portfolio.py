@@ -35,6 +35,13 @@ COMPANY: tuple[tuple[str, dict[CasterKind, AlgorithmName]], ...] = (
 """Algorithms by kind of casters, by name; kinds that are not named go by shadow maps."""
 
 
+VOLUMES = {"shadow_volume", "hybrid"}
+MOST_VOLUMES = 2**18
+"""Triangles of ground from which on volumes of its edges are no candidate: measured, they take ten to twenty times what a sweep
+does, and are no better (docs/accuracy.md).
+"""
+
+
 def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Pick]:
     """What can be picked for a light, for the kinds of casters that cast at all: at most ``MOST``, no two that come to the same."""
     return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds]), MOST))
@@ -42,9 +49,12 @@ def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind])
 
 def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Pick]:
     seen = set()
+    triangles = sum(each.triangles + each.outside_triangles for each in descriptor.stands if each.kind == "relief")
     for company, named in COMPANY:
         algorithm = {kind: named.get(kind, SHADOW_MAP) for kind in kinds}
         if not all(serves(name, descriptor, light, kind) for kind, name in algorithm.items()):
+            continue
+        if algorithm.get("relief") in VOLUMES and triangles > MOST_VOLUMES:
             continue
         for settings in _settings(descriptor, light, set(algorithm.values())):
             words = [company, *(f"{settings[key]}" if key == "map_size" else f"x{settings[key]}" for key in settings)]

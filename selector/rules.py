@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic_core import PydanticCustomError
@@ -21,20 +22,28 @@ from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
+from terrain.level import SUN, AlgorithmName, CasterKind, EffectName, Shadows, algorithm_choice, override, spelt
+
+SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
+"""What can be asked for besides an algorithm and a target."""
 
 
 def choose(
-    descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None, picks: Mapping[str, Pick] | None = None
+    descriptor: Descriptor,
+    wishes: Wishes,
+    overrides: dict[str, Any] | None = None,
+    picks: Mapping[str, Pick] | None = None,
+    rejected: Mapping[AlgorithmName, str] | None = None,
 ) -> Plan:
     """The plan of a view. ``overrides`` (fields of ``Shadows``) go before what is wished (a level's own ``shadows``), and that goes
-    before ``picks``, one a light; without any those of the rules are taken.
+    before ``picks``, one a light; without any those of the rules are taken. ``rejected`` says of algorithms why they are not
+    picked; of others it is said what goes before them.
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
-    overrides = overrides or {}
+    overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     asked = override(wishes.shadows, overrides)
-    picks = advised(descriptor, asked.max_error) if picks is None else picks
+    picks = advised(descriptor, asked) if picks is None else picks
     effects, left_out = _effects(descriptor, wishes, asked)
     missing = {effect.name: effect.reason for effect in left_out}
     forced = {name for name in EFFECTS if _wish(wishes, name) == "on"}
@@ -42,39 +51,56 @@ def choose(
         choice = algorithm_choice(asked.algorithm, wishes.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
-    who = "the level" if overrides.get("algorithm") is None else "the request"
+    who = _who(overrides, "algorithm")
     algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
     settings: dict[str, dict[CasterKind, Settings]] = {}
-    reasons: list[Reasoned] = []
-    kinds_of = kinds_of_lights(descriptor)
-    for light, kind_of_light in kinds_of.items():
+    taken: list[_Taken] = []
+    for light, kind_of_light in kinds_of_lights(descriptor).items():
         for caster in descriptor.casters:
-            wish = choice.get(light, {}).get(caster)
-            name, reason = _algorithm(descriptor, light, caster, wish, who, missing, forced, picks.get(light))
-            _check(name, light, caster, parts_of(descriptor, kind_of_light, caster), who)
+            wish, parts = choice.get(light, {}).get(caster), parts_of(descriptor, kind_of_light, caster)
+            name, why, free = _algorithm(descriptor, light, caster, wish, who, missing, forced, picks.get(light))
+            _check(name, light, caster, parts, who)
             algorithm.setdefault(light, {})[caster] = name
-            reasons.append(Reasoned(name=f"{light}/{caster}: {name}", reason=reason))
+            taken.append(_Taken(light, caster, name, why, free, parts))
+    reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
     for light, per_kind in algorithm.items():
         resolved: dict[str, Settings | None] = {}
         for caster, name in per_kind.items():
             if name not in resolved:
-                resolved[name], why = _settings(name, descriptor, light, asked, picks.get(light), missing.get("soft_edges"))
-                reasons += why
+                resolved[name], why_so = _settings(name, descriptor, light, asked, picks.get(light), missing.get("soft_edges"))
+                reasons += why_so
             if (its := resolved[name]) is not None:
                 settings.setdefault(light, {})[caster] = its
+    reasons += _settings_asked_for(asked, overrides, settings, reasons)
     effects, left_out = _with_work(effects, left_out, algorithm, settings)
-    used = {name for per_kind in algorithm.values() for name in per_kind.values()}
-    wanted = [parts_of(descriptor, kind, caster) for kind in kinds_of.values() for caster in descriptor.casters]
+    used = {one.name for one in taken}
+    nothing = missing.get("cast_shadows")
     plan = Plan(
         view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
         rejected=[
-            Reasoned(name=name, reason=_rejected(name, used, missing.get("cast_shadows", ""), who, choice, wanted))
+            Reasoned(name=name, reason=nothing or _rejected(name, taken, who, rejected or {}))
             for name in ALGORITHMS if name not in used
         ],
         passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
     )  # fmt: skip
     passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
     return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice."""
+
+    light: str
+    kind: CasterKind
+    name: AlgorithmName
+    why: str
+    free: bool
+    parts: tuple[Part, ...]
+
+
+def _who(overrides: Mapping[str, Any], key: str) -> str:
+    return "the request" if key in overrides else "the level"
 
 
 def _effects(descriptor: Descriptor, wishes: Wishes, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
@@ -136,27 +162,27 @@ def _algorithm(
     missing: dict[str, str],
     forced: set[EffectName],
     pick: Pick | None,
-) -> tuple[AlgorithmName, str]:
-    """The algorithm of a light for a kind of casters, and the reason; ``missing`` are the effects left out, with theirs, ``forced``
-    those that the level forces on.
+) -> tuple[AlgorithmName, str, bool]:
+    """The algorithm of a light for a kind of casters, the reason, and whether it was free to be picked; ``missing`` are the effects
+    left out, with theirs, ``forced`` those that the level forces on.
     """
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
         if effect in missing:
-            return "none", missing[effect]
+            return "none", missing[effect], False
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
-        return "none", of_sun(descriptor).reason
+        return "none", of_sun(descriptor).reason, False
     if wish is not None:
-        return wish, f"asked for by {who}"
+        return wish, f"asked for by {who}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
-        return "none", "level ground cannot cast"
+        return "none", "level ground cannot cast", False
     if light == SUN and not forced & needed and not kind_of_sun(descriptor, caster).called_for:
-        return "none", kind_of_sun(descriptor, caster).reason
+        return "none", kind_of_sun(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
-        return "none", f"{light} reaches nothing that is seen"
+        return "none", f"{light} reaches nothing that is seen", False
     if pick is None or caster not in pick.algorithm:
-        return "shadow_map", "it serves every view, light and kind of casters"
-    return pick.algorithm[caster], pick.why.get(caster, pick.name)
+        return "shadow_map", "it serves every view, light and kind of casters", True
+    return pick.algorithm[caster], pick.why.get(caster, pick.name), True
 
 
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Part, ...], who: str) -> None:
@@ -167,17 +193,49 @@ def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Par
         raise UnsupportedError(key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(able(parts))}")
 
 
-def _rejected(
-    name: AlgorithmName, used: set[AlgorithmName], missing: str, who: str, choice: Choice, wanted: list[tuple[Part, ...]]
-) -> str:
-    if missing:
-        return missing
-    if choice:
-        return f"{who} asks for {', '.join(sorted(used))}"
+def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapping[AlgorithmName, str]) -> str:
+    """Why an algorithm is not taken: what it refuses, what its policy says of it, or what went before it."""
+    free = [one for one in taken if one.free]
+    if not ALGORITHMS[name].served:
+        return ALGORITHMS[name].about
+    if not free:
+        return f"{who} asks for {', '.join(sorted({one.name for one in taken}))}"
     if name == "none":
         return "there are casters and light"
-    refusals = (ALGORITHMS[name].refusal(parts) for parts in wanted)
-    return next((why for why in refusals if why is not None), ALGORITHMS[name].about)
+    if name in rejected:
+        return rejected[name]
+    if len(free) == 1 or len({one.why for one in free}) == 1:
+        return ALGORITHMS[name].refusal(free[0].parts) or f"{free[0].name} goes before it: {free[0].why}"
+    whys: dict[str, list[str]] = {}
+    for one in free:
+        why = ALGORITHMS[name].refusal(one.parts) or f"{one.name} goes before it"
+        whys.setdefault(why, []).append(one.kind if one.light == SUN else f"{one.kind} under {one.light}")
+    return "; ".join(f"for {' and '.join(parts)}: {why}" if len(whys) > 1 else why for why, parts in whys.items())
+
+
+def _settings_asked_for(
+    asked: Shadows, overrides: Mapping[str, Any], settings: dict[str, dict[CasterKind, Settings]], plain: list[Reasoned]
+) -> list[Reasoned]:
+    """Of each setting that is asked for, who asks, or that what is taken has no such choice; ``plain`` are what is told already."""
+    resolved = [its for per_kind in settings.values() for its in per_kind.values()]
+    told = {one.name.rpartition(": ")[2] for one in plain}
+    found = []
+    for key in SETTINGS:
+        value = getattr(asked, key)
+        name = f"{key} {value}"
+        if value != "auto" and name not in told:
+            reason = f"asked for by {_who(overrides, key)}"
+            if not any(_has(its, key, value) for its in resolved):
+                reason += ", and left out: nothing that is taken has this to choose"
+            found.append(Reasoned(name=name, reason=reason))
+    return found
+
+
+def _has(settings: Settings, key: str, value: Any) -> bool:
+    for part in (settings, getattr(settings, "map", settings)):
+        if (its := getattr(part, key, None)) is not None:
+            return (len(its) if key == "cascades" else its) == value
+    return False
 
 
 def _settings(

@@ -131,10 +131,13 @@ class Target(_Value):
 
 
 class Predicted(_Value):
-    """Expected shadow time of a block and share of wrong pixels."""
+    """Expected (under ``measure``: measured) milliseconds of a block's shadow work, the share of all pixels that is wrong, and the
+    share of the cast shadow, which a target counts.
+    """
 
     ms: float
     wrong: float
+    wrong_cast: float
 
 
 @dataclass(frozen=True)

@@ -195,7 +195,8 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
     edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
-    low, high = (bound.reduceat(vertices[order], first) for bound in (np.minimum, np.maximum))
+    # Nodes of the ground that are not there are NaN, and belong to no triangle.
+    low, high = (bound.reduceat(vertices[order], first) for bound in (np.fmin, np.fmax))
     if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
         holds = ((low - TOUCH_M < light[:3]) & (light[:3] < high + TOUCH_M)).all(axis=1)[part[triangles[:, 0]]]
         rule = np.where(holds, np.int8(ALL), rule)

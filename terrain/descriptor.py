@@ -2,102 +2,157 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.camera import PerspectiveView
+from terrain.caster_facts import map_pixel_m, slopes_deg, stands_of, trees_of
 from terrain.clip_space import bend_px
 from terrain.effects import EFFECTS
 from terrain.effects.effect import Fact, Look
 from terrain.effects.lamps import lamp_reaches
 from terrain.elevation import Elevation
+from terrain.facts import (
+    TEXEL_LADDER_PX,
+    AtLeastZero,
+    Band,
+    CastBand,
+    CasterFacts,
+    Casting,
+    Facts,
+    LampFacts,
+    LightFacts,
+    Positive,
+    Share,
+    Slope,
+    shares_add_up,
+)
 from terrain.grid import BLOCK_PX, MapView
 from terrain.ground_mesh import ground_mesh
-from terrain.level import CasterKind
+from terrain.level import SUN, CasterKind
 from terrain.level_parts import Weather
-from terrain.picture import Visible, buffer_of
+from terrain.light_facts import Seen, facts_of_lights
+from terrain.look import look_at_scene
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
+from terrain.seen_points import ground_points, points_in_look, points_in_map
 from terrain.surface import step_at_anchor_m
 
-LOOK_PX = 8
-"""Distance of the pixels from which a perspective view is described."""
+__all__ = [
+    "TEXEL_LADDER_PX", "Band", "CastBand", "CasterFacts", "Casting", "Descriptor", "LampFacts", "LightFacts", "describe",
+    "joined",
+]  # fmt: skip
 
 NEAREST_M = 1.0
 """What is nearer than this counts as this far away."""
 
 
-class LampFacts(BaseModel):
-    """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether any of
-    its light can be seen in the view.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: str
-    kind: Literal["spot", "omni"]
-    cutoff_deg: float
-    reference_m: float
-    reaches: bool = True
+def _number_of_text(fact: object) -> object:
+    return {"Infinity": np.inf, "-Infinity": -np.inf}.get(fact, fact) if isinstance(fact, str) else fact
 
 
-class Band(BaseModel):
-    """What is seen at distances from ``near_m`` to ``far_m``, the next power of two: its share of all that is seen, and its bounds
-    in light space, metres.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    near_m: float
-    far_m: float
-    share: float
-    low_light_m: tuple[float, float, float]
-    high_light_m: tuple[float, float, float]
+def _a_number(fact: Fact) -> Fact:
+    if isinstance(fact, float) and np.isnan(fact):
+        raise PydanticCustomError("nan", "a number that is one")
+    return fact
 
 
-class Descriptor(BaseModel):
+class Descriptor(Facts):
     """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
 
     ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its
-    tangent), ``casters`` the kinds there are, ``relief_m`` the range of the ground's heights. ``receivers_light_m`` is the
-    largest extent of a block's receivers in light space: right, up and along the light, metres; ``None`` without a sun.
-    ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude
-    anywhere over the level. ``bend_px`` is how far a map lies off what a camera could see of it (``terrain.clip_space``).
-    ``tallest_m`` is how far anything rises above its ground. ``facts`` are what effects go by besides, by effect.
+    tangent); ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view,
+    of which ``seen_share`` shows a surface and not the sky.
+    ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights`` what each light does. ``relief_m`` is the
+    range of the ground's heights, the slopes are those of the raster's overview, ``moves`` whether anything does by the clock.
+    ``receivers_light_m`` is the largest extent of a block's receivers in light space: right, up and along the light, metres;
+    ``None`` without a sun. ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's
+    largest altitude anywhere over the level. ``bend_px`` is how far a map lies off what a camera could see of it
+    (``terrain.clip_space``). ``tallest_m`` is how far anything rises above its ground. ``facts`` are what effects go by besides, by
+    effect; JSON has no infinity: there it is written as text.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     view: str
     view_kind: Literal["map", "perspective"]
     flat_world: bool
-    pixel_m: float
-    pixel: float | None = None
-    node_m: float
+    pixel_m: Positive
+    pixel: Positive | None = None
+    rows: Annotated[int, Field(ge=1)] = BLOCK_PX
+    cols: Annotated[int, Field(ge=1)] = BLOCK_PX
+    pixels: Annotated[int, Field(ge=1)] = BLOCK_PX**2
+    seen_share: Share = 1.0
+    node_m: Positive
     casters: tuple[CasterKind, ...]
+    stands: tuple[CasterFacts, ...] = ()
     lamps: tuple[LampFacts, ...] = ()
-    relief_m: float
-    block_relief_m: float
-    sun_azimuth_deg: float | None
-    sun_altitude_deg: float | None
-    highest_sun_deg: float | None
-    receivers_light_m: tuple[float, float, float] | None
+    lights: dict[str, LightFacts] = {}
+    relief_m: AtLeastZero
+    block_relief_m: AtLeastZero
+    mean_slope_deg: Slope = 0.0
+    p95_slope_deg: Slope = 0.0
+    highest_slope_deg: Slope = 0.0
+    sun_azimuth_deg: Annotated[float, Field(ge=-360, le=720, allow_inf_nan=False)] | None
+    sun_altitude_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] | None
+    highest_sun_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] | None
+    receivers_light_m: tuple[AtLeastZero, AtLeastZero, AtLeastZero] | None
     bands: tuple[Band, ...] = ()
-    bend_px: float = 0.0
-    tallest_m: float = 0.0
+    bend_px: AtLeastZero = 0.0
+    tallest_m: AtLeastZero = 0.0
+    moves: bool = False
     weather: Weather = Weather()
-    facts: dict[str, dict[str, Fact]] = {}
+    facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_number_of_text), AfterValidator(_a_number)]]] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "pixels" not in data:
+            rows, cols = (data.get(key, BLOCK_PX) for key in ("rows", "cols"))
+            if isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0:
+                return {**data, "pixels": rows * cols}
+        return data
+
+    @model_validator(mode="after")
+    def _of_one_piece(self) -> Descriptor:
+        _once("casters", list(self.casters), None)
+        _once("stands", [its.kind for its in self.stands], self.casters)
+        _once("lamps", [lamp.name for lamp in self.lamps], None)
+        sun = () if self.highest_sun_deg is None else (SUN,)
+        _once("lights", list(self.lights), (*sun, *(lamp.name for lamp in self.lamps)))
+        for name, light in self.lights.items():
+            _once(f"lights.{name}.casts", list(light.casts), self.casters)
+        given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
+        if any(given) != all(given):
+            raise PydanticCustomError("sun", "a sun takes sun_azimuth_deg, sun_altitude_deg and highest_sun_deg; no sun, none")
+        if not self.mean_slope_deg <= self.highest_slope_deg or not self.p95_slope_deg <= self.highest_slope_deg:
+            raise PydanticCustomError(
+                "slope", "highest_slope_deg {highest} lies below another slope", {"highest": self.highest_slope_deg}
+            )
+        shares_add_up([band.share for band in self.bands], "bands")
+        return self
+
+
+def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise PydanticCustomError("twice", "{key}: '{name}' stands there twice", {"key": key, "name": name})
+        if allowed is not None and name not in allowed:
+            what = ", ".join(allowed) or "nothing"
+            raise PydanticCustomError(
+                "unknown", "{key}: '{name}' is not allowed; allowed: {what}", {"key": key, "name": name, "what": what}
+            )
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
     """The descriptor of a view of a scene."""
     low, high = scene.height_range_m
-    look = None if isinstance(view, MapView) else _look(scene, view)
+    look = None if isinstance(view, MapView) else look_at_scene(scene, view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
@@ -105,39 +160,54 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip
+    mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
+    own = _map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view, look)
+    trees = trees_of(scene, view)
+    if isinstance(view, MapView):
+        seen = Seen(scene, None, points_in_map(scene, own["pixel_m"], trees), trees)
+        rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
+    else:
+        seen, rows, cols = Seen(scene, view, points_in_look(look, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
+        rows=rows, cols=cols, stands=stands_of(scene, view, trees), moves=_moves(scene),
+        mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.population.tallest_m, weather=scene.loaded.level.weather,
-        facts={key: effect.facts(scene, view, look) for key, effect in EFFECTS.items() if effect.facts is not None},
-        **(_map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view, look)),
+        lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"])),
+        facts={key: _known(effect.facts(scene, view, look)) for key, effect in EFFECTS.items() if effect.facts is not None}, **own,
     )  # fmt: skip
 
 
+def _known(facts: dict[str, Fact]) -> dict[str, Fact]:
+    """Facts of an effect, ``None`` for what is no number: the difference of two shadows without end, say."""
+    return {key: None if isinstance(fact, float) and np.isnan(fact) else fact for key, fact in facts.items()}
+
+
+def _moves(scene: Scene) -> bool:
+    """Whether anything moves by the clock: a caster, or clouds that hide part of the sky."""
+    level = scene.loaded.level
+    drifts = 0.0 < level.weather.cloud_cover < 1.0
+    return drifts or any(mesh.motion is not None and mesh.motion.spin != 0.0 for mesh in level.meshes)
+
+
+def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -> float:
+    """What is seen at a time as a share of the level's area across the sun's light."""
+    if seen_light_m is None or scene.light is None:
+        return 1.0
+    at = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
+    whole = np.maximum(np.ptp(at, axis=0), 1e-9) if len(at) else np.ones(3)
+    return float(np.prod(np.minimum(np.array(seen_light_m[:2]) / whole[:2], 1.0)))
+
+
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
-    node_m = step_at_anchor_m(scene.world, view.grid)
-    pixel_m = node_m * float(np.sqrt(view.row_step * view.col_step))
+    node_m, pixel_m = step_at_anchor_m(scene.world, view.grid), map_pixel_m(scene, view)
     relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.population.tallest_m
     return {
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
         "receivers_light_m": _receivers_light_m(scene, view, relief_m),
         "bend_px": bend_px(scene, view.grid, view.row_step, view.col_step),
     }  # fmt: skip
-
-
-def _look(scene: Scene, view: PerspectiveView) -> Look:
-    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone."""
-    look = _look_every(scene, view, LOOK_PX)
-    return look if len(look.points_frame_m) else _look_every(scene, view, 1)
-
-
-def _look_every(scene: Scene, view: PerspectiveView, px: int) -> Look:
-    coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
-    looked = buffer_of(scene, coarse, Visible(scene, coarse, view.frame(scene.world), kinds=("relief", "meshes")))
-    points = looked.position_frame_m[looked.there]
-    eye, _ = view.in_frame(looked.frame)
-    away_m = np.linalg.norm(points - eye, axis=-1)
-    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel)
 
 
 def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[str, Any]:
@@ -154,7 +224,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[
     grid = ground_mesh(scene, view).grid
     return {
         "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
-        "pixel": view.pixel, "bands": bands,
+        "pixel": view.pixel, "bands": bands, "seen_share": float(look.buffer.there.mean()),
         "block_relief_m": float(np.ptp(look.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
     }  # fmt: skip
 
@@ -163,14 +233,18 @@ def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: flo
     """Bands of points at distances (n,) with light-space coordinates (n, 3); ``slack`` is how far apart they lie, as a share of
     their distance, and what stands on the ground may rise by ``tallest_m``.
     """
-    octave = np.ceil(np.log2(np.maximum(away_m, NEAREST_M)))
+    octave = np.ceil(np.log2(np.maximum(away_m, NEAREST_M))).astype(int)
+    order = np.argsort(octave, kind="stable")
+    first = np.flatnonzero(np.diff(octave[order], prepend=octave.min(initial=0) - 1))
+    if not len(first):
+        return ()
+    shares = np.diff(first, append=len(octave)) / len(octave)
+    lows, highs = (end.reduceat(light_m[order], first, axis=0) for end in (np.minimum, np.maximum))
     bands = []
-    for number in np.unique(octave):
-        here = light_m[octave == number]
+    for number, share, low, high in zip(octave[order][first].tolist(), shares.tolist(), lows, highs, strict=True):
         margin = slack * 2.0**number + tallest_m * np.array([0.0, 1.0, 1.0])
-        low, high = (tuple(float(v) for v in bound) for bound in (here.min(axis=0) - margin, here.max(axis=0) + margin))
-        share = len(here) / len(light_m)
-        bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, low_light_m=low, high_light_m=high))
+        bounds = {"low_light_m": tuple((low - margin).tolist()), "high_light_m": tuple((high + margin).tolist())}
+        bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, **bounds))
     return tuple(bands)
 
 
@@ -179,7 +253,7 @@ def joined(bands: tuple[Band, ...]) -> Band:
     low = np.min([band.low_light_m for band in bands], axis=0)
     high = np.max([band.high_light_m for band in bands], axis=0)
     bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
-    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, share=sum(band.share for band in bands), **bounds)
+    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, share=min(sum(band.share for band in bands), 1.0), **bounds)
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:
@@ -196,14 +270,13 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
             spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
         (mid_rows, height), (mid_cols, width) = spans
         middle, across = float(np.mean(scene.height_range_m)), np.linspace(-0.5, 0.5, 17)
-        for mid_row in mid_rows:
-            for mid_col in mid_cols:
-                rows, cols = np.meshgrid(mid_row + across * height, mid_col + across * width)
-                point, up = scene.world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
-                points = scene.light.from_earth(point + middle * up).reshape(-1, 3)
-                points = points[np.isfinite(points).all(axis=1)]
-                if len(points):
-                    widest = np.maximum(widest, np.ptp(points, axis=0))
+        rows = (mid_rows[:, None] + across * height)[:, None, :, None]
+        cols = (mid_cols[:, None] + across * width)[None, :, None, :]
+        point, up = scene.world.ground(view.grid.crs, *np.broadcast_arrays(view.grid.x(cols), view.grid.y(rows)))
+        points = scene.light.from_earth(point + middle * up).reshape(9, -1, 3)
+        known = np.isfinite(points).all(axis=2, keepdims=True)
+        ends = np.where(known, points, -np.inf).max(axis=1) - np.where(known, points, np.inf).min(axis=1)
+        widest = np.maximum(widest, ends.max(axis=0))
     altitude = np.radians(scene.light.altitude_deg)
     widest += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
     return tuple(float(v) for v in np.maximum(widest, step_at_anchor_m(scene.world, view.grid)))  # type: ignore[return-value]

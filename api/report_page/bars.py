@@ -10,7 +10,8 @@ from math import floor, log10
 from api.report_page.marks import GRAY, stage_colours
 from api.report_page.markup import tag
 from api.report_page.scales import round_time
-from api.summary import Figures, duration
+from api.summary import Figures
+from selector.words import duration
 
 WIDTH, STEP, TOP, BAR = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0

@@ -10,8 +10,9 @@ from itertools import pairwise
 from api.report_page.marks import MARKS, mark_of
 from api.report_page.markup import tag
 from api.report_page.scales import Scale, round_time, scale_of
-from api.summary import FLOORS, NONE, Figures, casts, duration, family, on_front, percent
+from api.summary import FLOORS, NONE, Figures, casts, family, on_front
 from selector.compare import Comparison
+from selector.words import duration, percent
 
 WIDTH, HEIGHT = 860.0, 540.0
 LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0

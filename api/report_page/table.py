@@ -10,8 +10,9 @@ from typing import Any
 from api.report_page.bars import stages_of
 from api.report_page.markup import breakable, definitions, tag
 from api.report_page.scatter import swatch
-from api.summary import Figures, duration, family
+from api.summary import Figures, family
 from selector.compare import Comparison
+from selector.words import duration
 
 
 @dataclass(frozen=True)

@@ -154,19 +154,12 @@ bool is_on_own(vec2 at, out float z) {
     return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
 }
 
-// The area that the light sees between two places, taken from the node, and which way round it they follow one another.
-float around(vec3 a, vec3 b) { return lamp ? dot(middle, cross(a, b)) : cross2(a.xy, b.xy); }
-
-// ... in general any of them. Apart, since a test in each tap's loop would cost more than the taps.
+// ... in general the first of them, its own before all others: where the ring is folded, as the light sees it, a centre may fall
+// into several, one behind the other. Apart, since a test in each tap's loop would cost more than the taps.
 bool is_on_any(vec2 at, out float z) {
-    vec2 centre = at + 0.5;
-    vec3 there = lamp ? vec3((2.0 * centre / vec2(map_size) - 1.0) * tangent, 1.0) : vec3(centre * texel_m, 0.0);
-    float facing = around(ring[0], ring[1]);
-    int way = around(point - middle, there - middle) * facing >= 0.0 ? 1 : 5;
-    for (int n = 0, k = 0; n < triangles; n++, k = (k + way) % 6) {
+    for (int k = 0; k < triangles; k++) {
         float slack;
-        if (around(ring[k], ring[k + 1]) * facing < 0.0) return false;
-        if (meets(middle, ring[k], ring[k + 1], centre, z, slack)) {
+        if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {
             z = mix(point.z, z, bias_scale) - slack - error_m;
             return true;
         }

@@ -11,6 +11,7 @@ once per ground and zoom: with the slopes (a, b) that a facet's normal (-a, -b, 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Fact, Look, Verdict
 from terrain.grid import MapView
 from terrain.ground_mesh import ground_mesh
+from terrain.population import Population
 from terrain.scene import Scene
 from terrain.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.stand import Stand, stand_in_perspective
@@ -137,9 +139,10 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
     return above_slopes(grid_slopes(scene.world, scene.elevation, view.grid), to_sun)
 
 
-def _trees(scene: Scene, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
+@lru_cache(maxsize=2)
+def _trees(population: Population, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
     """The trees round an eye, and whether leaves of any are in view."""
-    stand = stand_in_perspective(scene.population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
+    stand = stand_in_perspective(population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, False
     eye, camera_from_frame = view.in_frame(look.buffer.frame)
@@ -157,7 +160,7 @@ def _trees(scene: Scene, view: PerspectiveView, look: Look) -> tuple[Stand | Non
 
 def _seen_m(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
     """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
-    return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene, view, look)[1] else 0.0)
+    return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene.population, view, look)[1] else 0.0)
 
 
 def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> Corridor:
@@ -178,10 +181,9 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
     if kind == "meshes":
         solids = population.solids
         assert solids is not None
-        at = scene.light.from_earth(solids.caster_vertices_earth_m)[solids.caster_triangles]
-        first, last = at.min(axis=1), at.max(axis=1)
+        first, last = _boxes(scene.light.from_earth(solids.caster_vertices_earth_m), solids.caster_triangles)
     else:
-        stand, seen = _trees(scene, view, look)
+        stand, seen = _trees(scene.population, view, look)
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)
@@ -195,6 +197,17 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
         first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
+
+
+@compiled
+def _boxes(points, triangles):  # type: ignore[no-untyped-def]
+    """Least and largest coordinates (m, 3) of triangles (m, 3) of points (n, 3)."""
+    first, last = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
+    for m in range(len(triangles)):
+        for k in range(3):
+            a, b, c = points[triangles[m, 0], k], points[triangles[m, 1], k], points[triangles[m, 2], k]
+            first[m, k], last[m, k] = min(a, b, c), max(a, b, c)
+    return first, last
 
 
 @compiled

@@ -108,7 +108,7 @@ def test_plan(client: Client):
     plan = client.get("/levels/hills/plan", params={"view": "map"}).json()
     keys = {"view", "policy", "algorithm", "settings", "effects", "left_out", "rejected", "passes", "predicted", "target"}
     assert keys <= set(plan)
-    assert plan["algorithm"] == {"sun": {"relief": "shadow_map"}}
+    assert plan["algorithm"] == {"sun": {"relief": "sweep"}}
     night = client.get("/levels/hills/plan", params={"azimuth": 0, "altitude": -20}).json()
     assert night["algorithm"] == {"sun": {"relief": "none"}}
 

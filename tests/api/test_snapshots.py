@@ -161,7 +161,7 @@ def test_headers(yards: Client):
     assert "lamp-meshes" in answer.headers["server-timing"]
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
-    assert "shadow_map" in answer.headers["x-skugga-algorithm"]
+    assert "meshes=shadow_volume" in answer.headers["x-skugga-algorithm"]
     assert answer.headers["cache-control"] == "public, max-age=3600"
     given = yards.get(f"{YARD}.png", params={"view": "across", "azimuth": 100, "altitude": 40})
     assert given.headers["cache-control"] == "public, max-age=86400"

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.summary import MAX_INTERIOR, duration, family, in_words, listed, percent
+from api.summary import MAX_INTERIOR, family, in_words
 from selector.compare import Comparison, Row
+from selector.words import duration, listed, percent
 from terrain.camera import PerspectiveView
 
 ROWS, COLS = 6, 8

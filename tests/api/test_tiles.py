@@ -145,7 +145,7 @@ def test_time_with_a_plus_that_arrives_as_a_space(client: Client):
 
 
 def test_algorithm_and_settings_of_the_query(client: Client):
-    assert client.get(TILE).headers["x-skugga-algorithm"] == "shadow_map"
+    assert client.get(TILE).headers["x-skugga-algorithm"] == "sweep"
     none = client.get(TILE, params={"algorithm": "none", "layer": "mask"})
     assert none.headers["x-skugga-algorithm"] == "none"
     cast = client.get(TILE, params={"algorithm": "relief=shadow_map", "layer": "mask"})
@@ -160,7 +160,7 @@ def test_headers(client: Client):
     timing = answer.headers["server-timing"]
     plan = client.get("/levels/hills/plan").json()
     assert [part.split(";")[0] for part in timing.split(", ")][: len(plan["passes"])] == [
-        "geometry", "outside_casters", "sun-relief-depth-map", "sun-relief-visibility", "attached", "sky_view", "shading",
+        "geometry", "outside_casters", "sun-relief-sweep", "attached", "sky_view", "shading",
     ]  # fmt: skip
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}

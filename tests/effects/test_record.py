@@ -15,6 +15,9 @@ from terrain.scene import Scene, build_scene
 
 LEVELS = sorted(Path(configs.__file__).parent.glob("*.yaml"), key=lambda path: path.stem)
 
+WITHOUT_OPENGL = (" sweep", " silhouettes")
+"""Passes of shadows that draw nothing."""
+
 SIZE = {"map": (96, 72), "perspective": (160, 120)}
 
 
@@ -54,7 +57,7 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
         assert plan.runs.isdisjoint(effect.name for effect in plan.left_out)
         assert all(item.reason for item in (*plan.effects, *plan.left_out))
         shadows = [record for key, record in records.items() if "/" in key]
-        assert all(record.draws > 0 for record in shadows), name
+        assert all(record.draws > 0 for record in shadows if not record.name.endswith(WITHOUT_OPENGL)), name
         depth = [record for record in shadows if record.name.endswith("depth map")]
         if "alpha_test" not in plan.runs:
             assert not any(record.textures for record in depth), (name, depth)
@@ -66,8 +69,8 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
 
 def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
     scene = scene_of(next(path for path in LEVELS if path.stem == "jacksboro"))
-    view = scene.view("map", size=(64, 48))
-    frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"filter": "sun"}))
+    view, asked = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
+    frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, asked))
     words = {word for record in frame.passes for label in record.programs for word in label.split()}
     assert "shadows/sun_disc.frag" in words and "soft_edges" in frame.effects
     reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")

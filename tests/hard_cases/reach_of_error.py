@@ -13,20 +13,37 @@ from itertools import product
 import numpy as np
 
 from shadows.attached import attached
-from shadows.map_windows import POSITION_ERROR
+from shadows.map_windows import sun_maps
 from shadows.perspective_shadow_map import perspective_map
 from shadows.plan import PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.render import FILLS
+from shadows.sun_disc import DISC_TAPS
 from shadows.truth import ALL_KINDS, ray_scene
 from terrain.camera import PerspectiveView
 from terrain.casting import caster_trees
 from terrain.descriptor import describe
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
 from tests.hard_cases.cases import Seen
 
 STENCIL_PX = 2.0 / 256.0
 """What a stencil's faces may be off by in the picture: half a step of the grid for a corner, one for what they are drawn behind,
 and another half for the rounding of either.
 """
+
+GRID_TEXELS = 1.0 / 128.0
+"""How far beside itself an edge in a map may lie: half a step of the grid of 1/256 texel for either of its ends, and as much again
+for the rounding on the way there.
+"""
+
+SIGNS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+"""A place, and those right and up of it by what rounding may do."""
+
+RING = ((0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1), (1, 0))
+"""Rows and columns from a node to those round it, counter-clockwise: each and the next make a triangle with it."""
+
+OF_QUADS = np.array([(-1, 0, 1), (-1, 0, 0), (-1, -1, 1), (0, -1, 0), (0, -1, 1), (0, 0, 0)])
+"""Those triangles' quads, rows and columns from the node, and halves."""
 
 FLOAT_ULPS = 32.0 * 2.0**-24
 """What positions, their transformations and the start of truth's rays may be off by, as a share of the coordinates."""
@@ -43,20 +60,20 @@ def beyond(seen: Seen) -> np.ndarray:
         rays = ray_scene(buffer, seen.scene, seen.casters, ALL_KINDS)
         (step,) = (step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS)
         points, normals = (a.reshape(-1, 3).astype(np.float64) for a in (buffer.position_frame_m, buffer.normal_frame))
-        for moves in _moves(seen, step, towards, points[left], normals[left], buffer.crease.ravel()[left]):
+        for moves in _moves(seen, step, left, towards, points[left], normals[left]):
             lit = ~rays.blocked(points[left] + moves + rays.offset_m * normals[left], towards)
             wrong.ravel()[left[lit != seen.dark.ravel()[left]]] = False
     return wrong
 
 
 def _moves(
-    seen: Seen, step: Step, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
+    seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Moves (n, 3) in the frame, metres, within the reach of an algorithm's error."""
     extent_m = float(np.nanmax(np.abs(seen.buffer.position_frame_m)))
     float_m = np.full(len(points), FLOAT_ULPS * extent_m)
     if isinstance(step.settings, ShadowMapSettings | PerspectiveMapSettings):
-        yield from _map_moves(seen, step, towards, points, normals, crease, POSITION_ERROR * extent_m)
+        yield from _map_moves(seen, step, left, towards, points, normals, seen.buffer.crease.ravel()[left])
         return
     if step.algorithm == "sweep":
         node_m = describe(seen.scene, seen.view).node_m
@@ -80,52 +97,119 @@ def _pixel_m(seen: Seen, points: np.ndarray) -> np.ndarray:
 
 
 def _map_moves(
-    seen: Seen, step: Step, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray, error_m: float
+    seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Moves to the centres of the texels that a map looks at beside its point, on the point's plane and as far off it as the bias.
+    """Moves to where a map looks: the centres of its taps, on the plane of the point's triangle, on those of a map's ground
+    connected with it or, where none is known there, at the depth of the point moved clear (``shadows.shadow_map`` derives by how
+    much). Either as it is and as much nearer to the sun as the map's steps of depth and float32 may make it.
 
-    A move of a texel right or up on the plane with normal n solves [J_x; J_y; n] d = (1, 0, 0) or (0, 1, 0), where J is the
-    derivative of the map's coordinates in texels.
+    The rasteriser's grid and float32 put an edge up to GRID_TEXELS and ``off`` beside itself, which as well moves the centre; and
+    by ``off`` the point may have other taps.
     """
-    assert isinstance(step.settings, ShadowMapSettings | PerspectiveMapSettings)
-    jacobian, depth_m = _jacobian(seen, step, points)
-    system = np.concatenate([jacobian, normals[:, None, :]], axis=1)
-    right, up = (np.linalg.solve(system, np.broadcast_to(np.eye(3)[k], points.shape)[..., None])[..., 0] for k in (0, 1))
-    aside = np.linalg.pinv(jacobian)  # (n, 3, 2): a texel right and up, at right angles to the light
-    slack = np.abs(np.einsum("nk,nkj->nj", normals, aside)).sum(axis=1)
-    corner = np.maximum(*(np.linalg.norm(aside[..., 0] + sign * aside[..., 1], axis=1) for sign in (1.0, -1.0)))
-    bias_m = 1.01 * (slack + crease * corner) / np.maximum(1.0 - crease**2 / 2.0, 0.25) + error_m
-    taps = 2.0 if step.settings.filter == "sun" else float(step.settings.filter)
-    reach = np.arange(-(taps + 2) / 2, (taps + 2) / 2 + 0.25, 0.5)
-    along_m = 2.0 * depth_m + error_m
-    for lift in (0.0, 1.0):
-        off = lift * (bias_m[:, None] * normals + along_m[:, None] * towards)
-        for i, j in product(reach, repeat=2):
-            yield i * right + j * up + off
+    settings = step.settings
+    assert isinstance(settings, ShadowMapSettings | PerspectiveMapSettings)
+    taps = DISC_TAPS if settings.filter == "sun" else int(settings.filter)
+    beside = min(taps, 2) if settings.bias == "receiver_plane" else taps
+    matrix, error_m = _maps(seen, step, left)
+    frame_from_map, at = np.linalg.inv(matrix), _projected(matrix, points)
+    w = _dot(matrix[:, 3, :3], points) + matrix[:, 3, 3]
+    jacobian = (matrix[:, :3, :3] - at[:, :, None] * matrix[:, 3:, :3]) / w[:, None, None]
+    right, up, _ = np.moveaxis(np.linalg.inv(jacobian), 2, 0)  # a texel, at one depth of the map
+    widest = np.maximum(np.linalg.norm(right + up, axis=1), np.linalg.norm(right - up, axis=1))
+    slack = np.abs(_dot(normals, right)) + np.abs(_dot(normals, up)) + crease * widest
+    clear_m = (beside / 2.0 + GRID_TEXELS) * slack / np.maximum(1.0 - crease**2 / 2.0, 0.25)
+    clear_m /= np.maximum(1.0 - clear_m * _dot(matrix[:, 3, :3], normals) / w, 0.25)
+    clear = _projected(matrix, points + (clear_m + error_m)[:, None] * normals + error_m[:, None] * towards)
+    off = error_m[:, None] * np.linalg.norm(jacobian[:, :2], axis=2)
+    nearer = (2.0 / np.abs(jacobian[:, 2] @ towards) + error_m)[:, None] * towards
+    around = [] if seen.buffer.surface is None else list(_connected(seen.buffer, left, towards))
+    for sign in SIGNS:
+        for count, known, place in ((taps, True, at), (beside, False, clear)):
+            first = np.floor(place[:, :2] + sign * off - (count - 1) / 2.0)
+            for tap in product(range(count), repeat=2):
+                centre = first + np.array(tap) + 0.5 + sign * (GRID_TEXELS + off)
+                move = _projected(frame_from_map, np.column_stack([centre, place[:, 2]])) - points
+                if not known:
+                    yield from (move, move + nearer)
+                    continue
+                own = _onto(points + move, points, normals, towards) - points  # along the sun's ray onto the plane
+                yield from (own, own + nearer)
+                for corners, connected in around:
+                    inside = connected & _holds(np.stack([_projected(matrix, corner)[:, :2] for corner in corners]), centre)
+                    if inside.any():
+                        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+                        beside_m = np.where(inside[:, None], _onto(points + move, corners[0], normal, towards) - points, own)
+                        yield from (beside_m, beside_m + nearer)
 
 
-def _jacobian(seen: Seen, step: Step, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivative (n, 2, 3) of a map's coordinates in texels at points (n, 3) of the frame, and a step of depth there in metres."""
+def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The triangles (3, n, 3) of a map's ground up to half round the nearest node from those of the pixels ``left`` (n,), and where
+    (n,) one gets there past triangles that face the sun: others lie before or behind, as the sun sees it.
+    """
+    view, surface, triangle = buffer.view, buffer.surface, buffer.triangle
+    assert isinstance(view, MapView) and surface is not None and triangle is not None
+    i, j = np.unravel_index(left, buffer.there.shape)
+    node = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
+    node = np.floor(node + 0.5).astype(int)
+    own = triangle.reshape(-1, 3)[left] - np.column_stack([node, np.zeros(len(left), int)])
+    is_own = (own == OF_QUADS[:, None]).all(axis=2)
+    ring = np.stack([surface.position_frame_m[node[:, 0] + row, node[:, 1] + col] for row, col in RING])
+    middle = surface.position_frame_m[node[:, 0], node[:, 1]]
+    corners = np.stack([np.broadcast_to(middle, ring.shape), ring, np.roll(ring, -1, axis=0)], axis=1)  # (6, 3, n, 3)
+    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ towards > 0.0
+    first, at = np.where(is_own.any(axis=0), is_own.argmax(axis=0), -1), np.arange(len(left))
+    for turn in (1, -1):
+        connected = first >= 0
+        for steps in (1, 2, 3):
+            k = (first + turn * steps) % 6
+            connected = connected & facing[k, at]
+            yield np.moveaxis(corners[k, :, at], 0, 1), connected
+
+
+def _onto(points: np.ndarray, place: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    """Points (n, 3) moved along the sun's rays onto planes through a place each."""
+    return points - (_dot(normals, points - place) / (normals @ towards))[:, None] * towards
+
+
+def _holds(corners: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether triangles (3, n, 2) hold places (n, 2), either way round."""
+    sides, away = np.roll(corners, -1, axis=0) - corners, at - corners
+    turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
+    return (turn >= 0.0).all(axis=0) | (turn <= 0.0).all(axis=0)
+
+
+def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (n, 4, 4) from the frame to columns, rows and steps of depth of the maps that the pixels ``left`` (n,) are for, and
+    what they take positions (n,) to be off by, metres.
+    """
     buffer, scene, settings = seen.buffer, seen.scene, step.settings
-    if isinstance(settings, ShadowMapSettings):
-        assert scene.light is not None
-        rotation, _ = scene.light.from_frame(buffer.frame)
-        which = np.zeros(len(points), int)
-        if isinstance(seen.view, PerspectiveView):
-            eye, _ = seen.view.in_frame(buffer.frame)
-            far = [cascade.far_m for cascade in settings.cascades[:-1]]
-            which = np.searchsorted(far, np.linalg.norm(points - eye, axis=1))
-        texel = np.array([cascade.texel_m for cascade in settings.cascades])[which]
-        depth = np.array([cascade.depth_step_m for cascade in settings.cascades])[which]
-        return rotation[None, :2] / texel[:, :, None], depth
-    assert isinstance(settings, PerspectiveMapSettings)
-    receivers = buffer.there & ~attached(buffer, scene, seen.light)
-    drawn, _ = perspective_map(buffer, receivers, scene, seen.light, settings, caster_trees(buffer, step.kinds))
-    matrix = np.reshape(drawn.uniforms["map_rows"], (4, 4))
-    homogeneous = points @ matrix[:, :3].T + matrix[:, 3]
-    w = homogeneous[:, 3]
-    at = homogeneous[:, :3] / w[:, None]
-    jacobian = (matrix[None, :3, :3] - at[:, :, None] * matrix[None, 3, None, :3]) / w[:, None, None]
-    assert scene.sun is not None
-    towards = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
-    return jacobian[:, :2], drawn.uniforms["depth_step"] / np.abs(jacobian[:, 2] @ towards)
+    trees = caster_trees(buffer, step.kinds)
+    if isinstance(settings, PerspectiveMapSettings):
+        receivers = buffer.there & ~attached(buffer, scene, seen.light)
+        drawn, _ = perspective_map(buffer, receivers, scene, seen.light, settings, trees)
+        rows = np.reshape(drawn.uniforms["map_rows"], (4, 4)) / np.array([1.0, 1.0, drawn.uniforms["depth_step"], 1.0])[:, None]
+        assert buffer.corners_frame_m is not None
+        farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[left], axis=2).max(axis=1)
+        return np.broadcast_to(rows, (len(left), 4, 4)), drawn.uniforms["position_error"] * farthest_m
+    assert isinstance(settings, ShadowMapSettings)
+    out, error_m = np.full((len(left), 4, 4), np.nan), np.full(len(left), np.nan)
+    for drawn in sun_maps(buffer, scene, settings, trees):
+        known = drawn.uniforms
+        unit_m = np.array([*known["texel_m"], known["window_m"][2] * known["depth_step"]])
+        rows = np.eye(4)
+        rows[:3, :3] = np.reshape(known["light_from_frame"], (3, 3)).T / unit_m[:, None]
+        rows[:3, 3] = known["light_offset_m"] / unit_m
+        here = slice(None) if drawn.pixels is None else np.isin(left, drawn.pixels)
+        out[here], error_m[here] = rows, known["error_m"]
+    return out, error_m
+
+
+def _projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) through matrices (n, 4, 4)."""
+    through = np.einsum("nij,nj->ni", matrix[:, :, :3], points) + matrix[:, :, 3]
+    return through[:, :3] / through[:, 3:]
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Products (n,) of vectors (n, 3), row by row."""
+    return np.einsum("nk,nk->n", a, b)

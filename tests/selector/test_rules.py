@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from selector.picks import Pick
 from selector.rules import choose
 from shadows import render as render_module
 from shadows import shadow_map
+from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import describe
-from terrain.errors import RenderError
-from terrain.level import Level, SunSpec, load_level
+from terrain.errors import RenderError, UnsupportedError
+from terrain.level import Level, Shadows, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import block_at, plan_of, render
 
@@ -20,14 +22,57 @@ def scene() -> Scene:
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 
+@pytest.fixture(scope="module")
+def wooded() -> Scene:
+    return build_scene(load_level("configs/spatialace.yaml"))
+
+
+def reasons_of(plan: Plan) -> dict[str, str]:
+    return {item.name: item.reason for item in (*plan.reasons, *plan.rejected)}
+
+
 def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     plan = plan_of(scene, scene.view())
-    assert plan.algorithm == {"sun": {"relief": "shadow_map"}} and plan.headline == "shadow_map"
-    assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "soft_edges", "outside_casters", "sky_view"]
-    assert [effect.name for effect in plan.left_out] == ["alpha_test", "snow", "clouds", "lamps", "water", "haze"]
-    assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
-    assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "shadow_map"]
+    assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.headline == "sweep" and plan.predicted is None
+    assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "outside_casters", "sky_view"]
+    assert [effect.name for effect in plan.left_out] == [
+        "alpha_test", "soft_edges", "snow", "clouds", "lamps", "water", "haze",
+    ]  # fmt: skip
+    assert "the edges of sweep are sharp" in next(item.reason for item in plan.left_out if item.name == "soft_edges")
+    assert [reason.name for reason in plan.reasons] == ["sun/relief: sweep"] and "heightfield" in plan.reasons[0].reason
+    assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "sweep"]
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
+
+
+def test_the_settings_of_a_map_have_reasons_too(scene):
+    plan = plan_of(scene, scene.view(), algorithm="shadow_map")
+    assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
+    assert "soft_edges" in plan.runs
+
+
+def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
+    """Rejections under the rules: a refusal, or what a rule took instead; under another policy what that says."""
+    said = reasons_of(plan_of(scene, scene.view()))
+    assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
+    assert said["shadow_volume"] == f"sweep goes before it: {said['sun/relief: sweep']}"
+    assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "there are casters and light"
+    picks = {"sun": Pick("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
+    given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
+    plan = choose(describe(scene, scene.view()), scene.loaded.level, picks=picks, rejected=given)
+    said = reasons_of(plan)
+    assert plan.headline == "hybrid" and said["sun/relief: hybrid"] == "it is mine" and said["sweep"] == "12 ms more"
+    assert said["shadow_volume"] == "hybrid goes before it: it is mine"
+
+
+def test_of_several_kinds_of_casters_each_says_what_went_before(wooded):
+    said = reasons_of(plan_of(wooded, wooded.view()))
+    volume = ALGORITHMS["shadow_volume"].refuses["forest"]
+    assert said["shadow_volume"] == (
+        f"for relief: sweep goes before it; for meshes: shadow_map goes before it; for forest: {volume}"
+    )
+    plan = plan_of(wooded, wooded.view(), algorithm={"relief": "sweep", "meshes": "hybrid"})
+    assert reasons_of(plan)["sun/meshes: hybrid"] == "asked for by the request"
+    assert reasons_of(plan)["shadow_volume"] == volume  # of what is left to choose
 
 
 def test_night_needs_nothing_and_says_so(scene):
@@ -40,21 +85,43 @@ def test_night_needs_nothing_and_says_so(scene):
 
 
 def test_overrides_win_and_are_named(scene):
-    view = scene.view()
+    view, terrain = scene.view(), scene.loaded.level.terrain.model_dump()
+
+    def of_level(**keys) -> Plan:
+        return choose(describe(scene, view), Level.model_validate({"version": 1, "terrain": terrain, **keys}))
+
     plan = plan_of(scene, view, algorithm="none")
     assert plan.headline == "none" and "asked for by the request" in plan.reasons[0].reason
     assert "the algorithm is none" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
-    plan = plan_of(scene, view, map_size=777, depth_bits=32, filter=5)
-    settings = plan.settings["sun"]["relief"]
-    assert (settings.map_size, settings.depth_bits, settings.filter) == (777, 32, 5)
-    terrain = scene.loaded.level.terrain.model_dump()
-    level = Level.model_validate({"version": 1, "terrain": terrain, "shadows": {"algorithm": "none"}})
-    assert "asked for by the level" in choose(describe(scene, view), level).reasons[0].reason
-    level = Level.model_validate({"version": 1, "terrain": terrain, "effects": {"cast_shadows": "off"}})
-    plan = choose(describe(scene, view), level)
+    assert reasons_of(plan)["sweep"] == "the request asks for none"
+    assert "asked for by the level" in of_level(shadows={"algorithm": "none"}).reasons[0].reason
+    plan = of_level(effects={"cast_shadows": "off"})
     left_out = {item.name: item.reason for item in plan.left_out}
     assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
     assert "without cast_shadows there is nothing to do" in left_out["soft_edges"]
+
+
+def test_settings_that_are_asked_for_are_named(scene):
+    """By whom, and where nothing that is taken has them."""
+    view = scene.view()
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=777, depth_bits=32, filter=5, cascades=1)
+    settings = plan.settings["sun"]["relief"]
+    assert (settings.map_size, settings.depth_bits, settings.filter) == (777, 32, 5)
+    for name in ("map_size 777", "depth_bits 32", "filter 5", "cascades 1"):
+        assert reasons_of(plan)[name] == "asked for by the request"
+    level = scene.loaded.level.model_copy(update={"shadows": Shadows(algorithm="hybrid", map_size=512, mask="original")})
+    said = reasons_of(choose(describe(scene, view), level, {"map_size": 256, "mask": None}))
+    assert said["map_size 256"] == "asked for by the request" and said["mask original"] == "asked for by the level"
+    assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # a map's setting
+    said = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))
+    for name in ("map_size 777", "stencil two_pass"):
+        assert said[name] == "asked for by the request, and left out: nothing that is taken has this to choose"
+
+
+@pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
+def test_an_override_that_the_scene_forbids_is_refused_with_the_reason(wooded, name):
+    with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refuses['forest']}.*what can: shadow_map"):
+        plan_of(wooded, wooded.view(), algorithm={"forest": name})
 
 
 def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_scene):
@@ -65,10 +132,10 @@ def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_s
     heights = np.zeros((64, 64), np.float32)
     heights[30:34] = 200.0
     small = make_scene(write_raster(heights, ENGINEERING, 0, 64, 1.0), 200, 30)
-    assert plan_of(small, small.view()).settings["sun"]["relief"].depth_bits == 16
+    assert plan_of(small, small.view(), algorithm="shadow_map").settings["sun"]["relief"].depth_bits == 16
     deep = heights * 500
     deep_scene = make_scene(write_raster(deep, ENGINEERING, 0, 64, 1.0, name="deep.tif"), 200, 30)
-    plan = plan_of(deep_scene, deep_scene.view())
+    plan = plan_of(deep_scene, deep_scene.view(), algorithm="shadow_map")
     assert plan.settings["sun"]["relief"].depth_bits == 24
     assert any("more than 0.25" in reason.reason for reason in plan.reasons)
 
@@ -79,15 +146,17 @@ def test_nothing_is_decided_per_tile(scene):
     assert len(plans) == 1
 
 
+@pytest.mark.parametrize("algorithm", [None, "shadow_map"])
 @pytest.mark.parametrize("sun", [(246, 12), (246, -30)])
-def test_the_passes_that_ran_are_the_plan_s(gl, scene, sun):
+def test_the_passes_that_ran_are_the_plan_s(gl, scene, sun, algorithm):
     lit = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     for view in (lit.view(size=(64, 64)), block_at(10.0, 50.0, 12)):  # the second is far off the data
-        frame = render(lit, view)
+        frame = render(lit, view, algorithm=algorithm)
         assert [record.name for record in frame.passes] == frame.plan.passes
         assert all(record.ms >= 0 for record in frame.passes)
         drew = sum(record.draws for record in frame.passes)
-        assert drew > 0 if sun[1] > 0 and frame.there.any() else drew == 0
+        assert drew == 0 or (sun[1] > 0 and frame.there.any())
+        assert drew > 0 or algorithm is None or sun[1] < 0 or not frame.there.any()
 
 
 def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
@@ -100,7 +169,7 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
 
     monkeypatch.setitem(render_module.FILLS, "shadow_map", lazy)
     with pytest.raises(RenderError, match="are not the plan's"):
-        render(scene, scene.view(size=(64, 64)))
+        render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 
 
 def test_plans_and_descriptors_survive_json(scene):

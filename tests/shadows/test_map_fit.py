@@ -110,7 +110,8 @@ def test_auto_is_stable_and_says_why(jacksboro, ridge):
         assert any(reason.name == "fit stable" for reason in plan.reasons)
         explicit = plan_for(jacksboro, view, fit="tight")
         assert explicit.settings["sun"]["relief"].fit == "tight"
-        assert not any(reason.name.startswith("fit") for reason in explicit.reasons)
+        said = [(reason.name, reason.reason) for reason in explicit.reasons if reason.name.startswith("fit")]
+        assert said == [("fit tight", "asked for by the request")]
 
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:

@@ -1,4 +1,4 @@
-"""The shadow map: seams that do not show, options that do something, holes that throw no walls."""
+"""The shadow map, and what is taken where nothing is asked: no seams, options that do something, holes that throw no walls."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ def jacksboro() -> Scene:
     return build_scene(load_level("configs/jacksboro.yaml"))
 
 
-def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro):
+@pytest.mark.parametrize("algorithm", ["shadow_map", None])
+def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro, algorithm):
     """Byte for byte: one tile, and a map of 3 x 2 tiles at that zoom that crosses a block's border."""
     block = block_at(-84.25, 36.58, 12)
     tile = block.part(256, 512, 256, 256)
     bigger = block.part(256, 256, 512, 1024)
     low_sun = jacksboro.with_sun(SunSpec(azimuth=237, altitude=8))
-    small, large = render(low_sun, tile), render(low_sun, bigger)
+    small, large = (render(low_sun, view, algorithm=algorithm) for view in (tile, bigger))
     assert 0.01 < shadow(small).mean() < 0.99
     np.testing.assert_array_equal(small.color, large.color[:256, 256:512])
     np.testing.assert_array_equal(small.visibility, large.visibility[:256, 256:512])
@@ -36,22 +37,23 @@ def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro):
 )
 def test_every_option_changes_the_picture(gl, jacksboro, change):
     view = block_at(-84.25, 36.58, 12).part(0, 0, 512, 512)
-    usual = render(jacksboro, view)
-    changed = render(jacksboro, view, **change)
+    usual = render(jacksboro, view, algorithm="shadow_map")
+    changed = render(jacksboro, view, **{"algorithm": "shadow_map", **change})
     assert (usual.color != changed.color).any(axis=-1).mean() > 1e-3
 
 
-def test_holes_and_islands_throw_no_walls(gl, write_raster, make_scene):
+@pytest.mark.parametrize("algorithm", ["shadow_map", None])
+def test_holes_and_islands_throw_no_walls(gl, write_raster, make_scene, algorithm):
     """Level ground with holes stays lit round them, and the holes are transparent."""
     heights = np.full((80, 80), 50.0, np.float32)
     heights[30:50, 30:50] = -9999.0
     heights[10, 10] = -9999.0
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 800, 10.0, nodata=-9999.0), 201, 5)
-    frame = render(scene, scene.view(size=(400, 400)))
+    frame = render(scene, scene.view(size=(400, 400)), algorithm=algorithm)
     assert not frame.there[150:250, 150:250].any()
     assert np.nanmin(frame.visibility) == 1.0
     island = np.full((80, 80), -9999.0, np.float32)
     island[40, 40] = 10.0
     alone = make_scene(write_raster(island, ENGINEERING, 0, 800, 10.0, name="island.tif", nodata=-9999.0), 201, 5)
-    frame = render(alone, alone.view(size=(400, 400)))
+    frame = render(alone, alone.view(size=(400, 400)), algorithm=algorithm)
     assert frame.there.sum() == 25 and np.nanmin(frame.visibility) == 1.0

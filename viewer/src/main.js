@@ -1,5 +1,6 @@
 import { readHash, writeHash } from './hash.js';
 import { createMap } from './map.js';
+import { showPlan } from './plan.js';
 import { address, requestJson } from './service.js';
 import { OFFSETS, formatTime, minutesOf, noonToday, parseTime, timeOf } from './suntime.js';
 import './style.css'; // after MapLibre's, which it adjusts
@@ -14,7 +15,10 @@ const panel = $('panel');
 let levels = [];
 let map;
 let show;
+let tileZoom;
 let loading = new AbortController();
+let planning = new AbortController();
+let planned = '';
 let timer;
 
 // --- the panel's fields ---------------------------------------------------------------------------------------------
@@ -139,6 +143,27 @@ function fit(level) {
   map.fitBounds([[west, south], [east, north]], { padding: padding(), animate: false });
 }
 
+/** Asks for the plan of the tiles on screen and shows it: one for a level, a zoom and a sun. */
+async function explain() {
+  const level = currentLevel();
+  const sun = sunQuery();
+  if (!level?.bounds || !sun) return;
+  const url = address(`levels/${encodeURIComponent(level.name)}/plan`, { zoom: tileZoom(level), ...sun });
+  if (url === planned) return;
+  planned = url;
+  planning.abort();
+  planning = new AbortController();
+  $('plan').classList.add('old');
+  try {
+    showPlan($('plan'), await requestJson(url, planning.signal));
+    $('plan').classList.remove('old');
+  } catch (error) {
+    if (error.name === 'AbortError') return;
+    planned = '';
+    $('plan').hidden = true; // what went wrong is said where the tiles' errors are
+  }
+}
+
 /** Asks for the tiles of the present fields and shows them. */
 async function draw() {
   clearTimeout(timer);
@@ -165,6 +190,7 @@ async function draw() {
     $('tilejson').href = url;
     saySun(tilejson.skugga?.sun);
     show(level.name, { ...tilejson, tiles });
+    explain();
   } catch (error) {
     if (error.name !== 'AbortError') say(error.message, { failed: true });
   }
@@ -225,7 +251,7 @@ function listen() {
     $('toggle').textContent = hide ? 'Settings' : 'Hide';
   });
   window.addEventListener('hashchange', openFromAddress);
-  map.on('moveend', saveState);
+  map.on('moveend', () => { saveState(); explain(); });
 }
 
 async function start() {
@@ -245,7 +271,7 @@ async function start() {
 
 $('offset').append(...OFFSETS.map((offset) => option(offset, `UTC${offset}`)));
 try {
-  ({ map, show } = createMap($('map'), sayProgress));
+  ({ map, show, tileZoom } = createMap($('map'), sayProgress));
   listen();
   map.once('load', start);
 } catch {

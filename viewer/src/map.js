@@ -95,5 +95,11 @@ export function createMap(container, onProgress) {
     map.setMaxZoom(tilejson.maxzoom + 2);
   }
 
-  return { map, show };
+  /** The zoom of the tiles on screen, within those that there are. */
+  function tileZoom(zooms) {
+    const zoom = Math.round(map.getZoom() + Math.log2((512 * DENSITY) / TILE_SIZE));
+    return Math.min(Math.max(zoom, zooms.minzoom), zooms.maxzoom);
+  }
+
+  return { map, show, tileZoom };
 }

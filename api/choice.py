@@ -1,0 +1,111 @@
+"""A choice made from the command line: of a level's view, by a policy, and pinned into the level's file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any, get_args
+
+from api.calibrated import calibration_for
+from api.selection import POLICIES, choices, circumstances, expectation, heading
+from api.snapshot import scene_and_view
+from selector.picks import Asked, PolicyName, Wishes
+from selector.pin import MARK, pin, pinned, pins
+from selector.rules import choose as choose_by_rules
+from selector.select import plan_of_view
+from shadows.plan import Plan
+from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.errors import InputError, UnsupportedError
+from terrain.grid import MapView
+from terrain.level import override
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A plan, with the level's file, the scene and the view that it was made for."""
+
+    path: Path
+    scene: Scene
+    view: MapView | PerspectiveView
+    plan: Plan
+
+    @property
+    def heading(self) -> str:
+        """Whose plan it is."""
+        return heading(self.scene, self.plan)
+
+
+def choose(
+    path: Path,
+    view: str,
+    policy: str,
+    overrides: dict[str, Any],
+    sun: SunSpec | None,
+    size: tuple[int, int] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    crs: str | None = None,
+    seconds: float | None = None,
+    anew: bool = False,
+) -> Choice:
+    """Choose for a view of a level; ``anew`` as if no earlier choice had been pinned into its file. Raises ``SkuggaError``."""
+    if policy not in get_args(PolicyName):
+        raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
+    scene, seen = scene_and_view(path, view, sun, size, bounds, crs, seconds)
+    if anew:
+        scene = _unpinned(scene)
+    device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
+    return Choice(path, scene, seen, plan_of_view(scene, seen, view, overrides, policy, device))
+
+
+def pin_down(choice: Choice) -> str:
+    """Pin a choice into the level's file; says what was written and where.
+
+    Raises ``LevelError`` for a file that cannot be written, ``UnsupportedError`` where another view of the level could not be
+    drawn with the choice, ``InputError`` where nothing casts.
+    """
+    scene, plan = choice.scene, choice.plan
+    level = scene.loaded.level
+    chosen = pins(plan, describe(scene, choice.view, plan.view), level)
+    wishes = Asked(override(level.shadows, chosen), level.light_names, level.effects)
+    for name in level.views:
+        _check(scene, name, wishes, plan)
+    pin(choice.path, chosen, _why(choice))
+    settings = "".join(f", {key} {value}" for key, value in chosen.items() if key != "algorithm")
+    return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
+
+
+def write_descriptor(choice: Choice, path: Path) -> None:
+    """Write the facts that a choice is made from."""
+    descriptor = describe(choice.scene, choice.view, choice.plan.view)
+    path.write_text(descriptor.model_dump_json(indent=2) + "\n", encoding="utf-8")
+
+
+def _unpinned(scene: Scene) -> Scene:
+    """A scene whose level asks of the shadows what it asked before something was pinned."""
+    level = scene.loaded.level
+    shadows = override(level.shadows, dict.fromkeys(pinned(scene.loaded.path), "auto"))
+    loaded = scene.loaded.model_copy(update={"level": level.model_copy(update={"shadows": shadows})})
+    return replace(scene, loaded=loaded)
+
+
+def _check(scene: Scene, name: str, wishes: Wishes, plan: Plan) -> None:
+    try:
+        choose_by_rules(describe(scene, scene.view(name), name), wishes)
+    except UnsupportedError as error:
+        reason = f"view {name} of this level could not be drawn with it: {error.value}: {error.allowed}"
+        raise UnsupportedError("--write", plan.headline, reason) from None
+
+
+def _why(choice: Choice) -> list[str]:
+    """The pin's comment: its first line is the one that it is known by."""
+    plan = choice.plan
+    return [
+        f"{MARK.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",
+        f"{circumstances(choice.scene, plan)}.",
+        *choices(plan),
+        expectation(plan),
+    ]

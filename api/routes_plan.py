@@ -1,0 +1,124 @@
+"""Plans and what they are made from: of a level's view or its tiles, and of a descriptor that a client sends."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Depends, Query, Request
+from fastapi.responses import JSONResponse
+from starlette.concurrency import run_in_threadpool
+
+from api.answers import json_answer
+from api.errors import NotServedError
+from api.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
+from api.matrices import matrix_set_of
+from api.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, View, only, plan_wishes, sun_wished
+from api.problems import problem_docs
+from api.served import DEFAULT_MATRIX_SET, ServedLevel
+from api.service import TheService, unless_gone
+from selector.picks import Asked
+from selector.select import select
+from selector.serves import kinds_of_lights
+from shadows.plan import Plan
+from terrain.descriptor import Descriptor
+from terrain.errors import InputError
+from terrain.level import SUN, Shadows
+from terrain.level_parts import SunSpec
+
+router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
+
+Zoom = Annotated[int | None, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")]
+MatrixSet = Annotated[str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.")]
+
+SEEN = ("view", "zoom", "tms")
+
+
+@router.get(
+    "/levels/{level}/plan",
+    summary="The plan of a view",
+    response_model=Plan,
+    dependencies=[Depends(only(*SEEN, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
+)
+async def plan(
+    request: Request,
+    service: TheService,
+    level: str,
+    sun: Annotated[SunSpec | None, Depends(sun_wished)],
+    wanted: Annotated[PlanWishes, Depends(plan_wishes)],
+    view: View = None,
+    zoom: Zoom = None,
+    tms: MatrixSet = None,
+) -> Any:
+    """What the selector chooses for a view, or for the tiles of a zoom, and why."""
+    served = await service.level(level)
+    seen = _seen(served, view, zoom, tms)
+    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, sun=sun, overrides=wanted.overrides)
+    answer = await unless_gone(request, service.pool.run(job))
+    assert isinstance(answer, PlanAnswer)
+    return json_answer(request, json.loads(answer.plan_json))
+
+
+@router.get(
+    "/levels/{level}/descriptor",
+    summary="The facts of a view",
+    response_model=Descriptor,
+    dependencies=[Depends(only(*SEEN, *SUN_PARAMETERS))],
+)
+async def descriptor(
+    request: Request,
+    service: TheService,
+    level: str,
+    sun: Annotated[SunSpec | None, Depends(sun_wished)],
+    view: View = None,
+    zoom: Zoom = None,
+    tms: MatrixSet = None,
+) -> Any:
+    """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
+    served = await service.level(level)
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), sun=sun)
+    answer = await unless_gone(request, service.pool.run(job))
+    assert isinstance(answer, DescriptorAnswer)
+    return json_answer(request, json.loads(answer.descriptor_json))
+
+
+@router.post(
+    "/plan",
+    summary="The plan of a descriptor",
+    response_model=Plan,
+    responses=problem_docs(413),
+    dependencies=[Depends(only(*PLAN_PARAMETERS))],
+)
+async def plan_of_descriptor(
+    request: Request,
+    service: TheService,
+    described: Annotated[
+        Descriptor, Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.")
+    ],
+    wanted: Annotated[PlanWishes, Depends(plan_wishes)],
+) -> Any:
+    """What the selector chooses for a scene and a view that it knows by their facts alone, and why.
+
+    What levels ask of shadows and effects is not part of the facts: here all of it is automatic but for what the query asks.
+    Predictions are for the service's own device.
+    """
+    if wanted.policy == "predict":
+        await unless_gone(request, service.pool.settled())
+    asked = Asked(Shadows(), (SUN, *(lamp for lamp in kinds_of_lights(described) if lamp != SUN)))
+    overrides = wanted.overrides.for_selector()
+    made = await run_in_threadpool(select, described, asked, overrides, wanted.policy, service.pool.device)
+    return JSONResponse(made.model_dump(mode="json"), headers={"Cache-Control": "no-store"})
+
+
+def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
+    """A view's name, or tiles. Raises ``InputError`` for both, or ``NotServedError`` for a zoom that is not there."""
+    if zoom is None and tms is None:
+        return level.view_named(view)
+    if view is not None or zoom is None:
+        raise InputError("view" if zoom is not None else "zoom", view or "", "view, or zoom with tms where it is not the default")
+    matrix_set = tms or DEFAULT_MATRIX_SET
+    matrix_set_of(matrix_set)
+    zooms = level.zooms_in(matrix_set)
+    if not zooms.first <= zoom <= zooms.last:
+        raise NotServedError("zoom", f"Zoom {zoom} is not served here; zooms {zooms.first} to {zooms.last} are.")
+    return Tiles(matrix_set=matrix_set, zoom=zoom)

@@ -1,0 +1,235 @@
+"""A plan in plain words: what is taken for each light and why, what it is expected to cost, and what was left out."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+
+from selector.words import duration, listed, percent
+from shadows.plan import Plan, Reasoned, Settings, Step, Target
+from shadows.registry import ALGORITHMS
+from terrain.effects import EFFECTS
+from terrain.level import SUN
+from terrain.scene import Scene
+from terrain.sun import Sun
+
+WIDTH = 100
+"""Characters of a line, at most."""
+
+POLICIES = {"rules": "by the rules", "predict": "by prediction", "measure": "by measuring"}
+
+WINDS = (
+    "north", "north-north-east", "north-east", "east-north-east", "east", "east-south-east", "south-east", "south-south-east",
+    "south", "south-south-west", "south-west", "west-south-west", "west", "west-north-west", "north-west", "north-north-west",
+)  # fmt: skip
+
+ALWAYS_SAID = ("cascades", "map_size", "depth_bits", "filter")
+"""Settings that are said whether or not there is a reason for them."""
+ORDER = (*ALWAYS_SAID, "fit", "bias", "culling", "mask", "stencil", "counting")
+
+_NAMES = re.compile(rf"\b({'|'.join(name for name in (*ALGORITHMS, *EFFECTS) if '_' in name)})\b")
+
+AS_PICKED = "as picked"
+"""The reason for a setting that comes with the algorithm, whose reason is told already."""
+
+
+def heading(scene: Scene, plan: Plan) -> str:
+    """Whose plan it is, and how it was chosen."""
+    return f"{scene.loaded.level.title or scene.loaded.name}. {circumstances(scene, plan)}; chosen {POLICIES[plan.policy]}."
+
+
+def circumstances(scene: Scene, plan: Plan) -> str:
+    """The view and the sun that a plan was made for."""
+    return f"View {plan.view}, {sun_in_words(scene.sun)}"
+
+
+def sun_in_words(sun: Sun | None) -> str:
+    """Where a sun stands, as ``the sun 12 degrees high in the west-south-west``."""
+    if sun is None:
+        return "without a sun"
+    wind = WINDS[round(sun.azimuth_deg / 22.5) % 16]
+    if sun.altitude_deg < 0.0:
+        return f"the sun {_short(-sun.altitude_deg)} degrees below the horizon in the {wind}"
+    return f"the sun {_short(sun.altitude_deg)} degrees high in the {wind}"
+
+
+def in_words(plan: Plan, title: str) -> str:
+    """A plan as text for a terminal: sentences under headings, lines of at most ``WIDTH`` characters."""
+    plan = _aloud(plan)
+    told = _Told(plan)
+    parts = [[title, *told.notes("policy")], *(told.light(light) for light in plan.algorithm)]
+    if not plan.algorithm:
+        parts.append(["Nothing here casts a shadow."])
+    told.notes("missed")  # which the expectation tells
+    parts += [[expectation(plan)], told.others()]
+    parts += [
+        _list("Effects that run", plan.effects),
+        _list("Effects left out", plan.left_out),
+        _list("Algorithms not taken", _not_taken(plan)),
+    ]
+    return "\n\n".join("\n".join(_wrapped(line) for line in part) for part in parts if part)
+
+
+def choices(plan: Plan) -> list[str]:
+    """For each light and kind of casters that casts: its algorithm and why it was taken, in a sentence."""
+    why = {one.name: one.reason for one in _aloud(plan).reasons}
+    return [
+        f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {spoken(name)}: {why[f'{light}/{kind}: {name}']}."
+        for light, kinds in plan.algorithm.items()
+        for kind, name in kinds.items()
+        if name != "none" and f"{light}/{kind}: {name}" in why
+    ]
+
+
+def expectation(plan: Plan) -> str:
+    """What a plan is expected to cost, held against what was asked, in one or two sentences."""
+    asked = wanted(plan.target)
+    if plan.predicted is None:
+        return f"Time and error are not predicted. Asked for: {asked}."
+    verb = "Measured" if plan.policy == "measure" else "Expected"
+    said = f"{verb}: {duration(plan.predicted.ms)} of shadow work, {percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+    if plan.target.met is None:
+        return f"{said} Asked for: {asked}."
+    if plan.target.met:
+        return f"{said} That meets the target: {asked}."
+    return f"{said} That misses the target ({asked}) by {overshoot(plan)}; nothing comes nearer."
+
+
+def wanted(target: Target) -> str:
+    """A target, as ``at most 3 % wrong, within 40 ms``."""
+    error = f"at most {100.0 * target.max_error:.3g} % of the cast shadow wrong"
+    return error if target.max_ms is None else f"{error}, within {duration(target.max_ms)}"
+
+
+def spoken(name: str) -> str:
+    """The name of an algorithm or an effect as it is read aloud."""
+    return "no shadows" if name == "none" else name.replace("_", " ")
+
+
+def overshoot(plan: Plan) -> str:
+    """By how much a plan misses its target, as ``2.1 % of the cast shadow and 15 ms``."""
+    assert plan.predicted is not None
+    over = []
+    if (error := plan.predicted.wrong_cast - plan.target.max_error) > 0.0:
+        over.append(f"{percent(error)} of the cast shadow")
+    if plan.target.max_ms is not None and (ms := plan.predicted.ms - plan.target.max_ms) > 0.0:
+        over.append(duration(ms))
+    told = (one.reason.removeprefix("expected: ") for one in plan.reasons if one.name.endswith(": target missed"))
+    return " and ".join(over) or "; ".join(told)
+
+
+class _Told:
+    """The reasons of a plan, each told once: by its light and caster kind, by its setting, or after all others."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._left = list(plan.reasons)
+
+    def notes(self, word: str) -> list[str]:
+        """The reasons whose name holds a word, as sentences."""
+        return [_sentence(one.reason) for one in self._take(lambda name: word in name.split(" "))]
+
+    def light(self, light: str) -> list[str]:
+        """What is done for a light."""
+        lines = ["Under the sun" if light == SUN else f"Under the light {light}"]
+        for step in self._plan.steps:
+            if step.light == light:
+                lines += self._step(step)
+        return lines
+
+    def others(self) -> list[str]:
+        """What has not been told yet."""
+        return [f"{_capital(one.name)}: {one.reason}." for one in self._take(lambda _: True)]
+
+    def _step(self, step: Step) -> Iterator[str]:
+        why: dict[str, list[str]] = {}
+        for kind in step.kinds:
+            reasons = [one.reason for one in self._take(lambda name, kind=kind: name == f"{step.light}/{kind}: {step.algorithm}")]
+            why.setdefault("; ".join(reasons), []).append(kind)
+        for reason, kinds in why.items():
+            taken = "casts nothing" if step.algorithm == "none" else f"by {spoken(step.algorithm)}"
+            yield f"  {_capital(listed(kinds))} {taken}{f': {reason}' if reason else ''}."
+        for key, value in _values(step.settings):
+            names = (f"{key} {value}", f"{step.light}: {key} {value}")
+            reasons = [one.reason for one in self._take(lambda name, names=names: name in names)]
+            if reasons or (key in ALWAYS_SAID and (key, value) not in (("cascades", 1), ("filter", 1))):
+                why = f": {reasons[0]}" if reasons and reasons[0] != AS_PICKED else ""
+                yield f"    {_capital(_setting(key, value))}{why}."
+
+    def _take(self, wanted: Callable[[str], bool]) -> list[Reasoned]:
+        taken = [one for one in self._left if wanted(one.name)]
+        self._left = [one for one in self._left if not wanted(one.name)]
+        return taken
+
+
+def _values(settings: Settings | None) -> Iterator[tuple[str, object]]:
+    """The settings of a step as overrides spell them; ``cascades`` is their number."""
+    for key in ORDER:
+        part = next((part for part in (settings, getattr(settings, "map", None)) if hasattr(part, key)), None)
+        if part is not None:
+            value = getattr(part, key)
+            yield key, len(value) if key == "cascades" else value
+
+
+def _setting(key: str, value: object) -> str:
+    match key, value:
+        case "map_size", _:
+            return f"{value} x {value} texels"
+        case "cascades", 1:
+            return "one map"
+        case "cascades", _:
+            return f"{value} maps, one behind the other"
+        case "depth_bits", _:
+            return f"{value} bits of depth"
+        case "filter", 1:
+            return "one tap, so that edges are sharp"
+        case "filter", "sun":
+            return "the penumbra of the sun's disc"
+        case "filter", _:
+            return f"{value} x {value} taps"
+        case "culling", "none":
+            return "no culling"
+        case _:
+            return f"{spoken(f'{value}')} {key}" if key in ("fit", "bias", "mask", "stencil", "counting") else f"{key} {value}"
+
+
+def _aloud(plan: Plan) -> Plan:
+    """A plan whose reasons have the names of algorithms and effects as they are read aloud."""
+
+    def aloud(reasoned: list[Reasoned]) -> list[Reasoned]:
+        return [Reasoned(name=one.name, reason=_NAMES.sub(lambda found: spoken(found.group()), one.reason)) for one in reasoned]
+
+    lists = ("effects", "left_out", "rejected", "reasons")
+    return plan.model_copy(update={key: aloud(getattr(plan, key)) for key in lists})
+
+
+def _not_taken(plan: Plan) -> list[Reasoned]:
+    """The algorithms that were not taken, without the reasons of those that went before them, which are told already."""
+    told = {f": {one.reason}" for one in plan.reasons}
+    ends = {one.name: next((end for end in told if one.reason.endswith(end)), "") for one in plan.rejected}
+    return [Reasoned(name=one.name, reason=one.reason.removesuffix(ends[one.name])) for one in plan.rejected]
+
+
+def _list(title: str, reasoned: list[Reasoned]) -> list[str]:
+    names: dict[str, list[str]] = {}
+    for one in reasoned:
+        names.setdefault(one.reason, []).append(spoken(one.name))
+    return [title, *(f"  {_capital(listed(its, most=9))}: {reason}." for reason, its in names.items())] if reasoned else []
+
+
+def _sentence(text: str) -> str:
+    return f"{_capital(text)}."
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _short(degrees: float) -> str:
+    return f"{degrees:.1f}".removesuffix(".0")
+
+
+def _wrapped(line: str) -> str:
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.fill(line.strip(), WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_on_hyphens=False)

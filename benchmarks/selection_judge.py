@@ -1,0 +1,175 @@
+"""What choices are worth: losses, regret, and how much of the gap between the single best and the virtual best is closed.
+
+An instance is a view under a light with a target; the loss of a row (one plan, measured) is its milliseconds where it meets the
+target, ten times those of the worst that meets it where it does not, and where none meets it the overshoot. All losses are taken
+as multiples of the virtual best's, so that a view that takes seconds counts no more than one that takes milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+INTERIOR = 1e-3
+"""Interior error above which a plan meets no target."""
+
+MISSED = 10.0
+"""What a missed target costs, in times the worst that meets it."""
+
+WITHIN = 0.10
+"""Where the single best lies this near to the virtual best, there is no gap to speak of."""
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is asked: the largest error, and the milliseconds as a share of the way from the quickest to the slowest row (in
+    logarithms), or no limit.
+    """
+
+    name: str
+    max_error: float
+    within: float | None = None
+
+
+GOALS = (
+    Goal("10 %", 0.10), Goal("3 %", 0.03), Goal("1 %", 0.01), Goal("0.3 %", 0.003), Goal("most accurate in time", 1e-4, 0.4),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """A measured view (``view``: its record) with a goal. ``max_ms`` is in milliseconds; rows are named by what they do."""
+
+    view: Figures
+    goal: Goal
+    max_ms: float | None
+
+    @property
+    def rows(self) -> dict[str, Figures]:
+        return self.view["rows"]
+
+    def error(self, name: str) -> float:
+        return self.rows[name][self.view["error"]]
+
+    def meets(self, name: str) -> bool:
+        """Whether a row keeps to the error (or what truth's own noise leaves to tell) and to the time."""
+        most = max(self.goal.max_error, 3.0 * self.view["noise_floor"])
+        row = self.rows[name]
+        return self.error(name) <= most and row["interior"] <= INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+
+    def losses(self) -> dict[str, float]:
+        """The loss of every row, as a multiple of the least."""
+        met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
+        if met:
+            found = {name: met.get(name, MISSED * max(met.values())) for name in self.rows}
+        else:
+            over = {name: self._overshoot(name) for name in self.rows}
+            timely = {name: over[name] for name, row in self.rows.items() if self.max_ms is None or row["ms"] <= self.max_ms}
+            found = {name: timely.get(name, MISSED * max(timely.values())) for name in self.rows} if timely else over
+        least = max(min(found.values()), 1e-12)
+        return {name: value / least for name, value in found.items()}
+
+    def _overshoot(self, name: str) -> float:
+        row = self.rows[name]
+        late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
+        return max(self.error(name) / self.goal.max_error, row["interior"] / INTERIOR, late, 1e-3)
+
+
+def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[Instance]:
+    """Every view with every goal; those with fewer than two rows leave nothing to choose."""
+    made = []
+    for view in views:
+        ms = [row["ms"] for row in view["rows"].values()]
+        for goal in goals if len(ms) > 1 else ():
+            limit = None if goal.within is None else float(f"{min(ms) ** (1 - goal.within) * max(ms) ** goal.within:.3g}")
+            made.append(Instance(view, goal, limit))
+    return made
+
+
+Policy = Callable[[Instance], str]
+"""What takes a row, by name."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A policy on some instances: means over them, as the page of figures has them."""
+
+    instances: int
+    met: float
+    """Share of the instances whose target can be met in which the policy's row meets it."""
+    regret: float
+    regret_p95: float
+    unclean: float
+    """Share in which its row has interior error above ``INTERIOR`` though a clean row met the target."""
+    loss: float
+    single: float
+    """Mean loss of the single best."""
+    gap_closed: float | None
+    """``None`` where single best and virtual best lie within ``WITHIN``."""
+    worst: list[tuple[str, str, str, float]]
+    """View, goal, row taken and regret of the worst picks."""
+
+
+def judged(instances: Sequence[Instance], taken: Mapping[tuple[str, str], str], single: Mapping[tuple[str, str], str]) -> Verdict:
+    """The verdict on the rows ``taken`` by (view, goal), against those of the single best."""
+    losses = [one.losses() for one in instances]
+    keys = [(one.view["name"], one.goal.name) for one in instances]
+    own = np.array([loss[taken[key]] for loss, key in zip(losses, keys, strict=True)])
+    best = np.array([loss[single[key]] for loss, key in zip(losses, keys, strict=True)])
+    can = [any(map(one.meets, one.rows)) for one in instances]
+    met = [one.meets(taken[key]) for one, key, able in zip(instances, keys, can, strict=True) if able]
+    dirty = [
+        able and one.rows[taken[key]]["interior"] > INTERIOR for one, key, able in zip(instances, keys, can, strict=True)
+    ]
+    worst = sorted(zip(own - 1.0, keys, strict=True), reverse=True)[:5]
+    gap = float(best.mean() - 1.0)
+    return Verdict(
+        len(instances), float(np.mean(met)), float(own.mean() - 1.0), float(np.quantile(own - 1.0, 0.95)), float(np.mean(dirty)),
+        float(own.mean()), float(best.mean()), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
+        [(view, goal, taken[view, goal], float(regret)) for regret, (view, goal) in worst],
+    )  # fmt: skip
+
+
+def stand_in(pick: str, view: Figures) -> str | None:
+    """The row that a pick comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
+    company, *settings = pick.split()
+    alone = company.removeprefix("sweep+").removeprefix("shadow_map+")
+    for one in (company, alone, company.split("+")[0]):
+        for end in range(len(settings), -1, -1):
+            for words in ([one, *settings[:end]], [one, *settings[:end], "x1"]):
+                if (name := " ".join(words)) in view["picks"]:
+                    return view["picks"][name]
+    return None
+
+
+def single_best(training: Sequence[Instance]) -> str:
+    """The one pick with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed."""
+    names = sorted({name for one in training for name in one.view["picks"]})
+    losses = [(one, one.losses()) for one in training]
+
+    def mean(pick: str) -> float:
+        rows = [(stand_in(pick, one.view), loss) for one, loss in losses]
+        return float(np.mean([MISSED * max(loss.values()) if row is None else loss[row] for row, loss in rows]))
+
+    return min(names, key=mean)
+
+
+def marginal(instances: Sequence[Instance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """What each algorithm adds: how much larger the virtual best's mean loss is without it, and the share of instances whose best
+    row has it.
+    """
+    found = {}
+    for algorithm in algorithms:
+        without, best = [], []
+        for one in instances:
+            losses = one.losses()
+            rest = [loss for name, loss in losses.items() if algorithm not in one.rows[name]["algorithms"]]
+            without.append(min(rest, default=MISSED * max(losses.values())))
+            best.append(algorithm in one.rows[min(losses, key=losses.__getitem__)]["algorithms"])
+        found[algorithm] = float(np.mean(without) - 1.0), float(np.mean(best))
+    return found

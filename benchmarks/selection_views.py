@@ -1,0 +1,180 @@
+"""The scenes and views on which the selector is held against what was measured: families of them, each on its own terrain."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from api.catalogue import find_level
+from terrain.camera import PerspectiveView
+from terrain.grid import MapView
+from terrain.level import load_level
+from terrain.level_parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+Family = Literal["thesis, spot", "thesis, sun", "relief, map", "relief, perspective", "wooded, map", "wooded, perspective"]
+
+PERSPECTIVE_PX, MAP_PX = (640, 512), (512, 512)
+
+Sun = tuple[float, float]
+
+FAULT = (740_000.0, 4_052_800.0, 746_400.0, 4_059_200.0)
+"""West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
+VILLAGE = (753_400.0, 4_044_200.0, 754_600.0, 4_045_400.0)
+"""The same of houses, hedges and woods in its valley."""
+
+CITY = "urban/goteborg_1m"
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A view of a scene under a light. ``terrain`` is the ground it stands on: what is left out together.
+
+    ``level`` is a bundled level's name, or the keys of one whose files lie in the folder of sample data; ``view`` is a view's
+    name or its keys, ``bounds`` those of a map, ``sun`` azimuth and altitude, degrees (``None``: the level's own light).
+    """
+
+    name: str
+    family: Family
+    terrain: str
+    level: str | dict[str, Any]
+    view: str
+    sun: Sun | None = None
+    bounds: tuple[float, float, float, float] | None = None
+    look: tuple[float, float, float, float, float] | None = None
+    """Of a perspective view that no level names: the eye's and the target's shares of the ground's extent from west and south
+    (eye_x, eye_y, target_x, target_y), and the eye's height above ground, metres."""
+
+    def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
+        """The scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
+        scene = _scene(self.level, data, folder)
+        scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
+        if self.look is not None:
+            scene = _scene({**self.level, "views": {"eye": _eye(scene, self.look)}}, data, folder)  # type: ignore[dict-item]
+            scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
+            return scene, scene.view("eye", size=PERSPECTIVE_PX)
+        if self.view == "map":
+            return scene, scene.view("map", self.bounds or _middle(scene), size=MAP_PX)
+        return scene, scene.view(self.view, size=PERSPECTIVE_PX)
+
+
+def _scene(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
+    if isinstance(level, str):
+        return build_scene(load_level(find_level(level)))
+    path = folder / "level.yaml"
+    text = json.dumps({"version": 1, **level}).replace("DATA/", f"{data.resolve()}/")
+    path.write_text(text, encoding="utf-8")  # JSON is YAML
+    return build_scene(load_level(path))
+
+
+def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
+    """The middle of a raster, a pixel a cell; ``None`` (all of it) where it is smaller than the picture, and in flat worlds."""
+    if scene.world.flat:
+        return None
+    whole = scene.view("map")
+    assert isinstance(whole, MapView)
+    west, south, east, north = whole.bounds
+    cell = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
+    half = [min(pixels * cell / unit_m, side) / 2 for pixels, side in zip(MAP_PX, (east - west, north - south), strict=True)]
+    x, y = (west + east) / 2, (south + north) / 2
+    return x - half[0], y - half[1], x + half[0], y + half[1]
+
+
+def _eye(scene: Scene, look: tuple[float, float, float, float, float]) -> dict[str, Any]:
+    assert scene.bounds_lon_lat is not None
+    west, south, east, north = scene.bounds_lon_lat
+    (x, y, u, v, above_m) = look
+    places = [[west + a * (east - west), south + b * (north - south)] for a, b in ((x, y), (u, v))]
+    return {"kind": "perspective", "eye": [*places[0], above_m], "target": [*places[1], 0.0], "fov": 48}
+
+
+def _raster(path: str, **keys: Any) -> dict[str, Any]:
+    return {"terrain": {"source": f"DATA/{path}"}, **keys}
+
+
+RASTERS: dict[str, dict[str, Any]] = {
+    "bigtujunga": _raster("mountain/bigtujunga_30m_utm11.tif"),
+    "zion": _raster("mountain/zion_srtm_4326.tif"),
+    "grenoble": _raster("mountain/grenoble_copernicus_4326.tif"),
+    "sierra": _raster("mountain/sierra_30m_albers.tif"),
+    "himalaya": _raster("large/globe_30arcsec_himalaya_4326.tif"),
+    "vinschgau": _raster("mountain/vinschgau_250m_utm32.tif"),
+    "essen": _raster("urban/essen_dom1_32_356_5699_1_nw_2020.tif"),
+    "slovenia": _raster("odd/slovenia_TM1_564_146_nodata.tif"),
+    "goteborg": _raster(
+        f"{CITY}/DEM.tif",
+        forest=[{"source": f"DATA/{CITY}/CDSM.tif"}],
+        meshes=[{"source": f"DATA/{CITY}/buildings.shp", "surface": f"DATA/{CITY}/DSM.tif", "ground": f"DATA/{CITY}/DEM.tif"}],
+    ),
+    "goteborg, houses": _raster(
+        f"{CITY}/DEM.tif",
+        meshes=[{"source": f"DATA/{CITY}/buildings.shp", "surface": f"DATA/{CITY}/DSM.tif", "ground": f"DATA/{CITY}/DEM.tif"}],
+    ),
+    "quebec": _raster("forest/quebec_DTM.tif", forest=[{"source": "DATA/forest/quebec_CHM.tif"}]),
+}
+
+
+def _thesis() -> Iterator[Instance]:
+    suns: dict[str, Sun | None] = {"main": None, "close": (225.0, 12.0), "overview": (140.0, 55.0), "map": (75.0, 25.0)}
+    for scene in ("boxgrid", "rocks", "street", "room", "water_tower"):
+        for view in ("main", "close", "overview"):
+            yield Instance(f"{scene}, spot, {view}", "thesis, spot", scene, f"thesis_{scene}", view)
+        for view, sun in suns.items():
+            yield Instance(f"{scene}, sun, {view}", "thesis, sun", scene, f"thesis_{scene}_sun", view, sun)
+
+
+def _relief() -> Iterator[Instance]:
+    for sun in ((237.0, 4.0), (120.0, 15.0), (200.0, 40.0), (180.0, 68.0)):
+        yield Instance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT)
+    maps: tuple[tuple[str, tuple[Sun, ...]], ...] = (
+        ("bigtujunga", ((301.0, 7.0), (150.0, 33.0))), ("zion", ((263.0, 20.0),)), ("grenoble", ((112.0, 9.0),)),
+        ("sierra", ((203.0, 24.0),)), ("himalaya", ((95.0, 2.0), (170.0, 12.0))), ("vinschgau", ((211.0, 16.0),)),
+        ("essen", ((248.0, 14.0), (160.0, 45.0))), ("slovenia", ((292.0, 6.0),)),
+    )  # fmt: skip
+    for name, suns in maps:
+        for sun in suns:
+            yield Instance(f"{name}, map, {sun[1]:g}", "relief, map", name, RASTERS[name], "map", sun)
+    looks: tuple[tuple[str, tuple[float, float, float, float, float], Sun], ...] = (
+        ("bigtujunga", (0.42, 0.30, 0.55, 0.60, 350.0), (290.0, 18.0)), ("zion", (0.45, 0.35, 0.52, 0.55, 220.0), (110.0, 28.0)),
+        ("grenoble", (0.60, 0.30, 0.68, 0.45, 900.0), (245.0, 11.0)), ("sierra", (0.30, 0.40, 0.40, 0.60, 400.0), (170.0, 38.0)),
+        ("vinschgau", (0.45, 0.25, 0.50, 0.60, 1500.0), (300.0, 8.0)), ("essen", (0.45, 0.30, 0.50, 0.50, 45.0), (200.0, 30.0)),
+    )  # fmt: skip
+    for name, look, sun in looks:
+        yield Instance(f"{name}, eye, {sun[1]:g}", "relief, perspective", name, RASTERS[name], "eye", sun, look=look)
+    ridges = (0.7558, 0.1876, 0.6367, 0.3271, 120.0)
+    for sun in ((237.0, 10.0), (120.0, 35.0)):
+        jacksboro = {"terrain": {"source": "jacksboro"}}
+        yield Instance(f"jacksboro, ridges, {sun[1]:g}", "relief, perspective", "jacksboro", jacksboro, "eye", sun, look=ridges)
+
+
+def _wooded() -> Iterator[Instance]:
+    for sun in ((255.0, 9.0), (160.0, 42.0)):
+        yield Instance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE)
+    views: tuple[tuple[str, Sun | None], ...] = (("village", None), ("village", (245.0, 12.0)), ("edge", None), ("valley", None))
+    for view, sun in views:
+        altitude = "own" if sun is None else f"{sun[1]:g}"
+        name = f"jacksboro wooded, {view}, {altitude}"
+        yield Instance(name, "wooded, perspective", "jacksboro", "jacksboro_wooded", view, sun)
+    for view, sun in (("main", None), ("overview", (130.0, 12.0)), ("close", (200.0, 50.0))):
+        yield Instance(f"spatialace, {view}", "wooded, perspective", "spatialace", "spatialace", view, sun)
+    yield Instance("spatialace, map", "wooded, map", "spatialace", "spatialace", "map", (70.0, 30.0))
+    for name, sun in (("goteborg", (150.0, 35.0)), ("goteborg, houses", (230.0, 11.0)), ("quebec", (200.0, 25.0))):
+        yield Instance(f"{name}, map, {sun[1]:g}", "wooded, map", name.split(",")[0], RASTERS[name], "map", sun)
+    looks: tuple[tuple[str, tuple[float, float, float, float, float], Sun], ...] = (
+        ("goteborg", (0.30, 0.25, 0.55, 0.55, 40.0), (240.0, 22.0)), ("goteborg", (0.5, 0.1, 0.5, 0.6, 90.0), (140.0, 48.0)),
+        ("goteborg, houses", (0.25, 0.3, 0.6, 0.5, 30.0), (120.0, 16.0)),
+        ("goteborg, houses", (0.5, 0.05, 0.5, 0.5, 110.0), (200.0, 38.0)),
+        ("quebec", (0.35, 0.2, 0.5, 0.55, 30.0), (220.0, 14.0)), ("quebec", (0.5, 0.1, 0.5, 0.5, 90.0), (170.0, 50.0)),
+    )  # fmt: skip
+    for name, look, sun in looks:
+        terrain = name.split(",")[0]
+        yield Instance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, look=look)
+
+
+def instances() -> list[Instance]:
+    """All of them, in order."""
+    return [*_thesis(), *_relief(), *_wooded()]

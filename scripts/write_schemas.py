@@ -1,0 +1,25 @@
+"""Write the JSON schemas of plans and descriptors, as the service and ``skugga select --json`` have them, into ``docs/``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from shadows.plan import Plan
+from terrain.descriptor import Descriptor
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+MODELS: dict[str, type[BaseModel]] = {"plan.schema.json": Plan, "descriptor.schema.json": Descriptor}
+
+
+def schema_text(model: type[BaseModel]) -> str:
+    """The JSON schema of a model, as its file has it."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    for name, model in MODELS.items():
+        (DOCS / name).write_text(schema_text(model), encoding="utf-8")

@@ -1,0 +1,250 @@
+"""The rules themselves, most telling first: an algorithm, when it is advised, and who found that out.
+
+Most are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The rest is
+what it could not know: maps without perspective, heightfields that are swept. How far our own measurements bear the advice out
+stands in ``docs/seeds.md``; each threshold says what it was read from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.descriptor import Descriptor
+from terrain.facts import CasterFacts, LampFacts, LightFacts
+from terrain.grid import BLOCK_PX
+from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
+from terrain.reach import longest_shadow_m
+
+SWEPT_M = 200e3
+"""As wide a piece of the round earth is swept at once: across a wider one the sun's rays bend too much for the lines. In Web
+Mercator windows of 300 km were swept up to 72 degrees of latitude and of 150 km up to 78, all that were tried.
+"""
+
+MAPS_ERROR = 0.006
+"""Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as
+much (``docs/seeds.md``, the grades): who asks for less is not served by maps.
+"""
+
+FEW_TRIANGLES = 2000
+"""So many are few. Volumes are at their best with the 400 of the street, and cost 1.7 to 4 times a map with the 12,000 and more of
+the thesis's other scenes (``docs/seeds.md``, the advice): the limit lies half-way, by ratios.
+"""
+
+CLOSED_SHARE = 0.5
+"""Where fewer of the triangles belong to closed meshes, few triangles do not make few faces: each open edge is a silhouette."""
+
+USUAL_TEXELS = 1024
+"""Texels a side of the map that the advice speaks of: the thesis's."""
+
+SHARP_PX = 2.0
+"""Where a texel covers no more pixels than this, 95 % of the edges are off by at most one (``docs/seeds.md``, figure 52)."""
+
+NEAR_PX = 4.0
+"""Where it covers more than this, some edges are off by more than two pixels, and the camera is near (figure 52). In the thesis's
+scenes it is 1.4 to 3 pixels in overviews, 6 to 30 from close by.
+"""
+
+SMALL_SHADOW = 0.02
+"""As small a share of what is seen is a small shadowed area. (The thesis gives no number.)"""
+
+BEHIND_DEG = 160.0
+"""Where view and light point the same way but for 20 degrees, most shadows hide behind what casts them."""
+
+COMPLEX_LAYERS = 7.0
+"""From so many faces of volumes over a pixel on shadows are complex: those of the box grid, the water tower and the room come to 9
+to 65, those of the stone circles and the street to 1 to 5, as the thesis grades them (section 7).
+"""
+
+MAP_SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling")
+"""What can be asked for and is a map's alone; but one tap is as good as none, and the sun's disc is swept, too."""
+
+LITTLE_SEEN = 1.0 / 3.0
+"""Where less of the light's area than this is seen, the camera sees a little of it. In the stone circles under the sun it is 30 %,
+and perspective maps get half as much wrong as plain ones, in the same time (``docs/seeds.md``, the advice).
+"""
+
+LEAST_GAIN = 4.0
+"""What perspective has to promise, as a factor of a texel's size near the eye, before its uneven texels are worth having."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a rule is asked about: a kind of casters under a light, and what is asked of the shadows."""
+
+    descriptor: Descriptor
+    light: str
+    kind: CasterKind
+    asked: Shadows
+
+    @property
+    def lamp(self) -> LampFacts | None:
+        """The light, if it is not the sun."""
+        return next((lamp for lamp in self.descriptor.lamps if lamp.name == self.light), None)
+
+    @property
+    def seen(self) -> LightFacts | None:
+        """What is known of the light in the view."""
+        return self.descriptor.lights.get(self.light)
+
+    @property
+    def casters(self) -> CasterFacts | None:
+        """What is known of the casters."""
+        return next((stand for stand in self.descriptor.stands if stand.kind == self.kind), None)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule: the algorithm it takes, the reason in a case (``None``: it does not apply, or facts lack), and its source."""
+
+    name: str
+    takes: AlgorithmName
+    applies: Callable[[Case], str | None]
+    source: str
+
+
+def _settings_of_maps(case: Case) -> str | None:
+    taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
+    others = {"filter": ("auto", *taps)}
+    keys = [key for key in MAP_SETTINGS if getattr(case.asked, key) not in others.get(key, ("auto",))]
+    if not keys:
+        return None
+    return f"what is asked for is a map's: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
+
+
+def _heightfield(case: Case) -> str | None:
+    swept_m = _swept_m(case)
+    if case.light != SUN or case.kind != "relief" or swept_m is None or swept_m > SWEPT_M:
+        return None
+    return "ground is a heightfield: lines along the sun's azimuth find its shadows, without texels"
+
+
+def _perfect(case: Case) -> str | None:
+    if case.asked.max_error >= MAPS_ERROR:
+        return None
+    return f"an error of {case.asked.max_error:.2g} is asked for, which maps rarely keep to: volumes are exact to the pixel"
+
+
+def _leaves(case: Case) -> str | None:
+    if case.kind == "forest":
+        return "leaves are cut out by their texture, which maps alone can do; on trees a perspective map is no finer"
+    if "forest" in case.descriptor.casters:
+        return "the map of the leaves holds all else for little more"
+    return None
+
+
+def _few_polygons(case: Case) -> str | None:
+    casters = case.casters
+    if casters is None or not 0 < casters.triangles <= FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
+        return None
+    return f"polygons are few, {casters.triangles} triangles: volumes are cheap, and exact to the pixel"
+
+
+def _narrow(case: Case) -> str | None:
+    if case.lamp is None or case.lamp.kind != "spot":
+        return None
+    across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
+    texel_px = across_m / USUAL_TEXELS / case.descriptor.pixel_m
+    if texel_px > SHARP_PX:
+        return None
+    return f"the light is narrow: a map's texel covers {texel_px:.2g} pixels where it is aimed"
+
+
+def _small_shadow(case: Case) -> str | None:
+    casting = case.seen.casts.get(case.kind) if case.seen else None
+    if casting is None or casting.share > SMALL_SHADOW:
+        return None
+    return f"the shadowed area is small, {100.0 * casting.share:.1f} % of what is seen"
+
+
+def _behind(case: Case) -> str | None:
+    if case.seen is None or case.seen.to_view_deg is None or case.seen.to_view_deg < BEHIND_DEG:
+        return None
+    return "the light comes from where the camera looks from: most shadows hide behind what casts them"
+
+
+def _map_view(case: Case) -> str | None:
+    return "a map shows every edge from equally far" if case.descriptor.view_kind == "map" else None
+
+
+def _afar(case: Case) -> str | None:
+    texel_px = _near_texel_px(case)
+    if texel_px is None or texel_px > NEAR_PX:
+        return None
+    return f"the camera is near no edge of a shadow: at the nearest a map's texel covers {texel_px:.2g} pixels"
+
+
+def _complex(case: Case) -> str | None:
+    texel_px = _near_texel_px(case)
+    if texel_px is None or texel_px <= NEAR_PX or case.seen is None or case.seen.volume_layers < COMPLEX_LAYERS:
+        return None
+    return (
+        f"shadows are complex, about {case.seen.volume_layers:.2g} faces of volumes over a pixel, and the camera is near: "
+        f"a map's texel covers {texel_px:.2g} pixels at the nearest edge"
+    )
+
+
+def _little_seen(case: Case) -> str | None:
+    bands, seen = case.descriptor.bands, case.seen
+    if not bands or seen is None or seen.area_share > LITTLE_SEEN:
+        return None
+    # Of a camera slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space, and
+    # far is m / (m - 1) times near: no texel gets smaller by more than that.
+    gain = bands[-1].far_m / bands[0].near_m
+    if gain < LEAST_GAIN:
+        return None
+    return f"of all that the light covers {100.0 * seen.area_share:.1f} % is seen: texels go where the camera looks"
+
+
+def _swept_m(case: Case) -> float | None:
+    """How far across the ground is that the sun's lines cross at once, if that is known: a map's block and the way of its longest
+    shadow, in perspective all of the level, whose area follows from the share of it that is seen. A flat world bends nothing.
+    """
+    descriptor, seen = case.descriptor, case.seen
+    if descriptor.sun_altitude_deg is None:
+        return None
+    if descriptor.flat_world:
+        return 0.0
+    if descriptor.view_kind == "map":
+        return BLOCK_PX * descriptor.pixel_m + longest_shadow_m(descriptor.relief_m, descriptor.sun_altitude_deg)
+    if descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
+        return None
+    right_m, up_m, _ = descriptor.receivers_light_m
+    sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
+    return float(np.sqrt(right_m * up_m / (seen.area_share * sine)))
+
+
+def _near_texel_px(case: Case) -> float | None:
+    """Pixels that a usual map's texel covers at the nearest shadow edge of a perspective view, if that is known."""
+    descriptor, seen, lamp = case.descriptor, case.seen, case.lamp
+    if descriptor.pixel is None or seen is None or seen.nearest_edge_m is None:
+        return None
+    if lamp is not None:
+        half_deg = lamp.cutoff_deg if lamp.kind == "spot" else 45.0
+        across_m = 2.0 * lamp.reference_m * float(np.tan(np.radians(half_deg)))
+    elif descriptor.receivers_light_m is not None:
+        across_m = max(descriptor.receivers_light_m[:2])
+    else:
+        return None
+    return across_m / USUAL_TEXELS / (descriptor.pixel * max(seen.nearest_edge_m, 1e-3))
+
+
+THESIS = "Sindholt 2005, 8.2"
+
+RULES: tuple[Rule, ...] = (
+    Rule("settings of a map", "shadow_map", _settings_of_maps, "docs/algorithms.md"),
+    Rule("a heightfield is swept", "sweep", _heightfield, "docs/sweep-accuracy.md: 0.01 % wrong"),
+    Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS}; docs/seeds.md: 0.01 % wrong at most"),
+    Rule("leaves go by a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS}; docs/seeds.md: cheapest there"),
+    Rule("narrow light", "shadow_map", _narrow, f"{THESIS}; docs/seeds.md, figures 52 and 53"),
+    Rule("small shadowed area", "shadow_map", _small_shadow, THESIS),
+    Rule("light near the camera", "shadow_map", _behind, f"{THESIS}; docs/seeds.md, figure 54, for a lamp"),
+    Rule("a map has no near", "shadow_map", _map_view, "docs/how-it-works.md: a map view is no camera"),
+    Rule("far from every edge", "shadow_map", _afar, f"{THESIS}; docs/seeds.md: no larger errors from afar"),
+    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS}; docs/seeds.md: cheaper than volumes in some of them"),
+    Rule("little is seen of much", "perspective_shadow_map", _little_seen, f"{THESIS}; docs/seeds.md: half the errors of a map"),
+)
+"""First that applies wins, for each light and kind of casters."""

@@ -1,0 +1,131 @@
+"""A view's truth, block by block, and visibilities held against it: what the report and the policy ``measure`` share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from selector.footprint import texel_footprint_px
+from shadows.attached import attached
+from shadows.metrics import BLOCK_PX as COVERAGE_PX
+from shadows.metrics import Errors, block_shares, coverage_error, errors_of
+from shadows.plan import Step
+from shadows.render import bands_of
+from shadows.truth import Truth, coverage_truth
+from shadows.truth_cache import cached_truth
+from terrain.camera import PerspectiveView
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView, blocks_of
+from terrain.picture import geometry_of
+from terrain.reach import Casters, casters_of
+from terrain.scene import Scene
+
+View = MapView | PerspectiveView
+
+ErrorName = Literal["wrong_cast", "coverage"]
+
+SAMPLES = 4
+"""Sub-samples of a pixel that truth's classes must agree at."""
+
+FOGGY = 0.5
+"""Where more of the surface than this is not decidable, coverage is the error that counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """One block's part of a view: its geometry, its casters, its truth, where no light can fall, and where it lies in the view."""
+
+    scene: Scene
+    buffer: GeometryBuffer
+    light: str
+    casters: Casters
+    truth: Truth
+    attached: np.ndarray
+    row: int
+    col: int
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTruth:
+    """A view's truth under a light: in blocks, each with the true shadow shares that coverage is compared by, and in one piece.
+
+    ``error`` is the figure that targets go by.
+    """
+
+    view: View
+    grounds: list[Ground]
+    true_shares: list[np.ndarray]
+    whole: Truth
+
+    @property
+    def error(self) -> ErrorName:
+        return "coverage" if self.whole.boundary > FOGGY else "wrong_cast"
+
+    def pasted(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+        """One array of the view (rows, cols) from one of each block."""
+        return _paste(self.view, self.grounds, parts, empty)
+
+    def cut(self, visibility: np.ndarray) -> list[np.ndarray]:
+        """A visibility of the view (rows, cols) block by block; NaN beyond the view."""
+        parts = []
+        for ground in self.grounds:
+            rows, cols = ground.truth.lit.shape
+            part = np.full((rows, cols), np.nan, visibility.dtype)
+            top, left = max(ground.row, 0), max(ground.col, 0)
+            cut = visibility[top : max(ground.row + rows, 0), left : max(ground.col + cols, 0)]
+            part[top - ground.row :, left - ground.col :][: cut.shape[0], : cut.shape[1]] = cut
+            parts.append(part)
+        return parts
+
+    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float) -> Errors:
+        """The figures of the blocks' visibilities (rows, cols), attached shadow included, that a plan's steps filled."""
+        footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.grounds]
+        return errors_of(self.pasted(parts, np.nan), self.whole, pixel_m, self.pasted(footprints_px, 0.0))
+
+    def coverage(self, parts: Sequence[np.ndarray]) -> float:
+        """Mean difference of the shadow shares of the blocks' visibilities (rows, cols) from truth's."""
+        pairs = zip(self.true_shares, parts, strict=True)
+        return float(np.mean([coverage_error(block_shares(1.0 - part), shares) for shares, part in pairs]))
+
+
+def truth_of_view(scene: Scene, view: View, light: str, samples: int = SAMPLES) -> ViewTruth:
+    """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel."""
+    grounds = grounds_of(scene, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
+    shares = [coverage_truth(one.buffer, scene, one.casters, COVERAGE_PX, light=light) for one in grounds]
+    return ViewTruth(view, grounds, shares, joined_truth(view, grounds))
+
+
+def grounds_of(scene: Scene, parts: Sequence[tuple[View, int, int]], light: str, samples: int = SAMPLES) -> list[Ground]:
+    """Parts of a view with their truth; each comes with its first row and column in the view."""
+    return [_ground(scene, light, part, row, col, samples) for part, row, col in parts]
+
+
+def joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
+    """A view's truth in one piece."""
+    fields = ("lit", "attached", "decidable", "there")
+    return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
+
+
+def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
+    """The largest texels of any of a plan's steps at a block's points, pixels (rows, cols)."""
+    return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in steps or [None]], axis=0)
+
+
+def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int) -> Ground:
+    buffer = geometry_of(scene, block)
+    casters = casters_of(scene, buffer)
+    real = cached_truth(buffer, scene, casters, samples, light)
+    return Ground(scene, buffer, light, casters, real, attached(buffer, scene, light), row, col)
+
+
+def _paste(view: View, grounds: Sequence[Ground], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    whole = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
+    for ground, part in zip(grounds, parts, strict=True):
+        rows, cols = part.shape
+        top, left = max(ground.row, 0), max(ground.col, 0)
+        bottom, right = min(ground.row + rows, view.rows), min(ground.col + cols, view.cols)
+        whole[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
+    return whole

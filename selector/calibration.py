@@ -1,0 +1,188 @@
+"""Measuring a device: the real fills on made scenes, and the rates that explain their times."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from selector.calibration_scenes import Stage, stages
+from selector.cost_model import MS_PER_NS, part_ms
+from selector.device_profile import DeviceProfile, Residual
+from selector.map_settings import lamp_map_settings, sun_map_settings
+from selector.perspective_settings import perspective_map_settings
+from selector.serves import serves
+from selector.volume_settings import hybrid_settings, volume_settings
+from selector.work import Counts, work_of
+from shadows.passes import PassLog
+from shadows.plan import Settings, Step, SweepSettings, TruthSettings
+from shadows.render import FILLS, forget_kept
+from terrain.descriptor import Descriptor, describe
+from terrain.geometry import GeometryBuffer
+from terrain.gl import device
+from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
+from terrain.picture import geometry_of
+from terrain.reach import Casters, casters_of
+from terrain.scene import Scene
+
+TURNS = 3
+"""Everything is measured so often, in turns, so that what else the machine does meets all alike. The least time counts: the first
+pays for compiling, too.
+"""
+
+LIMIT_S = 90.0
+"""After so many seconds no further turn is begun."""
+
+PASS_OF_PART = {"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"}
+"""Parts of the work that have a pass of their own on record; what is left of a step's time is its last part's."""
+
+Asked = dict[str, Any]
+
+SIZES: list[Asked] = [{"map_size": size} for size in (512, 1024, 2048, 4096)]
+CASCADES: list[Asked] = [{"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4}]
+FILTERS: list[Asked] = [{"map_size": 1024, "filter": taps} for taps in (1, 2, 5, "sun")]
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A step to be measured on a stage's geometry, with its work by part, and the least times of these, milliseconds."""
+
+    scene: Scene
+    buffer: GeometryBuffer
+    casters: Casters
+    step: Step
+    work: dict[str, Counts]
+    least_ms: dict[str, float] = field(default_factory=dict)
+
+
+def calibrate(on_step: Progress | None = None) -> DeviceProfile:
+    """Measure this process's device; ``on_step(done, total)`` is called as the work goes on, ``done`` rising to ``total``.
+
+    It takes a minute or so. Raises ``GraphicsError`` where there is no OpenGL.
+    """
+    start, gl = time.perf_counter(), device()
+    jobs = _measured(start, on_step or (lambda done, total: None))
+    rates = fitted_rates([(job.work[part], part, ms) for job in jobs for part, ms in job.least_ms.items()])
+    return DeviceProfile(
+        renderer=gl.renderer, version=gl.version, cpus=os.cpu_count() or 1, engine=version("skugga"),
+        measured=datetime.now(UTC).replace(microsecond=0), took_s=round(time.perf_counter() - start, 1), rates_ns=rates,
+        residuals=residuals(rates, jobs),
+    )  # fmt: skip
+
+
+def _measured(start_s: float, on_step: Progress) -> list[Job]:
+    with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
+        jobs = [job for stage in stages(Path(folder)) for job in jobs_of(stage)]
+        for turn in range(TURNS):
+            for number, job in enumerate(jobs, start=turn * len(jobs) + 1):
+                if turn <= 1 or time.perf_counter() - start_s < LIMIT_S:
+                    _run(job)
+                on_step(number, TURNS * len(jobs))
+    return jobs
+
+
+def jobs_of(stage: Stage) -> list[Job]:
+    """What is measured on a stage."""
+    descriptor = describe(stage.scene, stage.view, stage.name)
+    buffer = geometry_of(stage.scene, stage.view)
+    casters = casters_of(stage.scene, buffer)
+    return [
+        Job(stage.scene, buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings))
+        for step in _steps(descriptor, stage)
+    ]
+
+
+def _steps(descriptor: Descriptor, stage: Stage) -> Iterator[Step]:
+    """What is tried on a stage: sizes, cascades, taps and algorithms, as far as its grid goes."""
+
+    def serving(name: AlgorithmName) -> tuple[CasterKind, ...]:
+        return tuple(kind for kind in stage.kinds if serves(name, descriptor, stage.light, kind))
+
+    def asked(each: Asked) -> Shadows:
+        return Shadows(**({"filter": 3, "cascades": 1} | each))
+
+    light, lamp = stage.light, next((its for its in descriptor.lamps if its.name == stage.light), None)
+    full, some = stage.grid == "full", stage.grid != "few"
+    sizes = (SIZES if lamp is None else SIZES[:3]) if some else SIZES[1:3]
+    filters = [each for each in FILTERS if full and (lamp is None or each["filter"] != "sun")]
+    for each in [*sizes, *(CASCADES if descriptor.bands and lamp is None else []), *filters]:
+        settings: Settings
+        if lamp is None:
+            settings, _ = sun_map_settings(descriptor, asked(each))
+        else:
+            settings, _ = lamp_map_settings(descriptor, lamp, asked(each))
+        yield Step(light, stage.kinds, "shadow_map", settings)
+    if kinds := serving("perspective_shadow_map"):
+        for each in [*sizes, *(each for each in filters if each["filter"] != "sun")]:
+            settings, _ = perspective_map_settings(descriptor, light, asked(each))
+            yield Step(light, kinds, "perspective_shadow_map", settings)
+    if kinds := serving("shadow_volume"):
+        yield Step(light, kinds, "shadow_volume", volume_settings(Shadows()))
+        for size in (512, 2048) if some and lamp is None and not descriptor.relief_m else (1024,):
+            yield Step(light, kinds, "hybrid", hybrid_settings(descriptor, light, Shadows(map_size=size))[0])
+    if descriptor.relief_m <= 0.0 and (kinds := serving("planar")):
+        yield Step(light, kinds, "planar", None)
+    if light == SUN and "relief" in stage.kinds:
+        more: list[Settings] = [SweepSettings(filter="sun")] if full else []
+        for settings in [SweepSettings(), SweepSettings(lines=4), *more]:
+            yield Step(light, ("relief",), "sweep", settings)
+    if full:
+        yield Step(light, stage.kinds, "truth", TruthSettings())
+
+
+def _run(job: Job) -> None:
+    """Run a job once, and note the times of its parts."""
+    forget_kept()
+    step, log, start = job.step, PassLog(), time.perf_counter()
+    FILLS[step.algorithm](job.buffer, job.scene, step.light, step.kinds, job.casters, step.settings, log)
+    left_ms = (time.perf_counter() - start) * 1000.0
+    passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
+    *others, last = sorted(job.work, key=lambda part: PASS_OF_PART.get(_plain(part)) is None)
+    for part in others:
+        its_ms = passes_ms[PASS_OF_PART[_plain(part)]]
+        left_ms -= its_ms
+        job.least_ms[part] = min(its_ms, job.least_ms.get(part, np.inf))
+    job.least_ms[last] = min(max(left_ms, 1e-3), job.least_ms.get(last, np.inf))
+
+
+def _plain(part: str) -> str:
+    return part.split(",")[0]
+
+
+def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, float]]:
+    """Rates in nanoseconds by part and count, none of them negative, with the least sum of squares of relative errors over ``rows``
+    (counts, their part, milliseconds); the algorithm is that of C. Lawson and R. Hanson, Solving Least Squares Problems, 1974.
+    """
+    found = {}
+    for part in dict.fromkeys(part for _, part, _ in rows):
+        mine = [(counts, ms) for counts, its, ms in rows if its == part]
+        names = sorted({name for counts, _ in mine for name, count in counts.items() if count > 0.0})
+        shares = np.array([[MS_PER_NS * counts.get(name, 0.0) / ms for name in names] for counts, ms in mine])
+        scale = shares.max(axis=0)
+        rates, _ = nnls(shares / scale, np.ones(len(mine)))
+        found[part] = dict(zip(names, (rates / scale).tolist(), strict=True))
+    return found
+
+
+def residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[Job]) -> dict[str, Residual]:
+    """How far rates are off the times of whole steps, by algorithm."""
+    errors: dict[str, list[float]] = {}
+    for job in jobs:
+        real_ms = sum(job.least_ms.values())
+        expected_ms = sum(part_ms(rates_ns[part], counts) for part, counts in job.work.items())
+        errors.setdefault(job.step.algorithm, []).append(abs(expected_ms / real_ms - 1.0))
+    return {
+        name: Residual(rows=len(its), median=float(np.median(its)), p90=float(np.quantile(its, 0.9)))
+        for name, its in errors.items()
+    }

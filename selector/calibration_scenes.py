@@ -1,0 +1,139 @@
+"""Scenes made to be measured: grounds, bodies and woods of several sizes, written as levels to a folder of the moment.
+
+Nothing of the bundled levels is in them, so that what is predicted there is predicted for scenes that were never measured.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from terrain.camera import PerspectiveView
+from terrain.grid import MapView
+from terrain.level import CasterKind, load_level
+from terrain.made_ground import ENGINEERING
+from terrain.scene import Scene, build_scene
+
+FLOOR: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
+BALL_M = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A view of a made scene, the light to be measured there, and the kinds of casters that take part.
+
+    ``grid`` says how much is tried on it: everything (``full``), less (``some``), or only what needs the scene (``few``).
+    """
+
+    name: str
+    scene: Scene
+    view: MapView | PerspectiveView
+    light: str
+    kinds: tuple[CasterKind, ...]
+    grid: str
+
+
+def stages(folder: Path) -> Iterator[Stage]:
+    """The stages one after the other; their files are written to a folder."""
+    for name, level, view, size, light, kinds, grid in described(folder):
+        path = folder / f"{name}.yaml"
+        path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
+        scene = build_scene(load_level(path))
+        yield Stage(name, scene, scene.view(view, size=size), light, kinds, grid)
+
+
+def described(folder: Path) -> Iterator[tuple[str, dict[str, Any], str, tuple[int, int], str, tuple[CasterKind, ...], str]]:
+    """Name, level, view, its width and height, light, casters and grid of each stage; what levels read is written to a folder."""
+    few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
+    near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])
+    spot: dict[str, Any] = {"kind": "spot", "position": [20, -30, 60], "target": [0, 0, 0], "cutoff": 40}
+    yield "few_balls", _level(FLOOR, near, meshes=[few]), "main", (640, 512), "sun", ("meshes",), "full"
+    yield "few_balls_small", _level(FLOOR, wide, meshes=[few], sun=(300, 20)), "main", (360, 280), "sun", ("meshes",), "some"
+    yield "many_balls", _level(FLOOR, wide, meshes=[many]), "main", (640, 512), "sun", ("meshes",), "some"
+    yield "many_balls_large", _level(FLOOR, near, meshes=[many], sun=(60, 48)), "main", (960, 720), "sun", ("meshes",), "few"
+    dense = _lattice(folder)
+    low, far = _camera([-26, -34, 16], [0, 0, 6]), _camera([60, -50, 48], [0, 0, 0])
+    yield "lattice", _level(FLOOR, low, meshes=[dense], sun=(100, 24)), "main", (640, 512), "sun", ("meshes",), "some"
+    yield "lattice_far", _level(FLOOR, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
+    yield "few_balls_map", _level(FLOOR, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "some"
+    yield "many_balls_map", _level(FLOOR, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
+    for kind, lamp in (("spot", spot), ("omni", {"kind": "omni", "position": [8, -8, 30]})):
+        level = _level(FLOOR, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
+        yield f"{kind}_balls", level, "main", (640, 512), "lamp", ("meshes",), "full"
+        level = _level(FLOOR, wide, meshes=[few], sun=None) | {"lights": {"lamp": lamp}}
+        yield f"{kind}_few_balls", level, "main", (360, 280), "lamp", ("meshes",), "some"
+    hills, fine = _hills(3200, 40, 350), _hills(4000, 16, 500)
+    over, down = _camera([-900, -1100, 900], [0, 0, 0]), _camera([1200, 900, 1500], [-200, 0, 0])
+    yield "hills", _level(hills, over, sun=(120, 25)), "main", (640, 512), "sun", ("relief",), "full"
+    yield "fine_hills", _level(fine, down, sun=(250, 15)), "main", (480, 400), "sun", ("relief",), "some"
+    yield "hills_map", _level(hills, over, sun=(120, 25)), "map", (280, 280), "sun", ("relief",), "full"
+    yield "fine_hills_map", _level(fine, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
+    houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _places(60, 900.0)}
+    grove, wood = _wood(folder, "grove", 400.0, 60.0), _wood(folder, "wood", 1500.0, 130.0)
+    close = _camera([-150, -200, 160], [0, 0, 0])
+    every: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
+    yield "grove", _level(hills, close, meshes=[houses], forest=[grove], sun=(200, 35)), "main", (640, 512), "sun", every, "some"
+    yield "wood", _level(hills, over, forest=[wood], sun=(150, 22)), "main", (400, 320), "sun", ("relief", "forest"), "few"
+    yield "wood_map", _level(hills, over, forest=[wood], sun=(150, 40)), "map", (448, 448), "sun", ("forest",), "few"
+    inside = {"kind": "map", "bounds": [-400.0, -400.0, 400.0, 400.0]}
+    level = _level(hills, over, forest=[wood], sun=(150, 40))
+    level["views"]["map"] = inside
+    yield "in_the_wood_map", level, "map", (384, 384), "sun", ("forest",), "few"
+    yield "grove_map", _level(hills, over, forest=[grove], sun=(150, 30)), "map", (320, 320), "sun", ("forest",), "few"
+
+
+def _level(
+    terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **more: Any
+) -> dict[str, Any]:
+    placed: Any = "none" if sun is None else {"azimuth": sun[0], "altitude": sun[1]}
+    half_m = 0.35 * (terrain.get("flat") or terrain["generate"])["size"][0]  # off the rim, where ground ends like no other
+    plan = {"kind": "map", "bounds": [-half_m, -half_m, half_m, half_m]}
+    return {"terrain": terrain, "views": {"main": main, "map": plan}, "sun": placed, **more}
+
+
+def _camera(eye: list[float], target: list[float]) -> dict[str, Any]:
+    return {"kind": "perspective", "eye": eye, "target": target, "fov": 45}
+
+
+def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
+    return {"generate": {"kind": "ridges", "size": [side_m, side_m], "cell": cell_m, "relief": relief_m, "seed": 5}}
+
+
+def _places(count: int, side_m: float) -> list[list[float]]:
+    """Places on a square, spread evenly: the golden ratio's multiples along one axis, even steps along the other."""
+    number = np.arange(count)
+    places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)
+    return np.round(places * side_m, 3).tolist()
+
+
+def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) -> dict[str, Any]:
+    """A mesh of a level: balls of 20 x 4^halvings triangles each."""
+    path = folder / f"ball_{halvings}_{radius_m:g}.ply"
+    trimesh.creation.icosphere(subdivisions=halvings, radius=radius_m).export(path)
+    return {"source": path.name, "at": _places(count, 110.0)}
+
+
+def _lattice(folder: Path) -> dict[str, Any]:
+    """A mesh of a level: 8 x 8 x 6 boxes over one another, whose shadow volumes lie in many layers."""
+    steps = (np.arange(count) - (count - 1) / 2.0 for count in (8, 8, 6))
+    places = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) * np.array([4.0, 4.0, 2.5])
+    boxes = [trimesh.creation.box((1.2, 1.2, 1.2), trimesh.transformations.translation_matrix(place)) for place in places]
+    trimesh.util.concatenate(boxes).export(folder / "lattice.ply")
+    return {"source": "lattice.ply", "at": [0.0, 0.0]}
+
+
+def _wood(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
+    """A forest of a level: a square of trees, so many a hectare."""
+    half = side_m / 2.0
+    ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
+    feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    path = folder / f"{name}.geojson"
+    crs = {"type": "name", "properties": {"name": ENGINEERING}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
+    return {"source": path.name, "density": density, "height": [8, 16], "species": "mixed", "seed": 3}

@@ -1,0 +1,53 @@
+"""The time of a plan's steps on a device: counts of what they do times the device's rates.
+
+A frame pays for everything here: nothing is taken to be kept from the frame before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from selector.device_profile import DeviceProfile
+from selector.work import Counts, work_of
+from shadows.plan import Settings
+from terrain.descriptor import Descriptor
+from terrain.errors import InputError
+from terrain.level import AlgorithmName, CasterKind
+
+MS_PER_NS = 1e-6
+
+
+def predicted_ms(
+    profile: DeviceProfile,
+    descriptor: Descriptor,
+    light: str,
+    kinds: Collection[CasterKind],
+    algorithm: AlgorithmName,
+    settings: Settings | None,
+) -> float:
+    """Expected wall-clock milliseconds of a step's shadow work in a redrawn frame; of a map view those of one block.
+
+    0 for the algorithm ``none``. Raises as ``predicted_parts_ms`` does.
+    """
+    return sum(predicted_parts_ms(profile, descriptor, light, kinds, algorithm, settings).values())
+
+
+def predicted_parts_ms(
+    profile: DeviceProfile,
+    descriptor: Descriptor,
+    light: str,
+    kinds: Collection[CasterKind],
+    algorithm: AlgorithmName,
+    settings: Settings | None,
+) -> dict[str, float]:
+    """The same by part of the work (``selector.work``). Raises ``InputError`` for a part that the profile knows nothing of."""
+    work = work_of(descriptor, light, kinds, algorithm, settings)
+    for part in work:
+        if part not in profile.rates_ns:
+            raise InputError("calibration", f"no rates for {part}", "rates for all work: skugga calibrate measures them")
+    return {part: part_ms(profile.rates_ns[part], counts) for part, counts in work.items()}
+
+
+def part_ms(rates_ns: Mapping[str, float], counts: Counts) -> float:
+    """Milliseconds of counts at rates in nanoseconds; what has no rate costs nothing."""
+    return MS_PER_NS * sum(count * rates_ns.get(name, 0.0) for name, count in counts.items())

@@ -1,0 +1,113 @@
+"""What a device was measured to take for the parts of shadow work, kept in a file of the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tempfile
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+SCHEMA = 1
+"""Changes with what the rates mean: profiles of another one count as none."""
+
+Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Error = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Residual(BaseModel):
+    """How far the rates were off the times that they were fitted to, as shares of these: of a number of ``rows`` the median, and
+    what nine tenths stay below.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rows: Annotated[int, Field(ge=1)]
+    median: Error
+    p90: Error
+
+
+class DeviceProfile(BaseModel):
+    """The rates of a device, nanoseconds by part of the work and by what is counted there (``selector.work``).
+
+    ``renderer`` and ``version`` are OpenGL's own words for the device and its driver, ``engine`` is the version of Skugga that
+    measured, ``took_s`` how long that took, ``residuals`` how well the rates fit, by algorithm.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = SCHEMA
+    renderer: Annotated[str, Field(min_length=1)]
+    version: Annotated[str, Field(min_length=1)]
+    cpus: Annotated[int, Field(ge=1)]
+    engine: str
+    measured: datetime
+    took_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    rates_ns: Annotated[dict[str, Annotated[dict[str, Rate], Field(min_length=1)]], Field(min_length=1)]
+    residuals: dict[str, Residual] = {}
+
+
+def devices_folder() -> Path:
+    """The user's cache folder for profiles (``XDG_CACHE_HOME``, else ``~/.cache``)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skugga" / "devices"
+
+
+def profile_path(renderer: str, version: str) -> Path:
+    """The file of a device and driver: readable words, and a digest that tells apart what those do not."""
+    words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
+    digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
+    return devices_folder() / f"{words}-{digest}.json"
+
+
+def save_profile(profile: DeviceProfile) -> Path:
+    """Write a profile to its file, whole or not at all. Raises ``OSError`` where the folder cannot be written."""
+    path = profile_path(profile.renderer, profile.version)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=path.stem, suffix=".part", dir=path.parent)
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(profile.model_dump_json(indent=1))
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def load_profile(renderer: str, version: str) -> DeviceProfile | None:
+    """The profile of a device; ``None`` where there is none that can be used, for the reason that ``why_none`` gives."""
+    found = _read(renderer, version)
+    return found if isinstance(found, DeviceProfile) else None
+
+
+def why_none(renderer: str, version: str) -> str | None:
+    """Why there is no profile of a device, as a sentence; ``None`` where there is one."""
+    found = _read(renderer, version)
+    return found if isinstance(found, str) else None
+
+
+def _read(renderer: str, version: str) -> DeviceProfile | str:
+    path = profile_path(renderer, version)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return f"{renderer} is not calibrated: skugga calibrate does it"
+    except (OSError, ValueError) as error:  # ValueError: not JSON, or not UTF-8
+        return f"{path} cannot be read ({' '.join(str(error).split())}): skugga calibrate makes it anew"
+    if isinstance(data, dict) and data.get("schema_version") != SCHEMA:
+        return f"{path} is of another version of Skugga: skugga calibrate makes it anew"
+    try:
+        profile = DeviceProfile.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the whole"
+        return f"{path}: {where}: {first['msg'].lower()}: skugga calibrate makes it anew"
+    if (profile.renderer, profile.version) != (renderer, version):
+        return f"{path} is of another device, {profile.renderer}: skugga calibrate makes it anew"
+    return profile

@@ -1,0 +1,153 @@
+"""Expected errors of a plan's steps, from the descriptor alone: analytic predictors first, a few fitted constants second.
+
+**Maps.** A nearest look-up asks for the visibility of a texel's centre in place of the point's own. How often the two differ is
+measured in the scene: ``CastBand.differs`` has it for displacements anywhere within a texel, for texels of many sizes, by distance
+from the eye. What a texel covers follows from the settings: its side in light space (a cascade's, or the cone's at the lamp's
+distance, in J. Sindholt's equation 1 the other way round) over a pixel's. Of what differs only a part counts as wrong: pixels that
+a shadow's edge crosses are not decidable, and taps smooth the stairs. That part, ``counted``, grows with the texel from 0 to 1.
+A perspective map's texels follow the picture's pixels, ``perspective`` of them to one along a side where it has as many texels as
+the picture has pixels, and are never larger than a uniform map's would be.
+
+**Planar** shadows are right on the ground and nowhere else: wrong is what lies in cast shadow on bodies. **Everything else** is
+exact but for a floor.
+
+The constants are fitted to measured views by `benchmarks/selection.py`, which also says how far off they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
+from terrain.descriptor import Descriptor
+from terrain.facts import TEXEL_LADDER_PX, CastBand, Casting, LightFacts
+from terrain.level import SUN, AlgorithmName, CasterKind
+
+UNKNOWN = Casting(
+    share=0.1,
+    bands=(
+        CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_LADDER_PX)),
+    ),
+)  # fmt: skip
+"""What is taken of shadows of which a descriptor says nothing: a tenth of what is seen, with an edge a hundred pixels apart."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Expected shares, as ``shadows.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
+    ``interior``; ``cautious`` is the ``wrong_cast`` that all but a few views stay below.
+    """
+
+    wrong: float
+    wrong_cast: float
+    interior: float
+    cautious: float
+
+
+class Counted(BaseModel):
+    """The part of what differs that is wrong: ``most / (1 + (half_px / texel_px) ** steepness)``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    most: float = Field(gt=0)
+    half_px: float = Field(gt=0)
+    steepness: float = Field(gt=0)
+
+    def of(self, texel_px: float) -> float:
+        return self.most / (1.0 + (self.half_px / max(texel_px, 1e-9)) ** self.steepness)
+
+
+class ErrorModel(BaseModel):
+    """The fitted constants.
+
+    ``counted`` is by kind of casters, ``perspective`` the texels of a perspective map to a pixel's side, ``floor`` what each
+    algorithm gets wrong of the cast shadow however fine it is, ``interior`` which share of what is wrong lies inside,
+    ``caution`` the factor to the error that all but a few views stay below.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    counted: dict[CasterKind, Counted]
+    perspective: float = Field(gt=0)
+    floor: dict[AlgorithmName, float]
+    interior: dict[AlgorithmName, float]
+    caution: dict[AlgorithmName, float]
+
+
+@lru_cache(maxsize=1)
+def fitted() -> ErrorModel:
+    """The constants that come with the package."""
+    return ErrorModel.model_validate_json(files("selector").joinpath("error_model.json").read_text(encoding="utf-8"))
+
+
+def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> Errors:
+    """What the steps of a light are expected to get wrong together."""
+    model = model or fitted()
+    facts = descriptor.lights.get(light, LightFacts(cast_share=UNKNOWN.share))
+    wrong = cautious = interior = 0.0
+    cast = max(facts.cast_share, 1e-4)
+    for step in steps:
+        its = model.floor[step.algorithm] * cast
+        its += sum(_of_kind(descriptor, light, facts, step, kind, model) for kind in step.kinds)
+        wrong += its
+        cautious += its * model.caution[step.algorithm]
+        interior += its * model.interior[step.algorithm]
+    return Errors(min(wrong, 1.0), min(wrong / cast, 1.0), min(interior, 1.0), min(cautious / cast, 1.0))
+
+
+def _of_kind(descriptor: Descriptor, light: str, facts: LightFacts, step: Step, kind: CasterKind, model: ErrorModel) -> float:
+    """The share of all that is seen that one kind's shadows are wrong on."""
+    casting = facts.casts.get(kind, UNKNOWN if not facts.casts else None)
+    if casting is None:
+        return 0.0
+    if step.algorithm == "planar":
+        return casting.share if casting.on_bodies is None else casting.on_bodies
+    wrong = 0.0
+    for band in casting.bands:
+        texel_px = _texel_px(descriptor, light, step, band, model)
+        if texel_px > 0.0:
+            wrong += band.share * _differs(band, texel_px) * model.counted[kind].of(texel_px)
+    return wrong
+
+
+def _texel_px(descriptor: Descriptor, light: str, step: Step, band: CastBand, model: ErrorModel) -> float:
+    """A texel's side in a band in pixels, across the light (the geometric mean of both sides); 0 without texels."""
+    settings = step.settings
+    if isinstance(settings, ShadowMapSettings):
+        ends = (cascade.far_m for cascade in settings.cascades[:-1])
+        number = sum(1 for end in ends if end is not None and band.near_m >= end * (1.0 - 1e-9))
+        right, up = settings.cascades[number].texel_m
+        return float(np.sqrt(right * up)) / band.pixel_m
+    if isinstance(settings, LampMapSettings):
+        return _uniform_px(descriptor, light, band) / settings.map_size
+    if isinstance(settings, PerspectiveMapSettings):
+        seen_px = model.perspective * float(np.sqrt(descriptor.rows * descriptor.cols))
+        return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
+    return 0.0
+
+
+def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
+    """What one uniform map of the light covers along a side, in pixels of a band."""
+    lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
+    if light == SUN or lamp is None:
+        right, up, _ = descriptor.receivers_light_m or (band.pixel_m, band.pixel_m, 0.0)
+        return float(np.sqrt(right * up)) / band.pixel_m
+    tangent = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
+    return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
+
+
+def _differs(band: CastBand, texel_px: float) -> float:
+    """``differs`` between the texels of the ladder; below the least in proportion."""
+    least = TEXEL_LADDER_PX[0]
+    if texel_px <= least:
+        return band.differs[0] * texel_px / least
+    return float(np.interp(np.log2(texel_px), _LADDER, band.differs))
+
+
+_LADDER = np.log2(TEXEL_LADDER_PX)

@@ -1,0 +1,265 @@
+"""A choice made at design time, written into the level file: algorithms and settings under ``shadows``, with a comment why.
+
+The text is changed where it has to be and nowhere else: comments, order, quotes, indentation and line ends of all other keys stay
+byte for byte. Lines that begin with ``#:`` are the pin's own, and are replaced by the next one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from selector.picks import Wishes
+from selector.rules import choose
+from shadows.plan import Plan, Settings
+from terrain.descriptor import Descriptor
+from terrain.errors import InputError, LevelError
+from terrain.level import SUN
+
+SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling", "stencil", "counting", "mask")
+"""What of a plan's settings a level can name."""
+
+POLICIES_PICK = ("map_size",)
+"""Settings that policies other than the rules pick for each view, so that they are pinned even where the rules agree."""
+
+MARK = "#: Pinned by skugga select"
+KEYS_MARK = "#: Pinned keys: "
+WIDTH = 116
+"""Characters of a comment's line, at most."""
+
+_PIN = re.compile(rf"^[ \t]*{MARK}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
+_KEYS = re.compile(rf"^[ \t]*{KEYS_MARK}([a-z_, ]+)\.", re.MULTILINE)
+_DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
+_ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
+
+Pair = tuple[ScalarNode, Node]
+Edit = tuple[int, int, str]
+
+
+def pins(plan: Plan, descriptor: Descriptor, wishes: Wishes) -> dict[str, Any]:
+    """What a level has to say for a plan: ``algorithm`` of all that casts, and the settings that do not follow from it.
+
+    A level has one value of a setting for all lights and kinds of casters: one that differs among them stays automatic. Raises
+    ``InputError`` where nothing casts.
+    """
+    cast = {light: {kind: name for kind, name in kinds.items() if name != "none"} for light, kinds in plan.algorithm.items()}
+    cast = {light: kinds for light, kinds in cast.items() if kinds}
+    if not cast:
+        raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
+    chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
+    automatic = choose(descriptor, wishes, chosen, picks={})
+    for key in SETTINGS:
+        values = _values(plan, key)
+        picked = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICIES_PICK)
+        if picked and len(set(values.values())) == 1:
+            chosen[key] = next(iter(values.values()))
+    return chosen
+
+
+def pinned(path: Path) -> tuple[str, ...]:
+    """The keys of ``shadows`` that an earlier pin has written into a level file. Raises ``LevelError``."""
+    found = _PIN.search(_read(path))
+    return _keys_of(found.group()) if found else ()
+
+
+def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
+    """Write what was chosen (keys of ``shadows``) into a level file, in the place of an earlier pin, with a comment.
+
+    The file is replaced at once or not at all. Raises ``LevelError`` where it cannot be written, or not without changing more.
+    """
+    path = path.resolve()
+    before = _read(path)
+    if not (path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH) and os.access(path, os.W_OK)):
+        raise LevelError(str(path), "read-only", "a level file that may be written")
+    after = pinned_text(before, chosen, why)
+    if after is None:
+        raise LevelError(f"{path}: shadows", json.dumps(dict(chosen)), "to be written by hand, for this file's way of putting it")
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile("wb", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = file.name
+            file.write(after.encode("utf-8"))
+            file.flush()
+            os.fsync(file.fileno())
+        shutil.copymode(path, temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            with suppress(OSError):
+                os.unlink(temporary)
+        raise LevelError(str(path), error.strerror or str(error), "a folder in which files may be written") from None
+
+
+def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str | None:
+    """The text of a level with what was chosen under ``shadows`` and the comment above it; ``None`` where this cannot be done
+    without changing what else the text says.
+    """
+    before = _load(text)
+    earlier = _PIN.search(text)
+    bare = _PIN.sub("", text)
+    wanted = {**dict.fromkeys(_keys_of(earlier.group()) if earlier else (), "auto"), **chosen}
+    with suppress(YAMLError, ValueError, IndexError):
+        after = _rewritten(bare, wanted, [*why, f"{KEYS_MARK[3:]}{', '.join(chosen)}."])
+        asked = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
+        if _load(after) == asked:
+            return after
+    return None
+
+
+def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
+    line_end = "\r\n" if "\r\n" in text else "\n"
+    root = YAML(typ="safe", pure=True).compose(text)
+    own = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
+    quoted = root.flow_style and bool(root.value) and root.value[0][0].style == '"'
+    head = root if root.flow_style or own is None else own[0]
+    edits: list[Edit] = []
+    if own is None and root.flow_style:
+        edits.append(_inserted(text, root.value, {"shadows": wanted}, quoted))
+    elif own is None:
+        indent = " " * root.start_mark.column
+        lines = [f"{indent}shadows:", *(f"{indent}  {key}: {_flow(value, quoted)}" for key, value in wanted.items())]
+        ended = _DOCUMENT_END.search(text)
+        rest = text[ended.start() :] if ended else ""
+        text = text.removesuffix(rest)
+        gap = "" if text.endswith(("\n", "\r")) else line_end
+        return f"{text}{gap}{line_end.join([*_comment(why, indent), *lines])}{'' if gap else line_end}{rest}"
+    elif _is_alias(*own):
+        start, end = _span(text, own)
+        edits.append((start, end, _flow({**_load(text)["shadows"], **wanted}, quoted)))
+    else:
+        edits += _changes(text, own[1], wanted, quoted, line_end)
+    start = _line_start(text, head.start_mark.index)
+    indent = " " * (head.start_mark.column if head is not root else 0)
+    edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
+    for start, end, new in sorted(edits, reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
+    """Values that are there changed in their place, others behind the last one."""
+    pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
+    edits = []
+    for key in wanted.keys() & pairs.keys():
+        start, end = _span(text, pairs[key])
+        gap = " " if text[start - 1] == ":" else ""
+        edits.append((start, end, f"{gap}{_flow(wanted[key], quoted)}"))
+    new = {key: value for key, value in wanted.items() if key not in pairs}
+    if new and shadows.flow_style:
+        edits.append(_inserted(text, shadows.value, new, quoted) if shadows.value else _filled(shadows, new, quoted))
+    elif new:
+        first, last = shadows.value[0][0], _span(text, shadows.value[-1])[1]
+        at = _line_end(text, last)
+        indent = " " * first.start_mark.column
+        edits.append((at, at, "".join(f"{line_end}{indent}{key}: {_flow(value, quoted)}" for key, value in new.items())))
+    return edits
+
+
+def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
+    at = _span(text, pairs[-1])[1]
+    return at, at, f", {_flow(new, quoted)[1:-1]}"
+
+
+def _filled(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
+    """An empty mapping in braces, filled."""
+    at = empty.end_mark.index - 1
+    return at, at, _flow(new, quoted)[1:-1]
+
+
+def _span(text: str, pair: Pair) -> tuple[int, int]:
+    """Where a value begins and ends: without the comments and line ends that a parser counts with a block, and for an alias the
+    alias itself.
+    """
+    key, value = pair
+    if _is_alias(key, value):
+        found = _ALIAS.match(text, key.end_mark.index)
+        if found is None:
+            raise ValueError("an alias in no plain place")
+        return found.span(1)
+    start = value.start_mark.index
+    if isinstance(value, MappingNode) and not value.flow_style:  # its place is behind the colon, on the key's own line
+        start = text.index(":", key.end_mark.index) + 1
+    return start, _end(text, value)
+
+
+def _end(text: str, node: Node) -> int:
+    if isinstance(node, MappingNode) and not node.flow_style and node.value:
+        return _span(text, node.value[-1])[1]
+    if isinstance(node, SequenceNode) and not node.flow_style and node.value:
+        return _end(text, node.value[-1])
+    return node.end_mark.index
+
+
+def _is_alias(key: Node, value: Node) -> bool:
+    """Whether a value stands elsewhere: its node is then the one that it is another name of."""
+    return value.start_mark.index < key.end_mark.index
+
+
+def _flow(value: Any, quoted: bool) -> str:
+    """A value on one line; strings in quotes where the file has them, or where they would be read as something else."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{_flow(key, quoted)}: {_flow(item, quoted)}' for key, item in value.items())}}}"
+    if isinstance(value, str) and not quoted and re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", value) and _load(value) == value:
+        return value
+    return json.dumps(value)
+
+
+def _comment(why: Sequence[str], indent: str) -> list[str]:
+    said = ["".join(letter if letter.isprintable() else " " for letter in line) for line in why]
+    return [f"{indent}#: {part}" for line in said for part in wrap(line, WIDTH)]
+
+
+def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
+    """A setting's values by light and kind of casters, of those that have it."""
+    found = {}
+    for light, kinds in plan.settings.items():
+        for kind, settings in kinds.items():
+            value = _value(settings, key)
+            if value is not None:
+                found[light, kind] = value
+    return found
+
+
+def _value(settings: Settings, key: str) -> Any:
+    value = getattr(getattr(settings, "map", settings), key, getattr(settings, key, None))
+    return len(value) if key == "cascades" and value is not None else value
+
+
+def _keys_of(comment: str) -> tuple[str, ...]:
+    found = _KEYS.search(comment)
+    return tuple(key.strip() for key in found.group(1).split(",")) if found else ()
+
+
+def _line_start(text: str, index: int) -> int:
+    start = max(text.rfind("\n", 0, index), text.rfind("\r", 0, index)) + 1
+    return max(start, 1) if text.startswith("\ufeff") else start
+
+
+def _line_end(text: str, index: int) -> int:
+    found = re.compile(r"[\r\n]").search(text, index)
+    return found.start() if found else len(text)
+
+
+def _load(text: str) -> Any:
+    return YAML(typ="safe", pure=True).load(text)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
+        raise LevelError(str(path), reason, "a readable YAML file") from None

@@ -1,0 +1,139 @@
+"""The ``predict`` policy: of the portfolio the pick whose expected time and error a target asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from selector.cost_model import predicted_ms
+from selector.device_profile import DeviceProfile
+from selector.error_model import Errors, expected_errors
+from selector.picks import Pick, Wishes
+from selector.portfolio import portfolio
+from selector.rules import choose
+from selector.winning import Figures, Verdict, best
+from selector.words import duration, percent
+from shadows.plan import Plan, Predicted, Reasoned, Step, Target
+from shadows.registry import ALGORITHMS
+from terrain.descriptor import Descriptor
+from terrain.level import AlgorithmName, CasterKind, override
+
+
+@dataclass(frozen=True)
+class Option:
+    """A pick of a light with the steps that it comes to, and what is expected of them."""
+
+    pick: Pick
+    steps: tuple[Step, ...]
+    ms: float
+    errors: Errors
+
+    @property
+    def algorithms(self) -> frozenset[AlgorithmName]:
+        return frozenset(step.algorithm for step in self.steps)
+
+    @property
+    def figures(self) -> Figures:
+        return Figures(self.pick.name, self.ms, self.errors.cautious, self.errors.interior)
+
+
+def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, device: DeviceProfile) -> Plan:
+    """The plan that is expected to be the cheapest of those that meet ``max_error``, or the most accurate within ``max_ms``; where
+    none is expected to, the nearest, marked as missing the target.
+
+    Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
+    """
+    asked = override(wishes.shadows, overrides or {})
+    usual = choose(descriptor, wishes, overrides, picks={})
+    casting = {light: [kind for kind, name in per_kind.items() if name != "none"] for light, per_kind in usual.algorithm.items()}
+    options = {light: options_of(descriptor, wishes, overrides, light, kinds, device) for light, kinds in casting.items() if kinds}
+    verdicts = {light: best([each.figures for each in its], asked.max_error) for light, its in options.items()}
+    needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
+    if asked.max_ms is not None and options:
+        shares = {light: asked.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
+        verdicts = {light: best([each.figures for each in its], asked.max_error, shares[light]) for light, its in options.items()}
+    taken = {light: next(each for each in its if each.pick.name == verdicts[light].winner.name) for light, its in options.items()}
+    picks = {
+        light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
+    }
+    plan = choose(descriptor, wishes, overrides, picks, _rejected(options, taken, asked.max_error))
+    return plan.model_copy(
+        update={
+            "policy": "predict",
+            "predicted": Predicted(
+                ms=sum(each.ms for each in taken.values()),
+                wrong=max((each.errors.wrong for each in taken.values()), default=0.0),
+                wrong_cast=max((each.errors.wrong_cast for each in taken.values()), default=0.0),
+            ),
+            "target": Target(max_error=asked.max_error, max_ms=asked.max_ms, met=all(verdict.met for verdict in verdicts.values())),
+            "reasons": [*_missed(verdicts), *plan.reasons],
+        }
+    )
+
+
+def options_of(
+    descriptor: Descriptor,
+    wishes: Wishes,
+    overrides: dict[str, Any] | None,
+    light: str,
+    kinds: Sequence[CasterKind],
+    device: DeviceProfile,
+) -> list[Option]:
+    """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
+    found: dict[tuple[Step, ...], Option] = {}
+    for pick in portfolio(descriptor, light, kinds):
+        plan = choose(descriptor, wishes, overrides, {light: pick})
+        steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
+        if steps not in found:
+            ms = sum(predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings) for step in steps)
+            found[steps] = Option(pick, steps, ms, expected_errors(descriptor, light, steps))
+    return list(found.values())
+
+
+def _with_words(taken: Option, options: Sequence[Option], kinds: Sequence[CasterKind], verdict: Verdict, max_error: float) -> Pick:
+    """The pick with the reasons for it, in words."""
+    its = f"{percent(taken.errors.wrong_cast)} of the cast shadow wrong in {duration(taken.ms)} expected"
+    settings = " ".join(f"{key} {value}" for key, value in taken.pick.settings.items())
+    if not verdict.met:
+        why = f"{its}: nothing is expected to meet the target, and this comes nearest"
+    else:
+        others = [each for each in options if each.algorithms != taken.algorithms and _right(each, max_error)]
+        beside = min(others, key=lambda each: each.ms, default=None)
+        why = f"{its}; " + (
+            f"nothing else is expected to keep to {percent(max_error)}"
+            if beside is None
+            else f"of what else keeps to {percent(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
+        )
+    sizes = f"what the target takes ({settings})"
+    return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
+
+
+def _right(option: Option, max_error: float) -> bool:
+    return best([option.figures], max_error).met
+
+
+def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Option], max_error: float) -> dict[AlgorithmName, str]:
+    """Why algorithms that could serve were not taken: the best that was expected of them."""
+    said: dict[AlgorithmName, str] = {}
+    for name in ALGORITHMS:
+        for light, its in options.items():
+            able = [each for each in its if name in each.algorithms]
+            if not able or name in taken[light].algorithms:
+                continue
+            verdict = best([each.figures for each in able], max_error)
+            if verdict.met:
+                said[name] = (
+                    f"{duration(verdict.winner.ms)} expected of {verdict.winner.name}, {duration(taken[light].ms)} of what is taken"
+                )
+            else:
+                said[name] = f"expected at best: {verdict.missed_by}"
+    return said
+
+
+def _missed(verdicts: Mapping[str, Verdict]) -> list[Reasoned]:
+    return [
+        Reasoned(name=f"{light}: target missed", reason=f"expected: {verdict.missed_by}")
+        for light, verdict in verdicts.items()
+        if not verdict.met
+    ]

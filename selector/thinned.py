@@ -1,0 +1,87 @@
+"""Views with fewer pixels, and their truth: every n-th pixel of a view as it is in the full one, nothing in between.
+
+A pixel of a thinned view is a pixel of the full view: as wide, and as far from the edges of shadows. So the shares of pixels that
+are wrong are the full view's but for chance. Were the pixels n times as wide instead, truth would not tell their class anywhere
+near an edge, which is where algorithms err: with every fourth pixel, a shadow map of a thousand boxes would have 0.6 % wrong for
+2.7 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from selector.against_truth import View, grounds_of, joined_truth
+from selector.footprint import texel_footprint_px
+from shadows.metrics import INTERIOR_PX, from_edges_px
+from shadows.plan import Step
+from shadows.render import bands_of
+from shadows.truth import Truth
+from terrain.camera import PerspectiveView
+from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView
+from terrain.picture import geometry_of
+from terrain.scene import Scene
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Figures of ``shadows.metrics.Errors``; ``spread`` is the standard error of ``wrong_cast``."""
+
+    wrong: float
+    wrong_cast: float
+    interior: float
+    spread: float
+
+
+@dataclass(frozen=True, eq=False)
+class ThinTruth:
+    """Truth in every ``every``-th pixel of a view. ``edge_px`` is how far the nearest edge of shadow is, pixels of the full view
+    (rows, cols).
+    """
+
+    scene: Scene
+    buffer: GeometryBuffer
+    every: int
+    truth: Truth
+    edge_px: np.ndarray
+
+    def errors(self, visibility: np.ndarray, steps: Sequence[Step], pixel_m: float) -> Shares:
+        """The full view's figures, estimated from a thinned view's visibility (rows, cols) that a plan's steps filled.
+
+        ``pixel_m`` is a pixel's side in the full view.
+        """
+        real = self.truth
+        dark, true_dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & real.there, ~real.lit & real.there
+        wrong = real.decidable & (dark != true_dark)
+        cast = real.decidable & (dark | true_dark) & ~real.attached
+        wider = self.every if isinstance(self.buffer.view, PerspectiveView) else 1
+        texels_px = np.max([texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]], axis=0)
+        inside = wrong & (self.edge_px > np.maximum(INTERIOR_PX, 2.0 * wider * texels_px))
+        share, spread = _share(wrong & cast, cast), 0.0
+        if self.every > 1:
+            spread = float(np.sqrt(share * (1.0 - share) / max(np.count_nonzero(cast), 1)))
+        return Shares(_share(wrong, real.decidable), share, _share(inside, real.decidable), spread)
+
+
+def thinned(view: View, every: int) -> View:
+    """Every n-th pixel of a view along rows and columns, from the first one on."""
+    size = {"rows": -(-view.rows // every), "cols": -(-view.cols // every)}
+    if isinstance(view, MapView):
+        return replace(view, row_step=view.row_step * every, col_step=view.col_step * every, **size)
+    return replace(view, step=view.step * every, **size)
+
+
+def thin_truth(scene: Scene, view: View, light: str, every: int) -> ThinTruth:
+    """The truth of every ``every``-th pixel of a view (of a block, if it is a map) under a light: what it is in the full view."""
+    parts = [(view, 0, 0)] if isinstance(view, MapView) else bands_of(view)
+    whole = joined_truth(view, grounds_of(scene, parts, light))
+    edge_px = from_edges_px(~whole.lit & whole.there, whole.there)
+    truth = Truth(*(of[::every, ::every] for of in (whole.lit, whole.attached, whole.decidable, whole.there)))
+    return ThinTruth(scene, geometry_of(scene, thinned(view, every)), every, truth, edge_px[::every, ::every])
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    return float(np.count_nonzero(part) / max(np.count_nonzero(whole), 1))

@@ -1,0 +1,128 @@
+"""Scene and view -> what there is that casts, kind by kind."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.casting import closed_casters
+from terrain.elevation import Elevation
+from terrain.facts import CasterFacts
+from terrain.foliage import THRESHOLD, foliage
+from terrain.grid import BLOCK_PX, MapView
+from terrain.ground_mesh import ground_mesh
+from terrain.population import Population
+from terrain.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
+from terrain.scene import Scene
+from terrain.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.surface import step_at_anchor_m
+from terrain.world import World
+
+TREE_TRIANGLES = 6
+"""Triangles of a tree: three quads."""
+
+
+def stands_of(scene: Scene, view: MapView | PerspectiveView, trees: Stand | None) -> tuple[CasterFacts, ...]:
+    """The facts of each kind of casters that there is, trees as the view draws them."""
+    population, found = scene.population, [_relief(scene, view)]
+    if population.solids is not None:
+        found.append(_meshes(population))
+    if trees is not None:
+        found.append(_forest(trees))
+    return tuple(found)
+
+
+def trees_of(scene: Scene, view: MapView | PerspectiveView) -> Stand | None:
+    """The trees as a view draws them, those of a map in the frame at the anchor; ``None`` where the level has none."""
+    if isinstance(view, PerspectiveView):
+        return stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+    return stand_in_map(scene.population, scene.world.frame_near_earth(scene.world.anchor_earth_m), map_pixel_m(scene, view))
+
+
+def map_pixel_m(scene: Scene, view: MapView) -> float:
+    """The side of a map's pixels on the ground at the anchor, metres."""
+    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+
+
+def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
+    low, high = scene.height_range_m
+    if isinstance(view, PerspectiveView):
+        return CasterFacts(kind="relief", triangles=len(ground_mesh(scene, view).triangles), height_m=high - low)
+    nodes = [min(size, BLOCK_PX) * step for size, step in ((view.rows, view.row_step), (view.cols, view.col_step))]
+    outside = _outside_triangles(scene, step_at_anchor_m(scene.world, view.grid), *nodes)
+    return CasterFacts(kind="relief", triangles=int(2 * nodes[0] * nodes[1]), outside_triangles=outside, height_m=high - low)
+
+
+def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) -> int:
+    """Triangles of patches of ground between a block of nodes and the sun, as ``terrain.reach`` lays them: as wide as the block and
+    a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the distance.
+    """
+    if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
+        return 0
+    level_m = float(np.hypot(*scene.elevation.shape)) * scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    longest_m = longest_shadow_m(float(np.ptp(scene.height_range_m)), scene.light.altitude_deg, curved=not scene.world.flat)
+    far = min(longest_m, max(level_m - min(rows, cols) * node_m, 0.0)) / node_m
+    total, near, level = 0.0, 0.0, 0
+    while near < far:
+        end, quads = FULL_DETAIL_NODES * 2**level, PATCH_QUADS * 2**level
+        length = np.ceil((min(far, end) - near) / quads) * quads
+        total += 2.0 * length * (max(rows, cols) + quads) / 4**level
+        near, level = end, level + 1
+    return int(total)
+
+
+@lru_cache(maxsize=4)
+def _meshes(population: Population) -> CasterFacts:
+    assert population.placement is not None
+    casting = population.placement.casting
+    sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
+    closed = closed_casters(population)
+    return CasterFacts(
+        kind="meshes", count=len(casting), triangles=len(closed), closed_share=float(closed.mean()) if len(closed) else 0.0,
+        height_m=float(np.median(sizes[:, 2])), width_m=float(np.median(sizes[:, :2].max(axis=1))),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _forest(trees: Stand) -> CasterFacts:
+    """The facts of trees as drawn: where they are thinned out, what is left is larger."""
+    sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
+    gaps = leaf_gaps()[2 * trees.look] * trees.shape[:, 2] if len(trees) else np.zeros(1)
+    return CasterFacts(
+        kind="forest", count=len(trees), triangles=TREE_TRIANGLES * len(trees), alpha_share=1.0,
+        height_m=float(sizes[2]), width_m=2.0 * float(sizes[0]), leaf_gap_m=float(np.median(gaps)),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def leaf_gaps() -> np.ndarray:
+    """For each picture of a tree (2 * looks,) the mean length of runs of leaf and of gap along its rows within the tree's outline,
+    as a share of the picture's side.
+    """
+    means = []
+    for alpha in foliage().levels[0][..., 3]:
+        leaf = alpha >= THRESHOLD * 255
+        changes = np.count_nonzero(leaf[:, 1:] != leaf[:, :-1], axis=1)
+        first, last = leaf.argmax(axis=1), leaf.shape[1] - leaf[:, ::-1].argmax(axis=1)
+        across = np.where(leaf.any(axis=1), last - first, 0)
+        means.append(across.sum() / max(int(np.maximum(changes - 1, 1)[across > 0].sum()), 1) / leaf.shape[1])
+    return np.array(means)
+
+
+@lru_cache(maxsize=4)
+def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]:
+    """Mean, 95th percentile and largest slope of the overview's ground between neighbouring cells, degrees; 0 without any."""
+    cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level
+    heights = elevation.overview.heights_m.astype(np.float64)
+    if min(heights.shape) < 2:
+        return 0.0, 0.0, 0.0
+    down = (heights[1:, :-1] - heights[:-1, :-1]) / cell_m
+    right = (heights[:-1, 1:] - heights[:-1, :-1]) / cell_m
+    slope = np.degrees(np.arctan(np.hypot(down, right)))
+    slope = slope[np.isfinite(slope)]
+    if not slope.size:
+        return 0.0, 0.0, 0.0
+    most = float(slope.max())  # of slopes that are all the same the mean is rounded
+    return min(float(slope.mean()), most), min(float(np.percentile(slope, 95)), most), most

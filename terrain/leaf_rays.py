@@ -1,0 +1,182 @@
+"""Rays through foliage: where they first meet a leaf of the trees as a view draws them.
+
+Exact but for two things that do not matter in the mean: a picture's alpha is read at the nearest texel, and trees stand along the
+third axis of their frame, however far from its origin. Trees lie in a grid of cells, which rays go through in order (J. Amanatides,
+A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.foliage import THRESHOLD, foliage
+from terrain.probes import Rays
+from terrain.stand import Stand
+
+TREES_A_CELL = 3
+"""Trees in a cell of the grid, in the mean over its extent."""
+
+MOST_CELLS = 512
+"""Cells along a side of the grid."""
+
+NEAREST_M = 0.01
+"""A leaf nearer to a ray's start is the one that it starts from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Trees by cells: those of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
+
+    ``low_m`` (2,) is the first cell's corner, ``top_m`` (rows, cols) how high any tree of a cell rises; ``disc`` float32 (k, 3)
+    where each of ``tree`` stands, counted from that corner, and how far it reaches.
+    """
+
+    low_m: np.ndarray
+    cell_m: float
+    top_m: np.ndarray
+    first: np.ndarray
+    tree: np.ndarray
+    disc: np.ndarray
+
+
+@lru_cache(maxsize=2)
+def grid_of(trees: Stand) -> Grid:
+    """The grid of some trees; the last ones are kept."""
+    reach = 1.4143 * trees.shape[:, :2].max(axis=1)
+    at = trees.base_frame_m[:, :2]
+    low, high = (at - reach[:, None]).min(axis=0), (at + reach[:, None]).max(axis=0)
+    extent = np.maximum(high - low, 1e-3)
+    cell = max(float(np.sqrt(np.prod(extent) * TREES_A_CELL / len(trees))), float(extent.max()) / MOST_CELLS)
+    cols, rows = (int(n) for n in np.ceil(extent / cell))
+    top, first, tree, disc = _sorted(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
+    return Grid(low, cell, top, first, tree, disc)
+
+
+@compiled
+def _sorted(base, shape, reach, low, cell, rows, cols):  # type: ignore[no-untyped-def]
+    top = np.full((rows, cols), -np.inf)
+    first = np.zeros(rows * cols + 1, np.int64)
+    tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
+    for fill in range(2):
+        for n in range(len(base)):
+            c0, c1 = int((base[n, 0] - reach[n] - low[0]) / cell), int((base[n, 0] + reach[n] - low[0]) / cell)
+            r0, r1 = int((base[n, 1] - reach[n] - low[1]) / cell), int((base[n, 1] + reach[n] - low[1]) / cell)
+            for r in range(max(r0, 0), min(r1, rows - 1) + 1):
+                for c in range(max(c0, 0), min(c1, cols - 1) + 1):
+                    if fill == 0:
+                        top[r, c] = max(top[r, c], base[n, 2] + shape[n, 2])
+                        first[r * cols + c + 1] += 1
+                    else:
+                        entry = first[r * cols + c]
+                        tree[entry] = n
+                        disc[entry, 0], disc[entry, 1], disc[entry, 2] = base[n, 0] - low[0], base[n, 1] - low[1], reach[n]
+                        first[r * cols + c] += 1
+        if fill == 0:
+            for k in range(rows * cols):
+                first[k + 1] += first[k]
+            tree, disc = np.empty(first[-1], np.int32), np.empty((first[-1], 3), np.float32)
+    first[1:] = first[:-1].copy()
+    first[0] = 0
+    return top, first, tree, disc
+
+
+@lru_cache(maxsize=1)
+def leaves() -> np.ndarray:
+    """Where each picture of a tree (2 * looks, side, side) has a leaf, bool."""
+    return foliage().levels[0][..., 3] >= THRESHOLD * 255
+
+
+def through_leaves(trees: Stand, rays: Rays) -> np.ndarray:
+    """Which rays (1 + k, n) meet a leaf before the light, bool."""
+    start, direction = (np.ascontiguousarray(v).reshape(-1, 3) for v in (rays.start_frame_m, rays.direction_frame))
+    met, _ = first_leaves(trees, start, direction, np.ravel(rays.length_m))
+    return np.isfinite(met).reshape(rays.length_m.shape)
+
+
+def first_leaves(trees: Stand, start: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far along rays (n, 3), unit directions, the first leaf is met, infinite where none is within their lengths (n,); and the
+    unit normals (n, 3) of what is met.
+    """
+    if not len(trees):
+        return np.full(len(start), np.inf), np.zeros((len(start), 3))
+    grid = grid_of(trees)
+    return _first(
+        grid.low_m, grid.cell_m, grid.top_m, grid.first, grid.tree, grid.disc, trees.base_frame_m, trees.shape, trees.turn,
+        trees.look, leaves(), start, direction, length_m, NEAREST_M,
+    )  # fmt: skip
+
+
+@compiled
+def _first(low, cell, top, first, tree, disc, base, shape, turn, look, leaf, start, direction, length, nearest):  # type: ignore[no-untyped-def]
+    rows, cols = top.shape
+    side = leaf.shape[1]
+    out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))
+    for n in range(len(start)):
+        dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
+        # In cells; the part of the ray over the grid.
+        from_x, from_y = start[n, 0] - low[0], start[n, 1] - low[1]
+        x, y = from_x / cell, from_y / cell
+        vx, vy = dx / cell, dy / cell
+        begin, end = nearest, length[n]
+        for k in range(2):
+            at, v, size = (x, vx, cols) if k == 0 else (y, vy, rows)
+            if abs(v) < 1e-15:
+                if not 0.0 <= at < size:
+                    end = -1.0
+            else:
+                a, b = -at / v, (size - at) / v
+                begin, end = max(begin, min(a, b)), min(end, max(a, b))
+        if not begin < end:
+            continue
+        c, r = min(max(int(x + begin * vx), 0), cols - 1), min(max(int(y + begin * vy), 0), rows - 1)
+        flat = np.hypot(dx, dy)
+        t = begin
+        while True:
+            next_x = ((c + (vx > 0.0)) - x) / vx if abs(vx) > 1e-15 else np.inf
+            next_y = ((r + (vy > 0.0)) - y) / vy if abs(vy) > 1e-15 else np.inf
+            leave = min(next_x, next_y, end)
+            if min(start[n, 2] + t * dz, start[n, 2] + leave * dz) <= top[r, c]:
+                for i in range(first[r * cols + c], first[r * cols + c + 1]):
+                    px, py, reach = from_x - disc[i, 0], from_y - disc[i, 1], disc[i, 2] + 0.01
+                    if abs(px * dy - py * dx) > reach * flat or (flat < 1e-9 and px * px + py * py > reach * reach):
+                        continue
+                    m = tree[i]
+                    px, py, pz = start[n, 0] - base[m, 0], start[n, 1] - base[m, 1], start[n, 2] - base[m, 2]
+                    cosine, sine = np.float64(turn[m, 0]), np.float64(turn[m, 1])
+                    for quad in range(3):
+                        if quad == 2:
+                            nx, ny, nz, off = 0.0, 0.0, 1.0, pz - shape[m, 3]
+                        elif quad == 0:
+                            nx, ny, nz, off = -sine, cosine, 0.0, cosine * py - sine * px
+                        else:
+                            nx, ny, nz, off = cosine, sine, 0.0, cosine * px + sine * py
+                        towards = nx * dx + ny * dy + nz * dz
+                        if towards == 0.0:
+                            continue
+                        s = -off / towards
+                        if not (nearest < s < min(out[n], length[n])):
+                            continue
+                        qx, qy, qz = px + s * dx, py + s * dy, pz + s * dz
+                        along, across = cosine * qx + sine * qy, cosine * qy - sine * qx
+                        if quad == 2:
+                            u, v = 0.5 * (along / shape[m, 1] + 1.0), 0.5 * (1.0 - across / shape[m, 1])
+                        else:
+                            u, v = 0.5 * ((along if quad == 0 else across) / shape[m, 0] + 1.0), 1.0 - qz / shape[m, 2]
+                        if 0.0 <= u < 1.0 and 0.0 <= v < 1.0:
+                            if leaf[2 * look[m] + (1 if quad == 2 else 0), int(v * side), int(u * side)]:
+                                out[n] = s
+                                normal[n, 0], normal[n, 1], normal[n, 2] = nx, ny, nz
+            if out[n] <= leave or leave >= end:
+                break
+            t = leave
+            if next_x <= next_y:
+                c += 1 if vx > 0.0 else -1
+            else:
+                r += 1 if vy > 0.0 else -1
+            if not (0 <= c < cols and 0 <= r < rows):
+                break
+    return out, normal

@@ -1,0 +1,211 @@
+"""Scene and view -> what each light does there: what it shines on, what stands in its way, and where its shadows end.
+
+All of it by looking: from the points of a coarse look (a map: of ground all over the level) rays go to the light and to beside it
+(``terrain.probes``). No kind of casters knows of the others here; what one of them shades counts as its shadow whatever else does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.facts import CastBand, Casting, LightFacts
+from terrain.leaf_rays import through_leaves
+from terrain.level import SUN, CasterKind
+from terrain.lights import Lamp
+from terrain.mesh_rays import past_meshes
+from terrain.probes import PROBES, PROBES_AMONG_TREES, Probes, Rays, evenly, rays_to
+from terrain.relief_rays import over_relief, placed
+from terrain.resolve import FOREST, RELIEF
+from terrain.scene import Scene
+from terrain.silhouettes_seen import EYE_RAYS, layers_before, length_px, silhouette_of
+from terrain.stand import Stand
+
+NEAREST_M = 1.0
+"""What is nearer to the eye than this counts as this far away."""
+
+GRAZING = 2.0**-20
+"""A light that meets a surface at no more than this sine counts as below it."""
+
+EDGE_RUNG = 6
+"""The size of ``TEXEL_LADDER_PX`` within which an edge is near a point: 8 pixels, about as far as points of a look are apart."""
+
+ALL_ROUND_PARTS = 8
+"""Parts a side of the faces of a cube round an omni light by which it is told how much of its sphere is seen."""
+
+
+LEAF_PROBES = 160
+"""Probes, at most, beside which rays are looked for that foliage stops: those cost most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Probes that face a light and lie in its cone, the unit ways there (n, 3) and their lengths (n,), infinite to the sun."""
+
+    probes: Probes
+    direction_frame: np.ndarray
+    length_m: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is seen and what stands in the way: the camera (``None``: a map), points of what it sees, and the trees as drawn."""
+
+    scene: Scene
+    camera: PerspectiveView | None
+    probes: Probes
+    trees: Stand | None
+
+
+def facts_of_lights(seen: Seen, area_of_sun: float) -> dict[str, LightFacts]:
+    """The facts of all lights of a scene, by name, on what is seen; ``area_of_sun`` is the share of its light space."""
+    found: dict[str, LightFacts] = {}
+    if seen.scene.sun is not None:
+        found[SUN] = _facts(seen, None, area_of_sun)
+    for name, lamp in seen.scene.lamps.items():
+        found[name] = _facts(seen, lamp, area_share_of_lamp(lamp, seen.probes))
+    return found
+
+
+def _facts(seen: Seen, lamp: Lamp | None, area_share: float) -> LightFacts:
+    scene, camera, probes = seen.scene, seen.camera, seen.probes
+    to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
+    if not len(probes) or (lamp is None and not scene.sun_is_up):
+        return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
+    some, share = _lit(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
+    rays = rays_to(some.probes, some.direction_frame, some.length_m)
+    blocked = {kind: _blocked(seen, kind, some.probes, rays) for kind in scene.population.kinds} if len(some.probes) else {}
+    shaded = np.logical_or.reduce([of.itself for of in blocked.values()]) if blocked else np.zeros(0, bool)
+    edge_m = [some.probes.away_m[of.which[(of.beside[:EDGE_RUNG] != of.itself[of.which]).any(axis=0)]] for of in blocked.values()]
+    nearest_m = min((float(away.min()) for away in edge_m if len(away)), default=None)
+    edges = {} if "meshes" not in scene.population.kinds else _silhouette(scene, camera, probes, lamp)
+    return LightFacts(
+        to_view_deg=to_view, facing_share=share, cast_share=share * float(shaded.mean()) if len(shaded) else 0.0,
+        area_share=area_share,
+        nearest_edge_m=None if camera is None else nearest_m,
+        casts={kind: _casting(some, of, share, camera is not None) for kind, of in blocked.items()}, **edges,
+    )  # fmt: skip
+
+
+def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Lit, float]:
+    """At most so many of those that a light shines on, and the share of them all that it does."""
+    frame = probes.frame
+    if lamp is None:
+        assert scene.sun is not None
+        to_light = frame.frame_from_earth @ scene.sun.to_sun_earth
+        direction, length = np.broadcast_to(to_light, probes.point_frame_m.shape), np.full(len(probes), np.inf)
+        facing, inside = np.einsum("ij,j->i", probes.normal_frame, to_light), np.ones(len(probes), bool)
+    else:
+        way = frame.frame_from_earth @ (lamp.position_earth_m - frame.origin_earth_m) - probes.point_frame_m
+        length = np.sqrt(np.einsum("ij,ij->i", way, way))
+        direction = way / np.maximum(length, 1e-12)[:, None]
+        facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
+        axis = frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
+        inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
+    which = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
+    some = which[evenly(len(which), most)]
+    return Lit(probes.some(some), direction[some], length[some]), len(which) / len(probes)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """Which rays a kind of casters stands in the way of: those of the probes ``itself`` (n,), and those from ``beside`` (k, m) the
+    probes ``which`` (m,), indices.
+    """
+
+    itself: np.ndarray
+    beside: np.ndarray
+    which: np.ndarray
+
+
+def _blocked(seen: Seen, kind: CasterKind, probes: Probes, rays: Rays) -> Blocked:
+    scene, everyone = seen.scene, np.arange(len(probes))
+    if kind == "forest" and seen.trees is not None and len(seen.trees):
+        which = evenly(len(probes), LEAF_PROBES)
+        itself = through_leaves(seen.trees, rays.some(slice(1), everyone))[0]
+        return Blocked(itself, through_leaves(seen.trees, rays.some(slice(1, None), which)), which)
+    if kind == "meshes":
+        met = past_meshes(scene.population, probes, rays)
+    elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
+        met = over_relief(scene.world, scene.elevation, placed(scene.world, scene.elevation, probes), probes, rays)
+    else:
+        met = np.zeros(rays.length_m.shape, bool)
+    return Blocked(met[0], met[1:], everyone)
+
+
+def _casting(lit: Lit, blocked: Blocked, facing_share: float, by_distance: bool) -> Casting:
+    """What a kind of casters throws on all that is seen, where ``facing_share`` of it are the probes of which ``blocked`` tells."""
+    probes, away_m = lit.probes, np.maximum(lit.probes.away_m, NEAREST_M)
+    octave, of_band = np.unique(
+        np.ceil(np.log2(away_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
+    )
+    beside = of_band[blocked.which]
+    changed = blocked.beside != blocked.itself[blocked.which]
+
+    def sums(values: np.ndarray, band: np.ndarray = of_band) -> np.ndarray:
+        return np.bincount(band, values, minlength=len(octave))
+
+    count = np.bincount(of_band)
+    differs = (
+        np.stack([sums(one, beside) for one in changed], axis=1)
+        / np.maximum(np.bincount(beside, minlength=len(octave)), 1)[:, None]
+    )
+    cast, pixel_m = sums(blocked.itself) / count, sums(probes.pixel_m) / count
+    light_m = sums(lit.length_m) / count
+    bands = tuple(
+        CastBand(
+            near_m=2.0 ** (number - 1) if by_distance else 0.0, far_m=2.0**number if by_distance else None,
+            share=facing_share * float(count[i] / len(probes)), cast=float(cast[i]), pixel_m=float(pixel_m[i]),
+            light_m=float(light_m[i]) if np.isfinite(light_m[i]) else None, differs=tuple(differs[i].tolist()),
+        )
+        for i, number in enumerate(octave.tolist())
+    )  # fmt: skip
+    on_bodies = float((blocked.itself & (probes.kind != RELIEF)).mean())
+    return Casting(share=facing_share * float(blocked.itself.mean()), on_bodies=facing_share * on_bodies, bands=bands)
+
+
+def _to_view_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:
+    if lamp is None:
+        assert scene.sun is not None
+        to_light = scene.sun.to_sun_earth
+    else:
+        middle = np.median(probes.point_earth_m, axis=0) if len(probes) else camera.eye_earth_m
+        to_light = lamp.position_earth_m - middle
+    cosine = float(to_light @ camera.earth_from_camera[:, 2]) / max(float(np.linalg.norm(to_light)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
+    """What of a lamp's map falls on what is seen: of a spot the rectangle round it in its cone's, of an omni light the parts of the
+    faces of a cube round it.
+    """
+    at = (probes.point_earth_m - lamp.position_earth_m) @ lamp.earth_from_lamp
+    if lamp.kind == "omni":
+        face = np.argmax(np.abs(at), axis=1)
+        largest = np.take_along_axis(at, face[:, None], axis=1)
+        others = np.take_along_axis(at, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
+        cell = np.clip(((others / np.abs(largest) + 1.0) / 2.0 * ALL_ROUND_PARTS).astype(int), 0, ALL_ROUND_PARTS - 1)
+        number = ((2 * face + (largest[:, 0] > 0.0)) * ALL_ROUND_PARTS + cell[:, 0]) * ALL_ROUND_PARTS + cell[:, 1]
+        return len(np.unique(number)) / (6 * ALL_ROUND_PARTS**2)
+    widest = np.tan(np.radians(lamp.cutoff_deg))
+    ahead = at[:, 2] > 0.0
+    tangents = at[ahead, :2] / at[ahead, 2:]
+    tangents = tangents[np.linalg.norm(tangents, axis=1) <= widest]
+    return float(min(np.prod(np.ptp(tangents, axis=0)) / (2.0 * widest) ** 2, 1.0)) if len(tangents) else 0.0
+
+
+def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
+    """The facts of the silhouette of the meshes."""
+    light = lamp.position_earth_m if lamp is not None else scene.sun.to_sun_earth  # type: ignore[union-attr]
+    at_place = lamp is not None
+    ends = silhouette_of(scene.population, light, at_place)
+    if camera is None or not len(ends):
+        return {"silhouette_edges": len(ends)}
+    seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera
+    first, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
+    bounds = np.stack([first - 0.5 * camera.step, first + (count - 0.5) * camera.step]) / camera.focal_px
+    way = probes.some(evenly(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
+    passed = layers_before(ends, light, at_place, np.broadcast_to(camera.eye_earth_m, way.shape), way)
+    return {"silhouette_edges": len(ends), "silhouette_px": length_px(seen, *bounds) / camera.pixel, "volume_layers": passed}

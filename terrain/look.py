@@ -1,0 +1,162 @@
+"""A coarse look at a perspective view: which triangle shows in every few pixels, without OpenGL.
+
+Pixels are few and triangles many, most of them smaller than the way between two pixels: what takes time elsewhere, handing all of
+them to a rasteriser, is left out here. A pixel's ray r meets a triangle a, b, c (all in the camera's axes) where r . (b x c),
+r . (c x a) and r . (a x b) have one sign; no corner need lie before the eye (M. Olano, T. Greer 1997, "Triangle scan conversion
+using 2D homogeneous coordinates").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.compiled import compiled
+from terrain.effects.effect import Look
+from terrain.ground_mesh import GroundMesh, ground_mesh
+from terrain.picture import buffer_of, solids_in
+from terrain.scene import Scene
+from terrain.visible import NEAR_M, Seen
+from terrain.world import LocalFrame
+
+LOOK_PX = 8
+"""Distance of the pixels from which a perspective view is described."""
+
+
+class _Sight:
+    """A view of what stands on a ground, whatever its light: equal to others that look the same way at the same things."""
+
+    def __init__(self, scene: Scene, view: PerspectiveView) -> None:
+        camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
+        self.scene, self.view = scene, view
+        self._key = (scene.population, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Sight) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@dataclass(frozen=True, eq=False)
+class _Coarse:
+    """What ``terrain.picture`` resolves to points: the same as its ``Visible``, without trees."""
+
+    frame: LocalFrame
+    ground: GroundMesh
+    solids: np.ndarray | None
+    seen: Seen
+    stand: None = None
+
+
+def look_at_scene(scene: Scene, view: PerspectiveView) -> Look:
+    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone. The last ones are kept."""
+    return _kept(_Sight(scene, view))
+
+
+@lru_cache(maxsize=4)
+def _kept(sight: _Sight) -> Look:
+    look = _look_every(sight.scene, sight.view, LOOK_PX)
+    return look if len(look.points_frame_m) else _look_every(sight.scene, sight.view, 1)
+
+
+def _look_every(scene: Scene, view: PerspectiveView, px: int) -> Look:
+    coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
+    frame = view.frame(scene.world)
+    ground, solids = ground_mesh(scene, coarse), solids_in(scene.population, frame)
+    meshes = [(ground.position_frame_m, ground.triangles)]
+    if solids is not None and scene.population.solids is not None:
+        meshes.append((solids, scene.population.solids.triangles))
+    seen = Seen(nearest_triangles(coarse, frame, meshes), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
+    looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))  # type: ignore[arg-type]
+    points = looked.position_frame_m[looked.there]
+    eye, _ = view.in_frame(frame)
+    away_m = np.linalg.norm(points - eye, axis=-1)
+    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel)
+
+
+def nearest_triangles(view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The number of the nearest triangle in each pixel (rows, cols) uint32, counted from 1 through meshes of vertices (n, 3) in a
+    frame and triangles (m, 3); 0 where there is none.
+    """
+    eye, camera_from_frame = view.in_frame(frame)
+    number = np.zeros((view.rows, view.cols), np.uint32)
+    depth = np.full((view.rows, view.cols), np.inf)
+    tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
+    first = 1
+    for vertices, triangles in meshes:
+        at, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
+        _draw(at, pixel, triangles, tangents, NEAR_M, first, number, depth)
+        first += len(triangles)
+    return number
+
+
+@compiled
+def _projected(vertices, eye, rotation, tangents):  # type: ignore[no-untyped-def]
+    """Vertices (n, 3) in the camera's axes, and columns and rows (n, 2) of those ahead of the eye."""
+    at, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
+    for n in range(len(vertices)):
+        x, y, z = vertices[n, 0] - eye[0], vertices[n, 1] - eye[1], vertices[n, 2] - eye[2]
+        for k in range(3):
+            at[n, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+        for k in range(2):
+            pixel[n, k] = (at[n, k] / at[n, 2] - tangents[k]) / tangents[2]
+    return at, pixel
+
+
+@compiled
+def _beyond(a, b, c, tangents, rows, cols):  # type: ignore[no-untyped-def]
+    """Whether a triangle lies beyond one side of the picture's pyramid as a whole."""
+    for k in range(2):
+        low = tangents[k]
+        high = low + ((cols if k == 0 else rows) - 1) * tangents[2]
+        if a[k] < low * a[2] and b[k] < low * b[2] and c[k] < low * c[2]:
+            return True
+        if a[k] > high * a[2] and b[k] > high * b[2] and c[k] > high * c[2]:
+            return True
+    return False
+
+
+@compiled
+def _draw(at, pixel, triangles, tangents, near, first, number, depth):  # type: ignore[no-untyped-def]
+    rows, cols = number.shape
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        before = (at[i, 2] < near) + (at[j, 2] < near) + (at[k, 2] < near)
+        if before == 3:
+            continue
+        if before == 0:
+            low_col, high_col = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]), max(pixel[i, 0], pixel[j, 0], pixel[k, 0])
+            low_row, high_row = min(pixel[i, 1], pixel[j, 1], pixel[k, 1]), max(pixel[i, 1], pixel[j, 1], pixel[k, 1])
+            if not (high_col >= 0.0 and low_col <= cols - 1 and high_row >= 0.0 and low_row <= rows - 1):
+                continue
+            c0, c1 = int(np.ceil(max(low_col, 0.0))), int(min(high_col, cols - 1.0))
+            r0, r1 = int(np.ceil(max(low_row, 0.0))), int(min(high_row, rows - 1.0))
+        elif _beyond(at[i], at[j], at[k], tangents, rows, cols):
+            continue
+        else:
+            r0, r1, c0, c1 = 0, rows - 1, 0, cols - 1
+        if c0 > c1 or r0 > r1:
+            continue
+        a0, a1, a2 = at[i, 0], at[i, 1], at[i, 2]
+        b0, b1, b2 = at[j, 0], at[j, 1], at[j, 2]
+        d0, d1, d2 = at[k, 0], at[k, 1], at[k, 2]
+        u0, u1, u2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
+        v0, v1, v2 = d1 * a2 - d2 * a1, d2 * a0 - d0 * a2, d0 * a1 - d1 * a0
+        w0, w1, w2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+        volume = a0 * u0 + a1 * u1 + a2 * u2
+        side = 1.0 if volume > 0.0 else -1.0
+        for r in range(r0, r1 + 1):
+            y = tangents[1] + r * tangents[2]
+            for c in range(c0, c1 + 1):
+                x = tangents[0] + c * tangents[2]
+                u, v, w = side * (x * u0 + y * u1 + u2), side * (x * v0 + y * v1 + v2), side * (x * w0 + y * w1 + w2)
+                if u < 0.0 or v < 0.0 or w < 0.0 or u + v + w <= 0.0:
+                    continue
+                z = side * volume / (u + v + w)
+                if near <= z < depth[r, c]:
+                    depth[r, c] = z
+                    number[r, c] = first + t

@@ -1,0 +1,189 @@
+"""Rays through meshes: whether anything of a set of triangles stands in their way.
+
+Triangles lie in a binary tree of boxes, each cut where rays that meet it are likely to meet little of it: where the areas of the
+two boxes, times the triangles in them, add up to the least (I. Wald 2007, "On fast construction of SAH-based bounding volume
+hierarchies"). The test of a triangle is that of T. Moeller and B. Trumbore 1997.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.population import Population
+from terrain.probes import Probes, Rays
+
+LEAF = 4
+"""Triangles in a leaf of the tree, at most."""
+
+BINS = 16
+"""Places along a box where it may be cut."""
+
+LIFT = 2.0**-20
+"""A ray starts this share of the meshes' extent off its surface (a millimetre a kilometre)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Boxes round triangles: ``low`` and ``high`` (nodes, 3); node i has the nodes ``first[i]`` and the next below it or, where
+    ``count[i]`` is over 0, so many triangles from that number on. ``corner``, ``side_a`` and ``side_b`` (m, 3) are the triangles in
+    that order. All float64, metres from ``origin_earth_m``.
+    """
+
+    origin_earth_m: np.ndarray
+    extent_m: float
+    low: np.ndarray
+    high: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    corner: np.ndarray
+    side_a: np.ndarray
+    side_b: np.ndarray
+
+
+def past_meshes(population: Population, probes: Probes, rays: Rays) -> np.ndarray:
+    """Which rays (1 + k, n) of probes meet what stands for the meshes before the light, bool."""
+    tree = _tree_of(population)
+    rotation = probes.frame.frame_from_earth
+    side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
+    lift = (LIFT * tree.extent_m * side)[:, None] * probes.normal_frame
+    start = (rays.start_frame_m + lift) @ rotation + (probes.frame.origin_earth_m - tree.origin_earth_m)
+    return meets(tree, start, rays.direction_frame @ rotation, rays.length_m)
+
+
+def meets(tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
+    """Which rays from starts (..., 3), counted from the tree's origin, meet a triangle within their lengths (...), bool."""
+    flat = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
+    found = _meets(tree.low, tree.high, tree.first, tree.count, tree.corner, tree.side_a, tree.side_b, *flat, np.ravel(length_m))
+    return found.reshape(np.shape(length_m))
+
+
+@lru_cache(maxsize=4)
+def _tree_of(population: Population) -> Tree:
+    solids = population.solids
+    assert solids is not None
+    return tree_of(solids.caster_vertices_earth_m, solids.caster_triangles)
+
+
+def tree_of(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
+    """The tree of triangles (m, 3), m > 0, of vertices (n, 3)."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    origin, extent = (low + high) / 2, max(float(np.max(high - low)), 1e-9)
+    points = (vertices - origin)[triangles]
+    order, low, high, first, count = _built(points.min(axis=1), points.max(axis=1), LEAF, BINS)
+    corner, b, c = (np.ascontiguousarray(points[order, k]) for k in range(3))
+    return Tree(origin, extent, low, high, first, count, corner, b - corner, c - corner)
+
+
+@compiled
+def _built(box_low, box_high, leaf, bins):  # type: ignore[no-untyped-def]
+    """The order of triangles with boxes (m, 3), and the nodes of their tree: the first one is its root."""
+    m = len(box_low)
+    order = np.arange(m)
+    middle = 0.5 * (box_low + box_high)
+    low, high = np.full((2 * m, 3), np.inf), np.full((2 * m, 3), -np.inf)
+    first, count = np.zeros(2 * m, np.int32), np.zeros(2 * m, np.int32)
+    count[0] = m
+    nodes, node = 1, 0
+    bin_low, bin_high, bin_count = np.empty((bins, 3)), np.empty((bins, 3)), np.empty(bins, np.int64)
+    cost_left = np.empty(bins)
+    while node < nodes:
+        start, end = first[node], first[node] + count[node]
+        least, most = np.full(3, np.inf), np.full(3, -np.inf)
+        for i in range(start, end):
+            for k in range(3):
+                low[node, k], high[node, k] = min(low[node, k], box_low[order[i], k]), max(high[node, k], box_high[order[i], k])
+                least[k], most[k] = min(least[k], middle[order[i], k]), max(most[k], middle[order[i], k])
+        if end - start > leaf:
+            best, best_axis, best_bin = np.inf, -1, 0
+            for axis in range(3):
+                if not most[axis] > least[axis]:
+                    continue
+                scale = bins / (most[axis] - least[axis])
+                bin_low[:], bin_high[:], bin_count[:] = np.inf, -np.inf, 0
+                for i in range(start, end):
+                    at = min(int((middle[order[i], axis] - least[axis]) * scale), bins - 1)
+                    bin_count[at] += 1
+                    for k in range(3):
+                        bin_low[at, k] = min(bin_low[at, k], box_low[order[i], k])
+                        bin_high[at, k] = max(bin_high[at, k], box_high[order[i], k])
+                for way in range(2):
+                    a, b, found = np.full(3, np.inf), np.full(3, -np.inf), 0
+                    for j in range(bins - 1):
+                        at = j if way == 0 else bins - 1 - j
+                        found += bin_count[at]
+                        for k in range(3):
+                            a[k], b[k] = min(a[k], bin_low[at, k]), max(b[k], bin_high[at, k])
+                        x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+                        cost = (x * y + y * z + z * x) * found if found > 0 else np.inf
+                        if way == 0:
+                            cost_left[at] = cost
+                        elif cost + cost_left[at - 1] < best:
+                            best, best_axis, best_bin = cost + cost_left[at - 1], axis, at
+            cut = start
+            if best_axis >= 0:
+                scale = bins / (most[best_axis] - least[best_axis])
+                for i in range(start, end):
+                    t = order[i]
+                    if min(int((middle[t, best_axis] - least[best_axis]) * scale), bins - 1) < best_bin:
+                        order[i], order[cut] = order[cut], t
+                        cut += 1
+            if cut == start or cut == end:  # all in one place
+                cut = (start + end) // 2
+            first[nodes], count[nodes] = start, cut - start
+            first[nodes + 1], count[nodes + 1] = cut, end - cut
+            first[node], count[node] = nodes, 0
+            nodes += 2
+        node += 1
+    return order, low[:nodes].copy(), high[:nodes].copy(), first[:nodes].copy(), count[:nodes].copy()
+
+
+@compiled
+def _meets(low, high, first, count, corner, side_a, side_b, start, direction, length):  # type: ignore[no-untyped-def]
+    out = np.zeros(len(start), np.bool_)
+    stack = np.empty(256, np.int64)
+    for n in range(len(start)):
+        x, y, z = start[n, 0], start[n, 1], start[n, 2]
+        dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
+        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        most = length[n]
+        stack[0], waiting = 0, 1
+        while waiting > 0 and not out[n]:
+            waiting -= 1
+            node = stack[waiting]
+            # A product of 0 and infinity is no number, which no comparison lets through: a ray in a box's face may pass it.
+            a, b = (low[node, 0] - x) * ix, (high[node, 0] - x) * ix
+            near, far = max(0.0, min(a, b)), min(most, max(a, b))
+            a, b = (low[node, 1] - y) * iy, (high[node, 1] - y) * iy
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+            a, b = (low[node, 2] - z) * iz, (high[node, 2] - z) * iz
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+            if not near <= far:
+                continue
+            if count[node] == 0:
+                stack[waiting], stack[waiting + 1] = first[node], first[node] + 1
+                waiting += 2
+                continue
+            for t in range(first[node], first[node] + count[node]):
+                ax, ay, az = side_a[t, 0], side_a[t, 1], side_a[t, 2]
+                bx, by, bz = side_b[t, 0], side_b[t, 1], side_b[t, 2]
+                px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+                det = ax * px + ay * py + az * pz
+                if det == 0.0:
+                    continue
+                ox, oy, oz = x - corner[t, 0], y - corner[t, 1], z - corner[t, 2]
+                u = (ox * px + oy * py + oz * pz) / det
+                if u < 0.0 or u > 1.0:
+                    continue
+                qx, qy, qz = oy * az - oz * ay, oz * ax - ox * az, ox * ay - oy * ax
+                v = (dx * qx + dy * qy + dz * qz) / det
+                if v < 0.0 or u + v > 1.0:
+                    continue
+                s = (bx * qx + by * qy + bz * qz) / det
+                if 0.0 < s < most:
+                    out[n] = True
+                    break
+    return out

@@ -1,0 +1,134 @@
+"""Rays over the relief: whether ground of a raster's overview stands in their way.
+
+The ground is bilinear between the overview's cells. A ray is straight, and rises above the bent ground below it by d^2 / 2R over a
+distance d. It is followed from one row or column of cells to the next, where the ground has its edges, and over blocks of cells
+whose highest ground lies below it at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from terrain.compiled import compiled
+from terrain.elevation import Elevation
+from terrain.probes import Probes, Rays
+from terrain.world import EARTH_RADIUS_M, World
+
+BLOCK_CELLS = 16
+"""Side of the blocks of cells that are passed over at once."""
+
+NEAREST_CELLS = 1.0
+"""Ground nearer to a ray's start than this, in cells, is the ground that it starts from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Where probes lie on an overview: ``row``, ``col`` and ``height_m`` (n,); ``up`` (n, 3), and ``row_from_frame`` and
+    ``col_from_frame`` (n, 3), cells per metre in each direction of the probes' frame.
+    """
+
+    row: np.ndarray
+    col: np.ndarray
+    height_m: np.ndarray
+    up: np.ndarray
+    row_from_frame: np.ndarray
+    col_from_frame: np.ndarray
+
+
+@lru_cache(maxsize=8)
+def placed(world: World, elevation: Elevation, probes: Probes) -> Placed:
+    """Probes on the overview of a raster; rows and columns are not finite where its CRS does not reach. The last are kept."""
+    x, y, height = world.map_position(elevation.crs, probes.point_earth_m)
+    if elevation.crs.is_geographic:  # the way round the earth that is nearer
+        x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
+    factor = 2**elevation.overview.level
+    row, col = elevation.cell_of(x, y)
+    half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
+    point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
+    row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
+    to_frame = probes.frame.frame_from_earth.T
+    south, east = 2.0 * (point[1] - point[0]) @ to_frame, 2.0 * (point[2] - point[0]) @ to_frame
+    return Placed(row, col, height, up[0] @ to_frame, *_inverse(south, east))
+
+
+def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vectors (n, 3) whose products with a way give how far it goes along two others."""
+    ss, ee, se = (np.einsum("ij,ij->i", a, b)[:, None] for a, b in ((south, south), (east, east), (south, east)))
+    area = ss * ee - se * se
+    return (ee * south - se * east) / area, (ss * east - se * south) / area
+
+
+def over_relief(world: World, elevation: Elevation, at: Placed, probes: Probes, rays: Rays) -> np.ndarray:
+    """Which rays (1 + k, n) meet ground of the level before the light, bool; ``at`` is where their probes lie."""
+    heights, tops = _grid(elevation)
+    beside = rays.start_frame_m - probes.point_frame_m
+    along = rays.direction_frame
+
+    def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.einsum("kij,ij->ki", a, b)
+
+    rise = dot(along, at.up)
+    bend = 0.0 if world.flat else 1.0 / (2.0 * EARTH_RADIUS_M)
+    return _blocked(
+        heights, tops, BLOCK_CELLS, at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
+        at.height_m + dot(beside, at.up), dot(along, at.row_from_frame), dot(along, at.col_from_frame), rise,
+        bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+    """The overview's heights, lowest in holes, and the highest of each block of cells and the ring of cells round it."""
+    heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
+    side = BLOCK_CELLS
+    padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
+    rows, cols = (size // side for size in padded.shape)
+    return heights, np.ascontiguousarray(padded.reshape(rows, side, cols, side).max(axis=(1, 3)))
+
+
+@compiled
+def _blocked(heights, tops, side, row, col, height, d_row, d_col, rise, bend, length, nearest):  # type: ignore[no-untyped-def]
+    rows, cols = heights.shape
+    highest = tops.max()
+    out = np.zeros(row.shape, np.bool_)
+    for i in range(row.shape[0]):
+        for n in range(row.shape[1]):
+            fastest = max(abs(d_row[i, n]), abs(d_col[i, n]))
+            if not (fastest > 1e-12):  # straight up, or nowhere
+                continue
+            step = 1.0 / fastest
+            t = nearest * step
+            while t < length[i, n]:
+                r, c = row[i, n] + t * d_row[i, n], col[i, n] + t * d_col[i, n]
+                h = height[i, n] + t * (rise[i, n] + bend[i, n] * t)
+                if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1) or (h > highest and rise[i, n] >= 0.0):
+                    break
+                block_row, block_col = int(r) // side, int(c) // side
+                if rise[i, n] >= 0.0 and h > tops[block_row, block_col]:
+                    # To the far rim of the block; a rounding beyond it.
+                    over = 1e-6
+                    out_row = ((block_row + (d_row[i, n] > 0.0)) * side - r) / d_row[i, n] if d_row[i, n] != 0.0 else np.inf
+                    out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
+                    t += max(min(out_row, out_col), 0.0) + over * step
+                    continue
+                r0, c0 = min(int(r), max(rows - 2, 0)), min(int(c), max(cols - 2, 0))
+                r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, cols - 1)
+                fr, fc = r - r0, c - c0
+                ground = (heights[r0, c0] * (1.0 - fc) + heights[r0, c1] * fc) * (1.0 - fr)
+                ground += (heights[r1, c0] * (1.0 - fc) + heights[r1, c1] * fc) * fr
+                if ground > h:
+                    out[i, n] = True
+                    break
+                # To the next row or column of cells: bilinear ground has its edges there.
+                next_row = (np.floor(r) + 1.0 - r if d_row[i, n] > 0.0 else np.ceil(r) - 1.0 - r) / d_row[i, n]
+                next_col = (np.floor(c) + 1.0 - c if d_col[i, n] > 0.0 else np.ceil(c) - 1.0 - c) / d_col[i, n]
+                if d_row[i, n] == 0.0:
+                    next_row = np.inf
+                if d_col[i, n] == 0.0:
+                    next_col = np.inf
+                t += max(min(next_row, next_col), 1e-6 * step)
+    return out

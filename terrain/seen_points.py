@@ -1,0 +1,135 @@
+"""Scene and view -> probes: points that are seen, of the ground, of meshes and of trees, whatever the light."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.camera import PerspectiveView
+from terrain.effects.effect import Look
+from terrain.elevation import Elevation
+from terrain.leaf_rays import first_leaves
+from terrain.mesh_rays import past_meshes
+from terrain.population import Population
+from terrain.probes import Probes, Rays, evenly, quasirandom
+from terrain.resolve import FOREST, RELIEF
+from terrain.scene import Scene
+from terrain.stand import Stand
+from terrain.world import World
+
+MAP_SIDE = 48
+"""Probes of a map lie one in each of so many by so many parts of a level."""
+
+AMONG_LEAVES = 2048
+"""Pixels of a look, at most, in which leaves are looked for."""
+
+
+def points_in_map(scene: Scene, pixel_m: float, trees: Stand | None) -> Probes:
+    """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of the leaves above it; what lies
+    below a mesh is left out, and so is the mesh.
+    """
+    probes = _points_in_map(scene.population, trees)
+    return replace(probes, pixel_m=np.full(len(probes), pixel_m))
+
+
+def points_in_look(look: Look, view: PerspectiveView, trees: Stand | None) -> Probes:
+    """All points of a coarse look; where there are trees, those of at most ``AMONG_LEAVES`` pixels, or of leaves before them."""
+    return _points_in_look(look, view.pixel) if trees is None else _among_leaves(look, view.pixel, trees)
+
+
+@lru_cache(maxsize=4)
+def _points_in_look(look: Look, pixel: float) -> Probes:
+    there = look.buffer.there
+    return Probes(
+        frame=look.buffer.frame, point_frame_m=look.points_frame_m, normal_frame=look.buffer.normal_frame[there].astype(np.float64),
+        pixel_m=look.away_m * pixel, away_m=look.away_m, kind=look.buffer.kind[there], number=np.arange(len(look.away_m)),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
+    bare, coarse, there = _points_in_look(look, pixel), look.buffer.view, look.buffer.there.ravel()
+    some = evenly(there.size, AMONG_LEAVES)
+    count = len(some)
+    row, col = np.divmod(some, coarse.cols)
+    tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px  # type: ignore[union-attr]
+    _, camera_from_frame = coarse.in_frame(look.buffer.frame)  # type: ignore[union-attr]
+    way = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    point, length = (np.cumsum(there) - 1)[some], np.full(count, np.inf)
+    length[there[some]] = bare.away_m[point[there[some]]]
+    met, normal = first_leaves(trees, np.tile(look.eye_frame_m, (count, 1)), way, length)
+    leaf = np.isfinite(met)
+    leaves = Probes(
+        look.buffer.frame, look.eye_frame_m + met[leaf, None] * way[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
+        np.full(int(leaf.sum()), FOREST, np.uint8), some[leaf],
+    )  # fmt: skip
+    return _joined(bare.some(point[there[some] & ~leaf]), leaves)
+
+
+def _joined(bare: Probes, leaves: Probes) -> Probes:
+    """Both, numbered anew."""
+    names = ("point_frame_m", "normal_frame", "pixel_m", "away_m", "kind")
+    both = {name: np.concatenate([getattr(bare, name), getattr(leaves, name)]) for name in names}
+    return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
+
+
+@lru_cache(maxsize=4)
+def _points_in_map(population: Population, trees: Stand | None) -> Probes:
+    bare, tallest_m = ground_points(population.world, population.elevation), population.tallest_m
+    away = population.world.curvature * bare.point_frame_m[:, :2]
+    up = np.column_stack([away, np.ones(len(bare))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
+    if population.solids is not None:
+        upwards = Rays(bare.point_frame_m[None], up[None], np.full((1, len(bare)), np.inf))
+        open_above = np.flatnonzero(~past_meshes(population, bare, upwards)[0])
+        bare, up = bare.some(open_above), up[open_above]
+    if trees is None:
+        return bare
+    start = bare.point_frame_m + tallest_m * up
+    met, normal = first_leaves(trees, start, -up, np.full(len(bare), tallest_m))
+    leaf = np.isfinite(met)
+    there = bare.some(leaf)
+    above = replace(
+        there, point_frame_m=start[leaf] - met[leaf, None] * up[leaf], normal_frame=normal[leaf],
+        kind=np.full(len(there), FOREST, np.uint8),
+    )  # fmt: skip
+    return _joined(bare.some(~leaf), above)
+
+
+@lru_cache(maxsize=4)
+def ground_points(world: World, elevation: Elevation) -> Probes:
+    """Points of a level's bare ground, bilinear between the cells of its overview."""
+    heights, factor = elevation.overview.heights_m, 2**elevation.overview.level
+    chance = quasirandom(np.arange(MAP_SIDE**2)).reshape(MAP_SIDE, MAP_SIDE, 2)
+    part = np.stack(np.mgrid[:MAP_SIDE, :MAP_SIDE], axis=-1)
+    row, col = np.moveaxis((part + chance) / MAP_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)
+    row, col = (np.clip(v, 0.0, max(size - 1, 0)) for v, size in zip((row, col), heights.shape, strict=True))
+    frame = world.frame_near_earth(world.anchor_earth_m)
+
+    def at(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        point, up = world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
+        earth = point + bilinear(heights, row, col)[:, None] * up
+        return (earth - frame.origin_earth_m) @ frame.frame_from_earth.T
+
+    # Differences over a hundredth of a cell that never leave the cell, whose surface they are the slope of.
+    step_row, step_col = (np.where(v - np.floor(v) > 0.5, -0.01, 0.01) for v in (row, col))
+    point = at(row, col)
+    south, east = (at(row + step_row, col) - point) / step_row[:, None], (at(row, col + step_col) - point) / step_col[:, None]
+    normal = np.cross(east, -south)
+    normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0) / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    known = np.isfinite(normal).all(axis=1) & np.isfinite(point).all(axis=1)
+    none = np.zeros(int(known.sum()))
+    return Probes(frame, point[known], normal[known], none, none, np.full(len(none), RELIEF, np.uint8), np.arange(len(none)))
+
+
+def bilinear(heights: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Heights (n,) float64 between the cells (rows, cols) of a grid at (fractional) rows and columns (n,) inside of it."""
+    rows, cols = heights.shape
+    r0, c0 = np.minimum(row.astype(int), max(rows - 2, 0)), np.minimum(col.astype(int), max(cols - 2, 0))
+    r1, c1 = np.minimum(r0 + 1, rows - 1), np.minimum(c0 + 1, cols - 1)
+    fr, fc = row - r0, col - c0
+    north = heights[r0, c0] * (1.0 - fc) + heights[r0, c1] * fc
+    south = heights[r1, c0] * (1.0 - fc) + heights[r1, c1] * fc
+    return np.asarray(north * (1.0 - fr) + south * fr, np.float64)

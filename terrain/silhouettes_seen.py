@@ -1,0 +1,187 @@
+"""Silhouettes of the meshes under a light, as far as a choice needs to know: how many edges, how long they are in the picture,
+and how many sides of the shadow volumes behind them lie before what is seen.
+
+An edge is part of the silhouette if one of its triangles faces the light and the other does not, or if it is the rim of an open
+surface. A side is the strip from the edge away from the light without end (F. Crow 1977, "Shadow algorithms for computer
+graphics").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from terrain.assemble import Placement
+from terrain.compiled import compiled
+from terrain.population import Population
+
+MOST_SIDES = 4096
+"""Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""
+
+EYE_RAYS = 96
+"""Rays from the eye that are held against the sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Edges of triangles: ``ends`` int32 (e, 2), vertex numbers, and the triangles beside each, int32 (e, 2); -1 where there is
+    none. Of an edge with more than two triangles, two.
+    """
+
+    ends: np.ndarray
+    beside: np.ndarray
+
+
+def edges_of(vertex: np.ndarray, triangles: np.ndarray) -> Edges:
+    """The edges of triangles (m, 3), where ``vertex`` (m, 3) are the same triangles with one number for vertices in one place."""
+    start, end = vertex.ravel().astype(np.int64), np.roll(vertex, -1, axis=1).ravel().astype(np.int64)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    keys = low * (int(high.max(initial=0)) + 1) + high
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    many = np.diff(first, append=len(keys)) > 1
+    second = np.where(many, order[np.minimum(first + 1, len(keys) - 1)] // 3, -1)
+    one = order[first]
+    ends = np.stack([triangles.ravel()[one], np.roll(triangles, -1, axis=1).ravel()[one]], axis=1)
+    return Edges(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
+
+
+@lru_cache(maxsize=2)
+def _edges_of_bodies(placement: Placement) -> Edges:
+    """The edges of what casts, whatever the clock says: bodies share none."""
+    vertex, triangles, places, vertices = [], [], 0, 0
+    for placed in placement.casting:
+        merged = placed.body.merged_triangles
+        vertex.append(merged + np.int64(places))
+        triangles.append(placed.body.triangles + np.int64(vertices))
+        places += int(merged.max(initial=-1)) + 1
+        vertices += len(placed.body.vertices_m)
+    return edges_of(np.concatenate(vertex), np.concatenate(triangles))
+
+
+@lru_cache(maxsize=2)
+def _faces(population: Population) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (m, 3), as long as twice the area, and corners (m, 3) of the triangles that cast, earth-fixed."""
+    solids = population.solids
+    assert solids is not None
+    a, b, c = np.moveaxis(solids.caster_vertices_earth_m[solids.caster_triangles], 1, 0)
+    return np.cross(b - a, c - a), a
+
+
+def silhouette_of(population: Population, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
+    """Both ends (k, 2, 3) float64, earth-fixed metres, of the edges in the silhouette of a population's meshes under a light (3,):
+    a direction to it, or its place.
+    """
+    assert population.solids is not None and population.placement is not None
+    edges, (normal, corner) = _edges_of_bodies(population.placement), _faces(population)
+    chosen = _chosen(normal, corner, edges.beside, np.asarray(light_earth, np.float64), 1.0 if at_place else 0.0)
+    return population.solids.caster_vertices_earth_m[edges.ends[chosen]]
+
+
+@compiled
+def _chosen(normal, corner, beside, light, weight):  # type: ignore[no-untyped-def]
+    facing = np.empty(len(normal), np.bool_)
+    for t in range(len(normal)):
+        facing[t] = (
+            normal[t, 0] * (light[0] - weight * corner[t, 0]) + normal[t, 1] * (light[1] - weight * corner[t, 1])
+            + normal[t, 2] * (light[2] - weight * corner[t, 2])
+        ) > 0.0  # fmt: skip
+    out = np.empty(len(beside), np.int64)
+    count = 0
+    for e in range(len(beside)):
+        if beside[e, 1] < 0 or facing[beside[e, 0]] != facing[beside[e, 1]]:
+            out[count] = e
+            count += 1
+    return out[:count].copy()
+
+
+def length_px(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """How long edges (k, 2, 3) in a camera's axes are inside of a picture, a tangent; its own go from ``low`` to ``high`` (2,)."""
+    return float(_length(ends_camera, low, high))
+
+
+@compiled
+def _length(ends, low, high):  # type: ignore[no-untyped-def]
+    """Edges are cut at the pyramid's sides (M. Cyrus, J. Beck 1978), and then seen in perspective."""
+    total = 0.0
+    for e in range(len(ends)):
+        first, last = 0.0, 1.0
+        for plane in range(4):
+            k, bound, side = plane // 2, low[plane // 2] if plane % 2 == 0 else high[plane // 2], 1.0 if plane % 2 == 0 else -1.0
+            a = side * (ends[e, 0, k] - bound * ends[e, 0, 2])
+            b = side * (ends[e, 1, k] - bound * ends[e, 1, 2])
+            if a < 0.0 and b < 0.0:
+                first = 2.0
+            elif a < 0.0:
+                first = max(first, a / (a - b))
+            elif b < 0.0:
+                last = min(last, a / (a - b))
+        if first >= last:
+            continue
+        at = np.empty((2, 2))
+        ahead = True
+        for i in range(2):
+            s = first if i == 0 else last
+            z = ends[e, 0, 2] + s * (ends[e, 1, 2] - ends[e, 0, 2])
+            ahead = ahead and z > 0.0
+            for k in range(2):
+                at[i, k] = (ends[e, 0, k] + s * (ends[e, 1, k] - ends[e, 0, k])) / z
+        if ahead:
+            total += np.hypot(at[1, 0] - at[0, 0], at[1, 1] - at[0, 1])
+    return total
+
+
+def layers_before(
+    ends_earth_m: np.ndarray, light_earth: np.ndarray, at_place: bool, start_earth_m: np.ndarray, way_m: np.ndarray
+) -> float:
+    """How many sides of shadow volumes, from edges (k, 2, 3) away from a light, lie across ways (n, 3) from starts (n, 3), in the
+    mean.
+    """
+    if not len(ends_earth_m) or not len(way_m):
+        return 0.0
+    count = min(len(ends_earth_m), MOST_SIDES)
+    some = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
+    near = start_earth_m[0]  # counted from here, the numbers are small
+    light = light_earth - near if at_place else light_earth
+    return _passed(some - near, start_earth_m - near, way_m, light, float(at_place)) / len(way_m) * len(ends_earth_m) / count
+
+
+@compiled
+def _passed(ends, start, way, light, weight):  # type: ignore[no-untyped-def]
+    """How often rays pass strips from edges away from a light: from its ends a, b they go along a - l and b - l, or -l."""
+    passed = 0
+    for e in range(len(ends)):
+        a0, a1, a2 = ends[e, 0, 0], ends[e, 0, 1], ends[e, 0, 2]
+        b0, b1, b2 = ends[e, 1, 0] - a0, ends[e, 1, 1] - a1, ends[e, 1, 2] - a2
+        # The strip lies in the plane of the edge and the light.
+        u0, u1, u2 = weight * a0 - light[0], weight * a1 - light[1], weight * a2 - light[2]
+        v0, v1, v2 = u0 + weight * b0, u1 + weight * b1, u2 + weight * b2
+        n0, n1, n2 = b1 * u2 - b2 * u1, b2 * u0 - b0 * u2, b0 * u1 - b1 * u0
+        # Normals in the plane that point into the strip from its edge and from its two sides.
+        e0, e1, e2 = n1 * b2 - n2 * b1, n2 * b0 - n0 * b2, n0 * b1 - n1 * b0
+        if e0 * u0 + e1 * u1 + e2 * u2 < 0.0:
+            e0, e1, e2 = -e0, -e1, -e2
+        f0, f1, f2 = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+        if f0 * b0 + f1 * b1 + f2 * b2 < 0.0:
+            f0, f1, f2 = -f0, -f1, -f2
+        g0, g1, g2 = n1 * v2 - n2 * v1, n2 * v0 - n0 * v2, n0 * v1 - n1 * v0
+        if g0 * b0 + g1 * b1 + g2 * b2 > 0.0:
+            g0, g1, g2 = -g0, -g1, -g2
+        for i in range(len(start)):
+            towards = n0 * way[i, 0] + n1 * way[i, 1] + n2 * way[i, 2]
+            x, y, z = start[i, 0] - a0, start[i, 1] - a1, start[i, 2] - a2
+            s = -(n0 * x + n1 * y + n2 * z)
+            if towards < 0.0:
+                towards, s = -towards, -s
+            if not (0.0 < s < towards):
+                continue
+            s /= towards
+            x, y, z = x + s * way[i, 0], y + s * way[i, 1], z + s * way[i, 2]
+            if (
+                e0 * x + e1 * y + e2 * z > 0.0 and f0 * x + f1 * y + f2 * z > 0.0
+                and g0 * (x - b0) + g1 * (y - b1) + g2 * (z - b2) > 0.0
+            ):  # fmt: skip
+                passed += 1
+    return passed

@@ -1,0 +1,250 @@
+"""Plans over HTTP: of views and tiles, and of descriptors that clients send."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+
+import httpx
+import pytest
+
+from api.calibrated import digest_of
+from api.jobs import Tiles
+from api.render_worker import Desk, TilePlans, block_view, tiles_view
+from api.settings import Settings
+from selector.device_profile import DeviceProfile
+from selector.select import plan_of_view
+from shadows.plan import Plan
+from terrain.descriptor import Descriptor
+from terrain.level import load_level
+from terrain.scene import build_scene
+from tests.api import fake_workers
+from tests.api.conftest import ZOOM, Client
+from tests.api.test_problems import check_problem
+
+PLAN, FACTS = "/levels/hills/plan", "/levels/hills/descriptor"
+
+
+def profile(**changes) -> DeviceProfile:
+    fields = {
+        "renderer": fake_workers.RENDERER, "version": "1", "cpus": 2, "engine": "0", "measured": datetime(2026, 1, 1, tzinfo=UTC),
+        "took_s": 1.0, "rates_ns": {"map": {"texels": 1.0}},
+    }  # fmt: skip
+    return DeviceProfile(**{**fields, **changes})
+
+
+@pytest.fixture(scope="module")
+def facts(client: Client) -> dict:
+    return client.get(FACTS).json()
+
+
+@pytest.mark.parametrize(
+    ("seen", "asked"),
+    [
+        ({}, {}),
+        ({"view": "map"}, {"policy": "rules", "max_error": "0.01", "max_ms": "12.5"}),
+        ({"azimuth": "90", "altitude": "35"}, {"algorithm": "shadow_map", "map_size": "512", "depth_bits": "32", "filter": "5"}),
+        ({"zoom": str(ZOOM)}, {"algorithm": "relief=hybrid", "cascades": "2", "mask": "original"}),
+        ({"azimuth": "0", "altitude": "-20"}, {}),
+    ],
+)
+def test_the_plan_of_a_view_is_the_plan_of_its_facts(client: Client, seen: dict, asked: dict):
+    of_view = client.get(PLAN, params={**seen, **asked})
+    described = client.get(FACTS, params=seen)
+    assert of_view.status_code == described.status_code == 200, (of_view.text, described.text)
+    of_facts = client.post("/plan", params=asked, content=described.content, headers={"Content-Type": "application/json"})
+    assert of_facts.status_code == 200, of_facts.text
+    assert of_facts.json() == of_view.json()
+    Plan.model_validate_json(of_facts.content)
+    Descriptor.model_validate_json(described.content)
+
+
+def test_what_is_asked_is_in_the_plan(client: Client, facts: dict):
+    plan = client.post("/plan", params={"max_error": 0.01, "max_ms": 7, "algorithm": "hybrid"}, json=facts).json()
+    assert (plan["target"]["max_error"], plan["target"]["max_ms"], plan["algorithm"]) == (0.01, 7, {"sun": {"relief": "hybrid"}})
+    assert "asked for by the request" in plan["reasons"][0]["reason"]
+
+
+def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
+    for plan in (client.get(PLAN).json(), client.post("/plan", json=facts).json()):
+        assert plan["policy"] == "rules" and any("not calibrated" in one["reason"] for one in plan["reasons"])
+    by_rules = client.get(PLAN, params={"policy": "rules"}).json()
+    assert not any("not calibrated" in one["reason"] for one in by_rules["reasons"])
+
+
+@pytest.mark.parametrize(
+    ("query", "parameter", "said"),
+    [
+        ("policy=measure", "policy", "at design time"),
+        ("policy=guess", "policy", "rules, predict"),
+        ("max_error=0", "max_error", "greater than 0"),
+        ("max_error=1.5", "max_error", "less than or equal to 1"),
+        ("max_error=nan", "max_error", "number"),
+        ("max_ms=0", "max_ms", "greater than 0"),
+        ("max_ms=inf", "max_ms", "finite"),
+        ("cascades=5", "cascades", "4"),
+        ("map_size=63", "map_size", "64"),
+        ("algorithm=truth", "algorithm", "shadow_map"),
+        ("algorithm=moon%3Dhybrid", "algorithm", "moon"),
+        ("fit=tight", "fit", "the parameters"),
+        ("max_ms=1&max_ms=2", "max_ms", "more than once"),
+    ],
+)
+def test_wrong_parameters(client: Client, facts: dict, query: str, parameter: str, said: str):
+    for answer in (client.get(f"{PLAN}?{query}"), client.post(f"/plan?{query}", json=facts)):
+        problem = check_problem(answer, 422, "invalid_parameter", parameter)
+        assert said in problem["detail"] or said in str(problem)
+
+
+@pytest.mark.parametrize("query", ["time=2024-06-21T12:00:00Z", "azimuth=1", "view=map", "zoom=3"])
+def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, query: str):
+    check_problem(client.post(f"/plan?{query}", json=facts), 422, "invalid_parameter", query.split("=")[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "parameter"),
+    [
+        ({"pixel_m": -1}, "pixel_m"),
+        ({"pixel_m": "wide"}, "pixel_m"),
+        ({"relief_m": None}, "relief_m"),
+        ({"casters": ["clouds"]}, "casters.0"),
+        ({"sun_altitude_deg": 91}, "sun_altitude_deg"),
+        ({"view_kind": "fisheye"}, "view_kind"),
+        ({"weather": {"cloud_cover": 2}}, "weather.cloud_cover"),
+        ({"level": "hills"}, "level"),
+    ],
+)
+def test_impossible_facts_are_refused_by_name(client: Client, facts: dict, changes: dict, parameter: str):
+    problem = check_problem(client.post("/plan", json={**facts, **changes}), 422, "invalid_parameter", parameter)
+    assert parameter in problem["detail"] and "allowed: " in problem["detail"]
+
+
+@pytest.mark.parametrize(
+    ("body", "parameter"),
+    [(b"", "body"), (b"[]", "body"), (b"{", "body"), (b"3", "body"), (b'{"view": NaN}', "view"), (b"{}", "view")],
+)
+def test_bodies_that_are_no_descriptor(client: Client, body: bytes, parameter: str):
+    answer = client.post("/plan", content=body, headers={"Content-Type": "application/json"})
+    check_problem(answer, 422, "invalid_parameter", parameter)
+
+
+def test_a_missing_fact_is_named(client: Client, facts: dict):
+    check_problem(
+        client.post("/plan", json={key: facts[key] for key in facts if key != "node_m"}), 422, "invalid_parameter", "node_m"
+    )
+
+
+def test_a_body_that_is_too_large(client: Client):
+    limit = Settings().max_body_bytes
+    check_problem(client.post("/plan", content=b" " * (limit + 1)), 413, "too_large", "body")
+
+    def parts():
+        for _ in range(limit // 2**16 + 2):
+            yield b" " * 2**16
+
+    answer = client.post("/plan", content=parts())
+    assert answer.status_code == 413 and answer.headers["content-type"] == "application/problem+json"
+    assert "SKUGGA_MAX_BODY_BYTES" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "code", "parameter"),
+    [
+        ("zoom=99", 404, "not_found", "zoom"),
+        (f"zoom={ZOOM}&tms=Nowhere", 404, "not_found", "tms"),
+        (f"zoom={ZOOM}&view=map", 422, "invalid_parameter", "view"),
+        ("tms=WebMercatorQuad", 422, "invalid_parameter", "zoom"),
+        ("view=ridge", 422, "invalid_parameter", "view"),
+    ],
+)
+def test_views_and_zooms_that_are_not_there(client: Client, query: str, status: int, code: str, parameter: str):
+    for address in (PLAN, FACTS):
+        check_problem(client.get(f"{address}?{query}"), status, code, parameter)
+
+
+def test_pages_of_other_origins_may_send_a_descriptor(client: Client):
+    asked = {
+        "Origin": "https://map.example",
+        "Access-Control-Request-Method": "POST",
+        "Access-Control-Request-Headers": "content-type",
+    }
+    answer = client.options("/plan", headers=asked)
+    assert answer.status_code == 200 and "POST" in answer.headers["access-control-allow-methods"]
+
+
+def test_documentation(client: Client):
+    document = client.get("/openapi.json").json()
+    schemas, paths = document["components"]["schemas"], document["paths"]
+
+    def answer_of(path: str, method: str) -> str:
+        return paths[path][method]["responses"]["200"]["content"]["application/json"]["schema"]["$ref"].split("/")[-1]
+
+    assert answer_of("/levels/{level}/plan", "get") == answer_of("/plan", "post")
+    assert set(Plan.model_fields) == set(schemas[answer_of("/plan", "post")]["properties"])
+    assert set(Descriptor.model_fields) <= set(schemas[answer_of("/levels/{level}/descriptor", "get")]["properties"])
+    body = paths["/plan"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    assert "Descriptor" in json.dumps(body)
+    names = {each["name"] for each in paths["/plan"]["post"]["parameters"]}
+    assert {"policy", "max_error", "max_ms", "algorithm", "map_size", "cascades", "depth_bits", "filter"} <= names
+    assert not names & {"time", "azimuth", "altitude", "view"}
+
+
+def calibrated(pipe, config) -> None:
+    """An obedient worker whose device has a calibration."""
+    from api.jobs import Ready
+
+    class Pipe:
+        def __getattr__(self, name):
+            return getattr(pipe, name)
+
+        def send(self, answer) -> None:
+            pipe.send(Ready(answer.renderer, profile()) if isinstance(answer, Ready) else answer)
+
+    fake_workers.obedient(Pipe(), config)
+
+
+def tag(client: Client) -> str:
+    client.post("/plan", content=b"{}")
+    while not client.service.pool.ready:
+        client.get("/readyz")
+    answer: httpx.Response = client.get("/levels/hills/snapshot.png", headers={"If-None-Match": "*"})
+    assert answer.status_code == 304
+    return answer.headers["etag"]
+
+
+def test_pictures_of_another_calibration_have_other_tags(serve_with):
+    plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
+    assert tag(plain) != tag(other)
+    assert other.service.pool.calibration == digest_of(profile()) != digest_of(profile(took_s=2.0))
+    assert plain.service.pool.calibration == ""
+
+
+def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
+    from api.jobs import BlockJob, LevelKey
+    from api.render_worker import _plan_of_tiles
+
+    scene = build_scene(load_level(hills_level))
+    jobs = [
+        BlockJob(level=LevelKey(path=hills_level, version="1"), matrix_set="WebMercatorQuad", zoom=ZOOM, block_x=x, block_y=357)
+        for x in (535, 536)
+    ]
+    plans = [plan_of_view(scene, block_view(job), policy="rules") for job in jobs]
+    assert plans[0] == plans[1]
+    desk = Desk("a renderer")
+    made = [_plan_of_tiles(job, scene, desk) for job in jobs]
+    assert made[0] is made[1]
+    assert made[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
+    tiles = tiles_view(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
+    assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
+    other = _plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, desk)
+    assert other is not made[0]
+
+
+def test_plans_that_were_not_used_for_long_are_forgotten():
+    kept, made = TilePlans(limit=2), []
+
+    def plan_of(key: int) -> str:
+        return kept.get(key, lambda: made.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]
+
+    assert [plan_of(key) for key in (1, 2, 1, 3, 1, 2)] == [f"plan {key}" for key in (1, 2, 1, 3, 1, 2)]
+    assert made == [1, 2, 3, 2]

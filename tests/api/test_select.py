@@ -1,0 +1,208 @@
+"""``skugga select``: plans in words and as JSON, and choices pinned into level files."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from api import cli
+from api.catalogue import bundled_levels
+from api.selection import expectation, in_words, overshoot
+from scripts.write_schemas import DOCS, MODELS, schema_text
+from selector.device_profile import DeviceProfile, Residual, load_profile, profile_path
+from shadows.plan import Plan, Predicted, Target
+from terrain.descriptor import Descriptor
+from terrain.level import load_level
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """``run("select", ...)`` gives exit status, standard output and standard error."""
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def level(tmp_path: Path) -> Path:
+    """A level file that may be written."""
+    return Path(shutil.copy("configs/jacksboro.yaml", tmp_path / "mine.yaml"))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_published_schemas_are_those_of_the_models(model):
+    text = (DOCS / model).read_text(encoding="utf-8")
+    assert text == schema_text(MODELS[model]), "python scripts/write_schemas.py writes them anew"
+
+
+def test_json_is_a_plan_by_the_published_schema(gl, run):
+    status, out, err = run("select", "jacksboro", "--policy", "rules", "--json")
+    plan = Plan.model_validate_json(out)
+    assert (status, err) == (0, "") and plan.policy == "rules" and plan.predicted is None
+    assert set(json.loads(out)) == set(json.loads((DOCS / "plan.schema.json").read_text())["properties"])
+
+
+def test_an_uncalibrated_device_falls_back_to_the_rules_and_says_so(gl, run):
+    status, out, _ = run("select", "jacksboro")
+    assert status == 0 and "not calibrated" in out and "chosen by the rules" in " ".join(out.split())
+
+
+@pytest.mark.parametrize("path", bundled_levels(), ids=lambda path: path.stem)
+def test_each_bundled_level_has_a_plan_in_words(gl, run, path):
+    name = next(iter(load_level(path).level.views), "map")
+    status, out, err = run("select", path.stem, "--view", name, "--policy", "rules")
+    assert (status, err) == (0, "")
+    assert all(len(line) <= 100 for line in out.splitlines())
+    body = " ".join(out.split())
+    assert f"View {name}, " in body and "Effects left out" in body and "Algorithms not taken" in body
+    assert "_" not in re.sub(r"\S+/\S+", "", body), "names are read aloud"
+    paragraphs = [part for part in out.split("\n\n") if part]
+    assert all(part.rstrip().endswith(".") for part in paragraphs)
+
+
+def test_every_reason_of_a_plan_is_told_once(gl, run):
+    _, out, _ = run("select", "thesis_room", "--view", "main", "--policy", "rules", "--json")
+    plan = Plan.model_validate_json(out)
+    told = " ".join(in_words(plan, "A plan.").split())
+    for one in (*plan.reasons, *plan.effects, *plan.left_out):
+        assert one.reason.lower() in told.lower(), one
+
+
+def test_options_change_the_plan_and_are_named_in_it(gl, run):
+    arguments = ("--policy", "rules", "--algorithm", "shadow_map", "--map-size", "777", "--depth-bits", "32", "--max-error", "0.01")
+    _, out, _ = run("select", "jacksboro", *arguments, "--max-ms", "40", "--azimuth", "90", "--altitude", "20", "--json")
+    plan = json.loads(out)
+    assert plan["algorithm"] == {"sun": {"relief": "shadow_map"}} and plan["target"] == {
+        "max_error": 0.01, "max_ms": 40.0, "met": None,
+    }  # fmt: skip
+    assert plan["settings"]["sun"]["relief"]["map_size"] == 777
+    reasons = {one["name"]: one["reason"] for one in plan["reasons"]}
+    assert reasons["sun/relief: shadow_map"] == reasons["map_size 777"] == "asked for by the request"
+    _, out, _ = run("select", "jacksboro", "--policy", "rules", "--azimuth", "90", "--altitude", "-20")
+    assert "20 degrees below the horizon in the east" in " ".join(out.split()) and "Relief casts nothing" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--policy", "guess"), ("--policy", "guess", "rules, predict, measure")),
+        (("--view", "ridge"), ("view", "ridge", "map")),
+        (("--max-error", "0"), ("max_error", "greater than 0")),
+        (("--max-error", "2"), ("max_error", "2.0", "less than or equal to 1")),
+        (("--max-ms", "-3"), ("max_ms", "-3.0", "greater than 0")),
+        (("--max-ms", "soon"), ("--max-ms", "number")),
+        (("--cascades", "5"), ("cascades", "5")),
+        (("--algorithm", "magic"), ("--algorithm", "magic", "sweep")),
+        (("--algorithm", "planar"), ("algorithm", "planar", "not flat")),
+        (("--algorithm", "perspective_shadow_map"), ("algorithm", "no perspective")),
+        (("--altitude", "10"), ("azimuth",)),
+        (("--size", "0x5"), ("--size", "0x5")),
+        (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "casts a shadow")),
+        (("--descriptor", "no/such/folder.json"), ("no/such/folder.json",)),
+    ],
+)
+def test_wrong_input_is_one_line(run, level, arguments, words):
+    before = level.read_bytes()
+    status, out, err = run("select", str(level), "--policy", "rules", *arguments)
+    assert status in (1, 2) and out == "" and err.count("\n") == 1 and "Traceback" not in err
+    for word in words:
+        assert word in err, err
+    assert level.read_bytes() == before
+
+
+def test_a_pinned_choice_is_what_is_then_taken(gl, run, level):
+    before = level.read_text(encoding="utf-8")
+    status, _, err = run("select", str(level), "--policy", "rules", "--write")
+    text = level.read_text(encoding="utf-8")
+    assert status == 0 and str(level) in err and text.startswith(before) and "by the rules" in text and "View map" in text
+    _, out, _ = run("select", str(level), "--policy", "rules", "--json")
+    plan = Plan.model_validate_json(out)
+    assert plan.reasons[0].reason == "asked for by the level"
+    stats = level.parent / "stats.json"
+    run("render", str(level), "--size", "60x60", "-o", str(level.parent / "x.png"), "--stats", str(stats))
+    drawn = json.loads(stats.read_text())["plan"]
+    assert drawn["algorithm"] == plan.model_dump(mode="json")["algorithm"]
+    assert drawn["reasons"][0]["reason"] == "asked for by the level"
+
+
+def test_a_second_choice_is_made_as_if_there_had_been_no_first(gl, run, level):
+    run("select", str(level), "--policy", "rules", "--algorithm", "hybrid", "--map-size", "300", "--write")
+    assert load_level(level).level.shadows.algorithm == {"relief": "hybrid"} and load_level(level).level.shadows.map_size == 300
+    run("select", str(level), "--policy", "rules", "--write")
+    text, shadows = level.read_text(encoding="utf-8"), load_level(level).level.shadows
+    assert shadows.algorithm != {"relief": "hybrid"} and shadows.map_size == "auto"
+    assert text.count("Pinned by") == 1 and "hybrid" not in text
+
+
+def test_what_another_view_could_not_be_drawn_with_is_not_pinned(gl, run, tmp_path):
+    path = Path(shutil.copy("configs/thesis_street_sun.yaml", tmp_path / "street.yaml"))
+    before = path.read_bytes()
+    arguments = ("--view", "main", "--policy", "rules", "--algorithm", "perspective_shadow_map", "--write")
+    status, _, err = run("select", str(path), *arguments)
+    assert status == 2 and err.count("\n") == 1 and "view map" in err and "no perspective" in err
+    assert path.read_bytes() == before
+
+
+def test_the_descriptor_is_written_as_it_is_read(gl, run, tmp_path):
+    path = tmp_path / "facts.json"
+    status, _, _ = run("select", "jacksboro", "--policy", "rules", "--descriptor", str(path))
+    described = Descriptor.model_validate_json(path.read_text(encoding="utf-8"))
+    assert status == 0 and described.view == "map" and described.casters == ("relief",)
+
+
+def made(predicted: Predicted | None, **target) -> Plan:
+    return Plan(
+        view="map", policy="predict", algorithm={}, settings={}, effects=[], left_out=[], rejected=[], passes=[],
+        predicted=predicted, target=Target(**{"max_error": 0.03, **target}), reasons=[],
+    )  # fmt: skip
+
+
+def test_the_target_is_told_met_or_missed_and_by_how_much():
+    assert "not predicted" in expectation(made(None)) and "at most 3 %" in expectation(made(None))
+    figures = Predicted(ms=55.0, wrong=0.01, wrong_cast=0.05)
+    met = expectation(made(figures, max_error=0.06, max_ms=60, met=True))
+    assert "55 ms" in met and "5.0 %" in met and "meets the target" in met and "within 60 ms" in met
+    missed = made(figures, max_ms=40, met=False)
+    assert overshoot(missed) == "2.0 % of the cast shadow and 15 ms"
+    assert "misses the target" in expectation(missed) and overshoot(missed) in expectation(missed)
+    assert overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
+
+
+def profile(**changes) -> DeviceProfile:
+    fields = {
+        "renderer": "a device", "version": "4.6", "cpus": 2, "engine": "0", "measured": datetime(2026, 1, 1, tzinfo=UTC),
+        "took_s": 84.0, "rates_ns": {"depth_map": {"texels": 1.5}},
+    }  # fmt: skip
+    return DeviceProfile(**{**fields, **changes})
+
+
+def test_calibrate_measures_keeps_and_says_so(run, monkeypatch):
+    fits = {"shadow_map": Residual(rows=9, median=0.05, p90=0.2)}
+    measured = profile(rates_ns={"depth_map": {"texels": 1.5, "triangles": 20.0}}, residuals=fits)
+    monkeypatch.setattr("selector.calibration.calibrate", lambda on_step: on_step(1, 2) or measured)
+    status, out, err = run("calibrate")
+    path = profile_path("a device", "4.6")
+    assert (status, err) == (0, "") and load_profile("a device", "4.6") == measured
+    said = " ".join(out.split())
+    assert "a device" in said and "84 s" in said and "2 rates" in said and "5.0 %" in said and str(path) in said
+    assert run("calibrate", "--json")[1] == measured.model_dump_json(indent=2) + "\n"
+
+
+def test_calibrate_without_a_place_to_keep_it_is_one_line(run, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr("selector.calibration.calibrate", lambda on_step: profile())
+    status, out, err = run("calibrate")
+    assert status == 1 and out == "" and err.count("\n") == 1 and "file" in err

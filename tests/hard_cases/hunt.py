@@ -1,0 +1,60 @@
+"""New situations for case X1, drawn on purpose: the tests draw the same ones every time.
+
+``python -m tests.hard_cases.hunt [ALGORITHM ...] [--examples N] [--seed S]`` prints each situation over its bound as a line
+that may be put into ``FOUND`` of ``tests.hard_cases.test_properties``, and what it was over by. It exits with 1 if there was any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+
+from tests.hard_cases.cases import Trial
+from tests.hard_cases.test_properties import ALGORITHMS, SITUATIONS, Situation, outcome, within_bounds
+
+
+def hunt(algorithm: str, examples: int, first: int) -> int:
+    """How many situations over their bounds an algorithm has among those of a seed; each is printed as it is found."""
+    found = 0
+    with TemporaryDirectory() as folder:
+        trial = Trial(algorithm, False, Path(folder))
+
+        # Generated only: nothing is shrunk, and none ends the hunt.
+        @seed(first)
+        @settings(
+            max_examples=examples, database=None, deadline=None, derandomize=False, phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )  # fmt: skip
+        @given(SITUATIONS)
+        def look(it: Situation) -> None:
+            nonlocal found
+            try:
+                figures: object = outcome(trial, it)
+                sound = within_bounds(figures)
+            except Exception as error:  # whatever it is, it is a find
+                figures, sound = repr(error), False
+            if not sound:
+                found += 1
+                print(f'    "": {it},  # {algorithm}: {figures}', flush=True)
+
+        look()
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="hunt", description="draw new situations, and print those over their bounds")
+    parser.add_argument("algorithms", nargs="*", choices=[*ALGORITHMS, []], help="all of them unless named")
+    parser.add_argument("--examples", type=int, default=300, help="for each algorithm (300)")
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(2**32), help="drawn unless given")
+    asked = parser.parse_args()
+    print(f"seed {asked.seed}", flush=True)
+    return int(any([hunt(algorithm, asked.examples, asked.seed) for algorithm in asked.algorithms or ALGORITHMS]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,259 @@
+"""The rules policy: a thesis's advice as data, on descriptors written by hand; each rule alone, their order, and their scenes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector.advice import NO_RULE, advised
+from selector.advice_rules import (
+    BEHIND_DEG,
+    CLOSED_SHARE,
+    COMPLEX_LAYERS,
+    FEW_TRIANGLES,
+    LEAST_GAIN,
+    LITTLE_SEEN,
+    MAPS_ERROR,
+    NEAR_PX,
+    RULES,
+    SHARP_PX,
+    SMALL_SHADOW,
+    SWEPT_M,
+    USUAL_TEXELS,
+    Case,
+)
+from selector.picks import Asked
+from selector.rules import choose
+from selector.serves import serves
+from terrain.descriptor import Descriptor, describe
+from terrain.facts import CasterFacts, LightFacts
+from terrain.level import Shadows, load_level
+from terrain.scene import build_scene
+
+TEXEL_M = 0.5
+"""Of the usual map over what a hand-written view shows."""
+
+PIXEL = 0.001
+"""A pixel's tangent there: at 500 m a texel covers one pixel."""
+
+LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
+
+
+def band(near_m: float, far_m: float, share: float = 0.5) -> dict[str, Any]:
+    return {"near_m": near_m, "far_m": far_m, "share": share, "low_light_m": (-1.0, -1.0, -1.0), "high_light_m": (1.0, 1.0, 1.0)}
+
+
+def sun_over(*casters: str, **keys: Any) -> Descriptor:
+    """A perspective view of a flat world under the sun, by hand: from 16 m to 1 km, of which nothing more is known."""
+    given = {
+        "view": "by hand", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": PIXEL, "node_m": 1.0,
+        "casters": casters, "relief_m": 50.0 if "relief" in casters else 0.0, "block_relief_m": 50.0,
+        "sun_azimuth_deg": 200.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0,
+        "receivers_light_m": (TEXEL_M * USUAL_TEXELS, 300.0, 500.0), "bands": [band(16.0, 32.0), band(512.0, 1024.0)],
+    }  # fmt: skip
+    return Descriptor.model_validate(given | keys)
+
+
+def map_over(*casters: str, **keys: Any) -> Descriptor:
+    return sun_over(*casters, view_kind="map", pixel=None, bands=[], **keys)
+
+
+def light(**facts: Any) -> dict[str, LightFacts]:
+    return {"sun": LightFacts(**facts)}
+
+
+def stand(kind: str = "meshes", triangles: int = 50_000, **facts: Any) -> CasterFacts:
+    return CasterFacts(kind=kind, triangles=triangles, **facts)
+
+
+def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
+    """A light whose nearest edge is where a texel covers so many pixels."""
+    return light(nearest_edge_m=TEXEL_M / PIXEL / texel_px, **facts)
+
+
+def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked: Any) -> str:
+    return advised(descriptor, Shadows(**asked))[of].algorithm[kind]
+
+
+def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
+    """The name of the first rule that applies and can be served."""
+    case = Case(descriptor, of, kind, Shadows())
+    names = (rule.name for rule in RULES if serves(rule.takes, descriptor, of, kind) and rule.applies(case))
+    return next(names, None)
+
+
+def test_a_descriptor_of_which_little_is_known_breaks_nothing():
+    """A rule whose facts are not known does not apply: what is left is a map."""
+    for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
+        pick = advised(descriptor, Shadows())["sun"]
+        assert pick.algorithm == {"meshes": "shadow_map"} and pick.why == {"meshes": NO_RULE}
+    round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
+    assert rule_of(round_earth, "relief") is None
+    assert advised(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None), Shadows())
+
+
+@pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
+def test_a_heightfield_is_swept_and_what_stands_on_it_is_not(descriptor):
+    assert rule_of(descriptor, "relief") == "a heightfield is swept" and taken(descriptor, "relief") == "sweep"
+    assert taken(descriptor, "meshes") == "shadow_map"
+
+
+def test_lamps_are_not_swept():
+    assert taken(sun_over("relief", lamps=[LAMP]), "relief", "lamp") == "shadow_map"
+
+
+def test_ground_is_swept_as_far_as_rays_are_straight():
+    """A block of 1024 pixels and the way of its longest shadow, 50 m / tan 30 degrees and a trifle less on a round earth."""
+    fits = (SWEPT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
+    for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
+        assert taken(map_over("relief", flat_world=False, pixel_m=pixel_m), "relief") == algorithm
+    assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
+    # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
+    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / SWEPT_M**2
+    for share, algorithm in ((1.001 * seen, "sweep"), (0.999 * seen, "perspective_shadow_map")):
+        assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
+
+
+def test_perfect_shadows_take_volumes_but_for_leaves():
+    """Ground is swept all the same, which has no texels either."""
+    descriptor = sun_over("relief", "meshes", "forest")
+    strict = advised(descriptor, Shadows(max_error=0.9 * MAPS_ERROR))["sun"]
+    assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
+    assert advised(descriptor, Shadows(max_error=MAPS_ERROR))["sun"].algorithm["meshes"] == "shadow_map"
+
+
+@pytest.mark.parametrize(
+    ("asked", "relief", "meshes"),
+    [
+        ({}, "sweep", "shadow_volume"), ({"filter": 1}, "sweep", "shadow_volume"), ({"filter": "sun"}, "sweep", "shadow_map"),
+        ({"filter": 5}, "shadow_map", "shadow_map"), ({"map_size": 512}, "shadow_map", "shadow_map"),
+        ({"bias": "polygon_offset"}, "shadow_map", "shadow_map"), ({"stencil": "two_pass"}, "sweep", "shadow_volume"),
+    ],
+)  # fmt: skip
+def test_who_asks_for_a_map_s_settings_gets_a_map(asked, relief, meshes):
+    descriptor = sun_over("relief", "meshes", stands=[stand(triangles=12, closed_share=1.0)])
+    assert taken(descriptor, "relief", **asked) == relief and taken(descriptor, "meshes", **asked) == meshes
+
+
+def test_leaves_go_by_a_map_and_all_else_with_them():
+    few = {"stands": [stand(triangles=12, closed_share=1.0)]}
+    assert rule_of(sun_over("meshes", **few)) == "few polygons"
+    assert rule_of(sun_over("meshes", "forest", **few)) == rule_of(sun_over("meshes", "forest"), "forest") == "leaves go by a map"
+
+
+def test_few_polygons_of_closed_meshes_take_volumes():
+    for triangles, closed, algorithm in (
+        (FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (FEW_TRIANGLES + 1, 1.0, "shadow_map"),
+        (FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
+    ):  # fmt: skip
+        descriptor = sun_over("meshes", stands=[stand(triangles=triangles, closed_share=closed)])
+        assert taken(descriptor) == algorithm
+    few = [stand(triangles=400, closed_share=1.0)]
+    assert taken(map_over("meshes", stands=few)) == "shadow_volume"
+    assert taken(map_over("meshes", stands=few, bend_px=5.0)) == "shadow_map"  # which no camera could see
+
+
+def test_a_narrow_lamp_takes_a_map():
+    """A texel's width where the lamp is aimed, by arithmetic: 2 x 40 m x tan(cutoff) / 1024, of pixels of 0.05 m."""
+    seen = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
+    sharp_deg = float(np.degrees(np.arctan(SHARP_PX * 0.05 * USUAL_TEXELS / 80.0)))
+    for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
+        descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **seen)
+        assert rule_of(descriptor, of="lamp") == name
+    assert rule_of(sun_over("meshes", pixel_m=0.05)) is None  # the sun is no lamp
+
+
+def test_a_small_shadowed_area_takes_a_map():
+    for share, name in ((SMALL_SHADOW, "small shadowed area"), (1.01 * SMALL_SHADOW, "complex shadows from near")):
+        lights = near_by(2 * NEAR_PX, volume_layers=2 * COMPLEX_LAYERS, casts={"meshes": {"share": share}})
+        assert rule_of(sun_over("meshes", lights=lights)) == name
+
+
+def test_a_light_behind_the_camera_takes_a_map():
+    for to_view_deg, name in ((BEHIND_DEG, "light near the camera"), (BEHIND_DEG - 1.0, "complex shadows from near")):
+        lights = near_by(2 * NEAR_PX, volume_layers=2 * COMPLEX_LAYERS, to_view_deg=to_view_deg)
+        assert rule_of(sun_over("meshes", lights=lights)) == name
+
+
+def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
+    for texel_px, layers, name in (
+        (1.01 * NEAR_PX, COMPLEX_LAYERS, "complex shadows from near"), (1.01 * NEAR_PX, 0.9 * COMPLEX_LAYERS, None),
+        (0.99 * NEAR_PX, COMPLEX_LAYERS, "far from every edge"), (0.99 * NEAR_PX, 0.0, "far from every edge"),
+    ):  # fmt: skip
+        assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
+
+
+def test_little_seen_of_much_takes_a_perspective_map():
+    for share, far_m, name in (
+        (LITTLE_SEEN, 1024.0, "little is seen of much"), (1.01 * LITTLE_SEEN, 1024.0, None),
+        (LITTLE_SEEN, 16.0 * LEAST_GAIN, "little is seen of much"), (LITTLE_SEEN, 15.0 * LEAST_GAIN, None),
+    ):  # fmt: skip
+        bands = [band(16.0, 32.0), band(32.0, far_m)]
+        assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * NEAR_PX, area_share=share))) == name
+
+
+FACTS = st.builds(
+    LightFacts,
+    to_view_deg=st.none() | st.floats(0, 180), cast_share=st.floats(0, 1), area_share=st.floats(0, 1),
+    nearest_edge_m=st.none() | st.floats(0, 1e5), volume_layers=st.floats(0, 1e3), silhouette_edges=st.integers(0, 10**6),
+    casts=st.dictionaries(st.sampled_from(["relief", "meshes"]), st.fixed_dictionaries({"share": st.floats(0, 1)})),
+)  # fmt: skip
+
+
+@given(
+    facts=FACTS, of_lamp=FACTS, is_map=st.booleans(), flat=st.booleans(), forest=st.booleans(), bend_px=st.floats(0, 2),
+    triangles=st.integers(0, 10**7), closed=st.floats(0, 1), max_error=st.floats(1e-6, 1), omni=st.booleans(),
+)  # fmt: skip
+def test_what_is_advised_is_always_served_and_always_has_a_reason(
+    facts, of_lamp, is_map, flat, forest, bend_px, triangles, closed, max_error, omni
+):
+    casters = ("relief", "meshes", *(("forest",) if forest else ()))
+    lamp = LAMP | ({"kind": "omni", "cutoff_deg": 180.0} if omni else {})
+    descriptor = (map_over if is_map else sun_over)(
+        *casters, flat_world=flat, bend_px=bend_px, lamps=[lamp], lights={"sun": facts, "lamp": of_lamp},
+        stands=[stand(triangles=triangles, closed_share=closed)],
+    )  # fmt: skip
+    asked = Shadows(max_error=max_error)
+    picks = advised(descriptor, asked)
+    assert list(picks) == ["sun", "lamp"]
+    for of, pick in picks.items():
+        assert set(pick.algorithm) == set(pick.why) == set(casters)
+        for kind, name in pick.algorithm.items():
+            assert serves(name, descriptor, of, kind) and pick.why[kind]
+            assert not (is_map and name == "perspective_shadow_map")
+            assert not (kind == "forest" and name in ("shadow_volume", "hybrid", "sweep"))
+    plan = choose(descriptor, Asked(asked, ("sun", "lamp")))
+    assert all(item.reason for item in (*plan.reasons, *plan.rejected)) and plan.policy == "rules"
+
+
+def test_every_rule_has_a_name_and_a_source_of_its_own_and_serves_what_it_takes():
+    assert len({rule.name for rule in RULES}) == len(RULES) and all(rule.source for rule in RULES)
+    assert {rule.takes for rule in RULES} == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"}
+
+
+def test_the_page_of_the_algorithms_lists_the_rules_in_their_order():
+    text = Path("docs/algorithms.md").read_text(encoding="utf-8")
+    table = text[text.index("## Left to the rules") : text.index("## `shadow_map`")]
+    assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.takes) for rule in RULES]
+
+
+SCENES = {
+    ("thesis_street", "main"): "shadow_volume", ("thesis_street_sun", "close"): "shadow_volume",
+    ("thesis_boxgrid_sun", "main"): "hybrid", ("thesis_boxgrid_sun", "overview"): "shadow_map",
+    ("thesis_boxgrid_sun", "map"): "shadow_map", ("thesis_rocks_sun", "main"): "perspective_shadow_map",
+}  # fmt: skip
+"""What the advice takes for the meshes of a thesis's scenes: Street by volumes, the box grid by the hybrid, as it says (8.2)."""
+
+
+@pytest.mark.parametrize(("level", "view"), SCENES)
+def test_the_thesis_s_own_scenes_are_advised_as_it_says(gl, level, view):
+    scene = build_scene(load_level(f"configs/{level}.yaml"))
+    of = "sun" if level.endswith("_sun") else "lamp"
+    plan = choose(describe(scene, scene.view(view), view), scene.loaded.level)
+    assert plan.algorithm[of] == {"relief": "none", "meshes": SCENES[level, view]}

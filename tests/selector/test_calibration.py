@@ -1,0 +1,134 @@
+"""Profiles of devices: what is measured, what is fitted to it, and what a file may hold."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector import calibration
+from selector.calibration import calibrate, fitted_rates
+from selector.calibration_scenes import described, stages
+from selector.cost_model import part_ms
+from selector.device_profile import DeviceProfile, load_profile, profile_path, save_profile, why_none
+
+RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def profile() -> DeviceProfile:
+    return DeviceProfile(
+        renderer=RENDERER, version=VERSION, cpus=2, engine="0.1", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=60.0,
+        rates_ns={"planar": {"blocks": 1e6, "pixels": 12.5}}, residuals={"planar": {"rows": 4, "median": 0.05, "p90": 0.1}},
+    )  # fmt: skip
+
+
+@given(st.lists(st.floats(0.5, 500.0), min_size=3, max_size=3), st.integers(0, 99))
+def test_rates_that_made_the_times_are_found_again(rates, seed):
+    names = ("blocks", "pixels", "texels")
+    counts = np.random.default_rng(seed).uniform(1.0, 1e5, (12, 3))
+    truth = dict(zip(names, rates, strict=True))
+    rows = [(dict(zip(names, its, strict=True)), "planar", part_ms(truth, dict(zip(names, its, strict=True)))) for its in counts]
+    assert fitted_rates(rows)["planar"] == pytest.approx(truth, rel=1e-6)
+
+
+def test_rates_are_never_negative_and_go_by_relative_errors():
+    rows = [({"blocks": 1.0, "pixels": 10.0 * n}, "planar", ms) for n, ms in ((1, 5.0), (10, 4.0), (100, 3.0))]
+    rates = fitted_rates(rows)["planar"]
+    assert rates["pixels"] == 0.0
+    # the constant c least off in sum of (c/ms - 1)^2 is sum(1/ms) / sum(1/ms^2)
+    inverse = np.array([1 / 5.0, 1 / 4.0, 1 / 3.0])
+    assert rates["blocks"] * 1e-6 == pytest.approx(inverse.sum() / (inverse**2).sum())
+
+
+def test_a_profile_is_found_by_its_device_and_driver_alone(profile):
+    assert load_profile(RENDERER, VERSION) is None and "not calibrated" in why_none(RENDERER, VERSION)
+    path = save_profile(profile)
+    assert path == profile_path(RENDERER, VERSION) and path.name.startswith("llvmpipe-llvm-15-0-6-256-bits-")
+    assert load_profile(RENDERER, VERSION) == profile and why_none(RENDERER, VERSION) is None
+    assert load_profile(RENDERER, "4.5 Mesa 23") is None and load_profile("another", VERSION) is None
+    assert [each.name for each in path.parent.iterdir()] == [path.name]  # nothing half written is left
+
+
+def test_a_profile_is_written_whole_or_not_at_all(profile, monkeypatch):
+    path = save_profile(profile)
+    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        save_profile(profile.model_copy(update={"took_s": 1.0}))
+    assert [each.name for each in path.parent.iterdir()] == [path.name] and load_profile(RENDERER, VERSION) == profile
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"rates_ns": {"planar": {"pixels": -1.0}}}, "rates_ns.planar.pixels"),
+        ({"rates_ns": {"planar": {"pixels": float("nan")}}}, "rates_ns.planar.pixels"),
+        ({"rates_ns": {"planar": {"pixels": float("inf")}}}, "rates_ns.planar.pixels"),
+        ({"rates_ns": {"planar": {"pixels": None}}}, "rates_ns.planar.pixels"),
+        ({"rates_ns": {"planar": {}}}, "rates_ns.planar"),
+        ({"rates_ns": {}}, "rates_ns"),
+        ({"rates_ns": None}, "rates_ns"),
+        ({"cpus": 0}, "cpus"),
+        ({"more": 1}, "more"),
+        ({"schema_version": 99}, "another version"),
+        ({"renderer": "another"}, "another device"),
+    ],
+)
+def test_a_profile_that_cannot_be_counts_as_none_for_a_reason(profile, change, why):
+    path = save_profile(profile)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change), encoding="utf-8")
+    assert load_profile(RENDERER, VERSION) is None
+    reason = why_none(RENDERER, VERSION)
+    assert why in reason and str(path) in reason and "skugga calibrate" in reason and "\n" not in reason
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema_version": 1}'])
+def test_a_broken_file_counts_as_none(profile, text):
+    save_profile(profile).write_bytes(text)
+    assert load_profile(RENDERER, VERSION) is None and "skugga calibrate" in why_none(RENDERER, VERSION)
+
+
+def test_a_folder_in_the_files_place_counts_as_none():
+    profile_path(RENDERER, VERSION).mkdir(parents=True)
+    assert load_profile(RENDERER, VERSION) is None and "cannot be read" in why_none(RENDERER, VERSION)
+    profile_path(RENDERER, VERSION).rmdir()
+
+
+def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
+    """One small stage: the profile is the device's, and its rates explain the times of every algorithm that ran."""
+
+    def smallest(folder):
+        yield replace(next(each for each in stages(folder) if each.name == "few_balls_small"), grid="few")
+
+    monkeypatch.setattr(calibration, "stages", smallest)
+    monkeypatch.setattr(calibration, "TURNS", 2)
+    steps = []
+    found = calibrate(lambda done, total: steps.append((done, total)))
+    assert [done for done, _ in steps] == list(range(1, steps[-1][1] + 1)) and len({total for _, total in steps}) == 1
+    assert (found.renderer, found.version) == (gl.renderer, gl.version)
+    assert {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar"} <= found.residuals.keys()
+    assert found.residuals["shadow_map"].rows >= 2
+    assert found.rates_ns["shadow_map, perspective"]["look-ups, filter 3"] >= 0.0
+    assert load_profile(found.renderer, found.version) is None  # to keep it is for the caller
+    save_profile(found)
+    assert load_profile(found.renderer, found.version) == found
+
+
+def test_the_made_scenes_show_every_kind_of_work(tmp_path):
+    names, views, lights, kinds = zip(
+        *((name, view, light, kinds) for name, _, view, _, light, kinds, _ in described(tmp_path)), strict=True
+    )
+    assert len(set(names)) == len(names)
+    assert set(views) == {"main", "map"} and set(lights) == {"sun", "lamp"}
+    assert {kind for each in kinds for kind in each} == {"relief", "meshes", "forest"}

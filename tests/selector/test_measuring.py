@@ -1,0 +1,163 @@
+"""The policy ``measure``: thinned views are parts of the full ones, and who wins on them is who meets the target."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from selector import measuring, trials
+from selector.against_truth import truth_of_view
+from selector.measuring import Measured, Wanted, measured_plan, measured_rows, timed_at_full_size, winners
+from selector.picks import Pick
+from selector.thinned import thin_truth, thinned
+from selector.trials import Candidate, Trial, part_of
+from selector.winning import Figures
+from shadows.metrics import errors_of
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.grid import BLOCK_PX
+from terrain.level import SunSpec, load_level
+from terrain.picture import geometry_of
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of
+
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}
+PLAIN = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
+    "sun": {"azimuth": 200, "altitude": 35}, "views": {"eye": EYE, "map": {"kind": "map", "size": [160, 160]}},
+}  # fmt: skip
+
+
+def scene_of(folder, **keys) -> Scene:
+    path = folder / "figure.yaml"
+    path.write_text(json.dumps(PLAIN | keys), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    return scene_of(tmp_path_factory.mktemp("measuring"))
+
+
+@pytest.mark.parametrize("name", ["eye", "map"])
+def test_a_thinned_view_shows_pixels_of_the_full_one(gl, scene, name):
+    view = scene.view(name)
+    full, few = geometry_of(scene, view), geometry_of(scene, thinned(view, 3))
+    same = full.there[::3, ::3] == few.there
+    assert same.mean() > 0.999
+    apart_m = np.linalg.norm(full.position_frame_m[::3, ::3] - few.position_frame_m, axis=-1)
+    assert np.nanquantile(apart_m, 0.99) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["eye", "map"])
+def test_with_every_pixel_errors_are_those_of_the_metrics(gl, scene, name):
+    view = scene.view(name)
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=64, filter=1)
+    visibility = render_frame(scene, view, plan).visibility
+    pixel_m = describe(scene, view, name).pixel_m
+    thin = thin_truth(scene, view, "sun", 1)
+    found = thin.errors(visibility, plan.steps, pixel_m)
+    plain = errors_of(visibility, thin.truth, pixel_m, 0.0)
+    assert (found.wrong, found.wrong_cast) == (plain.wrong, plain.wrong_cast)
+    assert 0.0 < found.wrong_cast < 1.0 and found.interior <= plain.interior
+
+
+def test_every_third_pixel_tells_the_error_of_all(gl, scene):
+    """But for chance. Pixels three times as wide have less than half of it: their truth does not tell what lies near edges."""
+    view = scene.view("eye").finer(4)
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=256, filter=1, cascades=1)
+    found = {}
+    for every in (1, 3):
+        thin = thin_truth(scene, view, "sun", every)
+        found[every] = thin.errors(render_frame(scene, thin.buffer.view, plan).visibility, plan.steps, 1.0)
+    assert found[1].wrong_cast > 0.01 and found[1].spread == 0.0 < found[3].spread < 0.2 * found[1].wrong_cast
+    assert abs(found[3].wrong_cast - found[1].wrong_cast) < 3.0 * found[3].spread
+    wide = thinned(view, 3)
+    naive = errors_of(render_frame(scene, wide, plan).visibility, truth_of_view(scene, wide, "sun").whole, 1.0)
+    assert naive.wrong_cast < 0.6 * found[1].wrong_cast
+
+
+def test_the_plan_is_the_cheapest_that_keeps_to_the_error(gl, scene):
+    view = scene.view("eye")
+    rows = measured_rows(scene, view, "eye")
+    plan = measured_plan(scene, view, "eye", {"max_error": 0.1})
+    assert plan.policy == "measure" and plan.target.met and plan.predicted.wrong_cast <= 0.1
+    (reason,) = (one.reason for one in plan.reasons if one.name == "sun/meshes: " + plan.algorithm["sun"]["meshes"])
+    assert reason.startswith("measured: ") and "the cheapest that keeps to 10 %" in reason
+    assert rows["sun"].not_tried == () and len(rows["sun"].trials) > 10
+    assert render_frame(scene, view, plan).passes  # it can be drawn
+    tight = winners(rows, Wanted(1e-4))["sun"]
+    loose = winners(rows, Wanted(0.5))["sun"]
+    assert tight.met and loose.met and loose.winner.ms <= tight.winner.ms * 1.05
+
+
+def test_a_target_out_of_reach_gets_the_nearest_plan_and_is_told(gl, scene):
+    plan = measured_plan(scene, scene.view("eye"), "eye", {"max_error": 1e-6, "max_ms": 1e-3})
+    assert plan.target.met is False
+    (missed,) = (one.reason for one in plan.reasons if one.name == "target missed")
+    assert missed.startswith("sun: ") and "more than 0.001" in missed
+
+
+def test_what_is_asked_for_is_kept(gl, scene):
+    plan = measured_plan(scene, scene.view("eye"), "eye", {"algorithm": "shadow_map", "map_size": 128, "max_error": 0.5})
+    settings = plan.settings["sun"]["meshes"]
+    assert plan.headline.endswith("shadow_map") and settings.map_size == 128
+    assert "asked for by the request" in plan.reasons[0].reason or "asked for" in " ".join(one.reason for one in plan.reasons)
+
+
+def test_night_needs_no_measurement(gl, scene, monkeypatch):
+    monkeypatch.setattr(measuring, "probe_of", None)
+    night = scene.with_sun(SunSpec(azimuth=200, altitude=-20))
+    plan = measured_plan(night, night.view("eye"), "eye")
+    assert plan.headline == "none" and plan.target.met and plan.predicted.ms == 0.0
+
+
+def test_larger_maps_are_not_run_where_smaller_ones_decide(gl, scene, monkeypatch):
+    monkeypatch.setattr(trials, "PIXELS", 2000)
+    view = scene.view("eye")
+    seen = []
+    rows = measured_rows(scene, view, "eye", wanted=Wanted(0.9), on_step=lambda done, total: seen.append((done, total)))["sun"]
+    assert rows.pixels < view.rows * view.cols / 4
+    tried = {trial.figures.name for trial in rows.trials}
+    assert "shadow_map 512 x1" in tried and "shadow_map 4096 x1" in rows.not_tried
+    assert seen[-1] == (len(tried) + len(rows.not_tried), len(tried) + len(rows.not_tried))
+    assert not any(trial.timed for trial in rows.trials)
+    timed = timed_at_full_size(scene, view, {"sun": rows}, Wanted(0.9))
+    winner = winners(timed, Wanted(0.9))["sun"].winner
+    (trial,) = (one for one in timed["sun"].trials if one.figures == winner)
+    assert trial.timed and winner.ms == pytest.approx(np.median(trial.times_ms))
+
+
+def rows_of(*figures: Figures) -> Measured:
+    return Measured("wrong_cast", tuple(Trial(Candidate("sun", Pick(one.name, {}), None), one, 0.0) for one in figures))
+
+
+def test_lights_share_the_time():
+    sun = rows_of(Figures("quick", 2.0, 0.2, 0.0), Figures("right", 8.0, 0.01, 0.0))
+    lamp = rows_of(Figures("fast", 1.0, 0.2, 0.0), Figures("fine", 6.0, 0.01, 0.0))
+
+    def names(max_ms: float | None) -> list[str]:
+        return [verdict.winner.name for verdict in winners({"sun": sun, "lamp": lamp}, Wanted(0.05, max_ms)).values()]
+
+    assert names(None) == names(14.0) == ["right", "fine"]
+    assert names(10.0) == ["right", "fast"]
+    assert names(8.5) == ["quick", "fine"]
+    assert names(3.0) == ["quick", "fast"]
+
+
+def test_an_error_that_is_clear_of_the_target_goes_before_one_by_chance():
+    rows = rows_of(Figures("near", 1.0, 0.0299, 0.0), Figures("clear", 2.0, 0.02, 0.0))
+    unsure = replace(rows, trials=tuple(replace(trial, spread=0.001) for trial in rows.trials))
+    assert winners({"sun": rows}, Wanted(0.03))["sun"].winner.name == "near"
+    assert winners({"sun": unsure}, Wanted(0.03))["sun"].winner.name == "clear"
+    assert winners({"sun": replace(unsure, trials=unsure.trials[:1])}, Wanted(0.03))["sun"].met
+
+
+def test_of_a_large_map_the_block_in_the_middle_is_measured(scene):
+    view = scene.view("map", size=(3000, 900))
+    part = part_of(view)
+    assert (part.rows, part.cols) == (900, BLOCK_PX) and part.centre == pytest.approx(view.centre, abs=0.1)
+    assert part_of(scene.view("eye")).rows == 128

@@ -1,0 +1,191 @@
+"""Choices pinned into level files: all else stays byte for byte, and what is pinned is what is then drawn with."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from selector.picks import Asked, Pick
+from selector.pin import MARK, pin, pinned, pinned_text, pins
+from selector.rules import choose
+from terrain.descriptor import describe
+from terrain.errors import InputError, LevelError
+from terrain.level import load_level, override
+from terrain.level_parts import SunSpec
+from terrain.scene import build_scene
+
+WHY = ["Pinned by skugga select on 2026-11-22: view map.", "sun/relief: sweep, for it is exact."]
+CHOSEN = {"algorithm": {"relief": "sweep", "forest": "shadow_map"}, "map_size": 2048}
+
+HEAD = "version: 1\ntitle: 'Hänge  am  Öst'   # ö\nterrain: {source: jacksboro}\n"
+FILES = {
+    "no shadows": HEAD,
+    "no final newline": HEAD.removesuffix("\n"),
+    "flow style": f"{HEAD}shadows: {{map_size: auto}}   # said\n# tail\n",
+    "flow style over lines": f"{HEAD}shadows:\n  {{map_size: 64,   # small\n   filter: 1}}\nwater: {{level: 3}}\n",
+    "empty": f"{HEAD}shadows: {{}}\nseconds: 2",
+    "block style": f"{HEAD}shadows:\n  # coarse\n  map_size: auto    # keep\n  # after\n\nweather: {{snow: false}}\n",
+    "deeper": f"{HEAD}shadows:\n      algorithm:\n        relief: sweep  # was\n      # in\n      filter: 3\nsun: none\n",
+    "anchors": f"{HEAD}shadows: {{max_error: &e 0.02}}\nweather: {{cloud_cover: *e}}\n",
+    "an alias within": f"{HEAD}shadows: {{algorithm: {{relief: &a sweep, meshes: *a}}, map_size: 512}}\n",
+    "an alias for a setting": f"{HEAD}water: {{level: &n 512}}\nshadows:\n  map_size: *n   # as the water\n",
+    "line ends of another system": f"{HEAD}shadows:\n  map_size: 512  # x\nsun: none\n".replace("\n", "\r\n"),
+    "byte order mark": f"\ufeff{HEAD}",
+    "a document's marks": f"%YAML 1.2\n---\n{HEAD}...\n",
+    "JSON": '{"version": 1, "title": "ö", "terrain": {"source": "jacksboro"}}',
+    "JSON with shadows": '{\n  "version": 1,\n  "shadows": {"map_size": "auto"},\n  "terrain": {"source": "jacksboro"}\n}\n',
+    "a lamp": f"{HEAD}lights: {{lamp: {{kind: omni, position: [0, 0, 9]}}}}\nshadows: {{algorithm: {{lamp: hybrid}}}}\n",
+}
+
+
+def load(text: str) -> dict:
+    return YAML(typ="safe", pure=True).load(text)
+
+
+def lines_gone(before: str, after: str) -> list[str]:
+    return [line[2:] for line in difflib.ndiff(before.splitlines(), after.splitlines()) if line.startswith("- ")]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_is_chosen_is_there_and_all_else_as_it_was(name):
+    before = FILES[name]
+    after = pinned_text(before, CHOSEN, WHY)
+    assert after is not None
+    old, new = load(before), load(after)
+    assert new["shadows"] == {**old.get("shadows", {}), **CHOSEN}
+    assert {**new, "shadows": None} == {**old, "shadows": None}
+    touched = ("shadows", "algorithm", "map_size", "relief", "filter")
+    assert all(any(word in line for word in touched) for line in lines_gone(before, after) if "JSON" not in name)
+    assert after.count(MARK) == 1 and "sweep, for it is exact" in after
+    assert ("\r\n" in before) == ("\r\n" in after) and "\n" not in after.replace("\r\n", "") if "\r\n" in before else True
+    for comment in ("# ö", "# said", "# tail", "# small", "# coarse", "# keep", "# after", "# in\n", "# as the water"):
+        assert (comment in before) == (comment in after)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_next_pin_takes_the_place_of_the_last(name):
+    once = pinned_text(FILES[name], CHOSEN, WHY)
+    assert once is not None and pinned_text(once, CHOSEN, WHY) == once
+    other = pinned_text(once, {"algorithm": {"relief": "hybrid"}}, [WHY[0], "For another reason."])
+    assert other is not None and other.count(MARK) == 1 and "sweep, for it is exact" not in other
+    assert load(other)["shadows"] == {**load(once)["shadows"], "algorithm": {"relief": "hybrid"}, "map_size": "auto"}
+    back = pinned_text(other, CHOSEN, WHY)
+    assert back == once
+
+
+def test_of_the_file_nothing_else_changes_at_all():
+    before = FILES["block style"]
+    after = pinned_text(before, {"algorithm": {"relief": "sweep"}, "map_size": 1024}, ["Pinned by skugga select."])
+    assert after == (
+        f"{HEAD}#: Pinned by skugga select.\n#: Pinned keys: algorithm, map_size.\nshadows:\n  # coarse\n"
+        "  map_size: 1024    # keep\n  algorithm: {relief: sweep}\n  # after\n\nweather: {snow: false}\n"
+    )
+
+
+@given(
+    keys=st.dictionaries(
+        st.sampled_from(["map_size", "depth_bits", "filter", "max_error", "fit"]),
+        st.sampled_from(["auto", "auto   # as it comes", "'auto'", '"auto" # ö']),
+    ),
+    indent=st.integers(1, 6),
+    head=st.sampled_from(["", "# über allem\n\n", "---\n"]),
+    tail=st.sampled_from(["", "\n", "\n\n# the end", "\nviews:\n- not one\n", "\nseconds: 1 # s\n"]),
+    line_end=st.sampled_from(["\n", "\r\n"]),
+    chosen=st.fixed_dictionaries(
+        {"algorithm": st.sampled_from([{"relief": "sweep"}, {"sun": {"meshes": "hybrid"}, "no": {"meshes": "planar"}}])},
+        optional={"map_size": st.integers(64, 8192), "filter": st.sampled_from([1, "sun"]), "cascades": st.integers(1, 4)},
+    ),
+)
+def test_any_block_of_settings(keys, indent, head, tail, line_end, chosen):
+    shadows = "".join(f"\n{' ' * indent}{key}: {value}" for key, value in keys.items()) or " {}"
+    before = f"{head}version: 1 # v\nshadows:{shadows}{tail}".replace("\n", line_end)
+    after = pinned_text(before, chosen, WHY)
+    assert after is not None
+    assert load(after) == {**load(before), "shadows": {**(load(before)["shadows"] or {}), **chosen}}
+    gone = [line for line in lines_gone(before, after) if not line.startswith("shadows:")]
+    assert all(line.split(":")[0].strip() in chosen for line in gone)
+    assert pinned_text(after, chosen, WHY) == after
+
+
+def test_what_cannot_be_written_without_changing_more_is_refused(tmp_path):
+    path = tmp_path / "level.yaml"
+    text = f"{HEAD}shadows: {{algorithm: &name sweep}}\nsun: none\nattribution: *name\n"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(LevelError, match="by hand") as error:
+        pin(path, CHOSEN, WHY)
+    assert "\n" not in str(error.value) and path.read_text(encoding="utf-8") == text
+
+
+def test_a_read_only_file_is_one_error_and_nothing_is_lost(tmp_path):
+    path = tmp_path / "level.yaml"
+    path.write_text(HEAD, encoding="utf-8")
+    path.chmod(0o444)
+    with pytest.raises(LevelError, match="read-only"):
+        pin(path, CHOSEN, WHY)
+    assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
+
+
+def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    path = tmp_path / "level.yaml"
+    path.write_text(HEAD, encoding="utf-8")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("selector.pin.os.replace", full)
+    with pytest.raises(LevelError, match="No space left"):
+        pin(path, CHOSEN, WHY)
+    assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
+
+
+def test_permissions_and_links_are_kept(tmp_path):
+    path, link = tmp_path / "level.yaml", tmp_path / "link.yaml"
+    path.write_bytes(HEAD.replace("\n", "\r\n").encode())
+    path.chmod(0o640)
+    link.symlink_to(path)
+    pin(link, CHOSEN, WHY)
+    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
+    assert path.read_bytes().startswith(HEAD.replace("\n", "\r\n").encode())
+    assert pinned(link) == ("algorithm", "map_size")
+
+
+def test_words_that_would_break_a_comment_do_not():
+    after = pinned_text(HEAD, CHOSEN, [f"{WHY[0]} view a\nb: \x07\u2028 {{c}}", "word " * 60])
+    assert after is not None and load(after)["shadows"] == CHOSEN
+    assert all(len(line) <= 130 for line in after.splitlines())
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(load_level(Path("configs/jacksboro.yaml")))
+
+
+def test_of_a_plan_of_the_rules_the_algorithms_are_pinned_alone(scene):
+    facts, level = describe(scene, scene.view()), scene.loaded.level
+    plan = choose(facts, level)
+    chosen = pins(plan, facts, level)
+    assert chosen == {"algorithm": plan.algorithm["sun"]}
+
+
+def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
+    facts, level = describe(scene, scene.view()), scene.loaded.level
+    pick = Pick("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
+    plan = choose(facts, level, picks={"sun": pick})
+    chosen = pins(plan, facts, level)
+    assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
+    again = choose(facts, Asked(override(level.shadows, chosen), level.light_names, level.effects))
+    assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
+    assert "asked for by the level" in again.reasons[0].reason
+
+
+def test_at_night_there_is_nothing_to_pin(scene):
+    night = scene.with_sun(SunSpec(azimuth=0, altitude=-20))
+    facts, level = describe(night, night.view()), night.loaded.level
+    with pytest.raises(InputError, match="casts a shadow"):
+        pins(choose(facts, level), facts, level)

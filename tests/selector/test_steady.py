@@ -1,0 +1,218 @@
+"""Plans along camera paths: kept while they serve, left at once where they cannot, and switched so that nobody sees it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector.rules import choose
+from selector.steady import (
+    GAIN,
+    LONGEST,
+    MOST_CHANGED,
+    PATIENCE,
+    Director,
+    Plans,
+    casting,
+    frames_of_switch,
+    handed_over,
+    picks_of,
+)  # fmt: skip
+from shadows.plan import Plan, Predicted
+from shadows.render import render_frame
+from terrain.descriptor import Descriptor, describe
+from terrain.level import Level, SunSpec, load_level
+from terrain.scene import Scene, build_scene
+
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}
+PLAIN = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
+    "sun": {"azimuth": 200, "altitude": 35}, "views": {"eye": EYE},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    path = tmp_path_factory.mktemp("steady") / "figure.yaml"
+    path.write_text(json.dumps(PLAIN), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.fixture(scope="module")
+def descriptor(scene) -> Descriptor:
+    return describe(scene, scene.view("eye"), "eye")
+
+
+@pytest.fixture(scope="module")
+def level(scene) -> Level:
+    return scene.loaded.level
+
+
+class Table:
+    """A policy that goes by a table: milliseconds and error by algorithm, which a test changes as the camera moves."""
+
+    def __init__(self, **rows: tuple[float, float]) -> None:
+        self.rows = rows
+
+    def __call__(self, descriptor: Descriptor, wishes: Level, overrides: dict | None) -> Plan:
+        asked = (overrides or {}).get("algorithm")
+        right = [name for name, (_, error) in self.rows.items() if error <= 0.03] or list(self.rows)
+        name = asked["sun"]["meshes"] if asked else min(right, key=lambda name: self.rows[name])
+        plan = choose(descriptor, wishes, {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}})
+        ms, error = self.rows.get(name, (1.0, 0.0))
+        target = plan.target.model_copy(update={"met": error <= 0.03})
+        predicted = Predicted(ms=ms, wrong=error / 10.0, wrong_cast=error)
+        return plan.model_copy(update={"policy": "predict", "predicted": predicted, "target": target})
+
+
+def algorithms(plans: list[Plan]) -> list[str]:
+    return [plan.algorithm["sun"]["meshes"] for plan in plans]
+
+
+def switches(names: list[str]) -> int:
+    return sum(one != other for one, other in zip(names, names[1:], strict=False))
+
+
+def test_what_is_a_little_quicker_is_not_taken(descriptor, level):
+    table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
+    director = Director(plans=table)
+    names = algorithms([director.plan(descriptor, level)])
+    table.rows["shadow_volume"] = (10.0 * (1.0 - GAIN) + 0.1, 0.01)
+    names += algorithms([director.plan(descriptor, level) for _ in range(3 * PATIENCE)])
+    assert set(names) == {"shadow_map"} and director.handover is None
+
+
+def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descriptor, level):
+    table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
+    director = Director(plans=table)
+    director.plan(descriptor, level)
+    table.rows["shadow_volume"] = (7.0, 0.01)
+    names = algorithms([director.plan(descriptor, level) for _ in range(PATIENCE + 3)])
+    assert names == ["shadow_map"] * (PATIENCE - 1) + ["shadow_volume"] * 4
+
+
+def test_a_camera_at_a_border_does_not_flip(descriptor, level):
+    """Two algorithms in turns the quicker one by a third, plan for plan; and by a tenth, for many plans."""
+    table = Table(shadow_map=(10.0, 0.01), shadow_volume=(10.0, 0.01))
+    director, names = Director(plans=table), []
+    for number in range(8 * PATIENCE):
+        table.rows["shadow_volume"] = (15.0 if number % 2 else 6.6, 0.01)
+        names += algorithms([director.plan(descriptor, level)])
+    assert switches(names) == 0
+    director, names = Director(plans=table), []
+    for number in range(8 * PATIENCE):
+        table.rows["shadow_volume"] = (11.0 if number // (2 * PATIENCE) % 2 else 9.0, 0.01)
+        names += algorithms([director.plan(descriptor, level)])
+    assert switches(names) == 0
+
+
+def test_a_badly_missed_target_does_not_wait(descriptor, level):
+    table = Table(shadow_map=(10.0, 0.02), shadow_volume=(20.0, 0.0))
+    director = Director(plans=table)
+    director.plan(descriptor, level)
+    table.rows["shadow_map"] = (10.0, 0.032)  # by less than a tenth: nothing is done
+    assert algorithms([director.plan(descriptor, level) for _ in range(2 * PATIENCE)]) == ["shadow_map"] * (2 * PATIENCE)
+    table.rows["shadow_map"] = (10.0, 0.09)
+    assert algorithms([director.plan(descriptor, level)]) == ["shadow_volume"]
+
+
+def test_what_is_asked_for_is_taken_at_once(descriptor, level):
+    director = Director("rules")
+    first = director.plan(descriptor, level)
+    other = "shadow_volume" if algorithms([first]) != ["shadow_volume"] else "hybrid"
+    asked = director.plan(descriptor, level, {"algorithm": {"sun": {"meshes": other}}})
+    assert algorithms([asked]) == [other] and director.handover is None
+    assert director.plan(descriptor, level).algorithm == first.algorithm
+
+
+def test_night_falls_at_once_and_once(scene, level):
+    """And day breaks: two switches, without a mixture, since what is left could not be drawn."""
+    view, director, names = scene.view("eye"), Director("rules"), []
+    altitudes = [*np.linspace(3.0, -3.0, 13), *np.linspace(-3.0, 3.0, 13)]
+    for altitude in altitudes:
+        its = scene.with_sun(SunSpec(azimuth=200, altitude=float(altitude)))
+        names += algorithms([director.plan(describe(its, view, "eye"), level)])
+        assert director.handover is None
+    assert switches(names) == 2
+    assert [name == "none" for name in names] == [altitude <= 0.0 for altitude in altitudes]
+
+
+def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, level):
+    """The map is kept, its texels are those that a plan of the view alone has with such a map."""
+    director = Director(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
+    first = director.plan(descriptor, level)
+    picks = picks_of(first)
+    assert first.settings == choose(descriptor, level, picks=picks).settings
+    near = replace(scene.view("eye"), eye_earth_m=scene.view("eye").eye_earth_m + np.array([14.0, 22.0, -8.0]))
+    closer = describe(scene, near, "eye")
+    kept, alone = director.plan(closer, level), choose(closer, level, picks=picks)
+    assert picks_of(kept) == picks
+    assert (kept.settings, kept.passes, kept.runs) == (alone.settings, alone.passes, alone.runs)
+    assert kept.settings != first.settings
+
+
+def test_picks_are_what_a_plan_chose(descriptor, level):
+    for name in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "none"):
+        plan = choose(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
+        again = choose(descriptor, level, picks=picks_of(plan))
+        if name != "none":  # which nothing picks
+            assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
+        assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
+
+
+def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
+    """Between a coarse map and volumes: from frame to frame no more than is allowed, and at its end everything is the new one."""
+    view = scene.view("eye")
+    table = Table(shadow_map=(10.0, 0.03), shadow_volume=(20.0, 0.0))
+    coarse: Plans = lambda *given: table(*given[:2], {"map_size": 64, **(given[2] or {})})  # noqa: E731
+    director = Director(plans=coarse)
+    before = render_frame(scene, view, director.plan(descriptor, level)).visibility
+    table.rows["shadow_volume"] = (5.0, 0.0)
+    shown, seen, mixed = before, [], 0
+    for _ in range(PATIENCE + LONGEST):
+        frame = render_frame(scene, view, director.plan(descriptor, level)).visibility
+        if director.handover is not None:
+            left = render_frame(scene, view, director.handover.plan).visibility
+            frame, mixed = handed_over(left, frame, director.handover.share), mixed + 1
+        seen.append(changed(shown, frame))
+        shown = frame
+    whole = changed(before, shown)
+    assert whole > MOST_CHANGED  # else nothing would be tested
+    assert mixed + 1 == frames_of_switch(
+        *(table(descriptor, level, {"algorithm": {"sun": {"meshes": name}}}) for name in table.rows)
+    )
+    assert max(seen) < 1.5 * whole / (mixed + 1)
+    assert seen[-1] == 0.0 and director.handover is None
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> float:
+    """Share of the pixels whose class changes."""
+    there = ~np.isnan(before)
+    return float(((before < 0.5) != (after < 0.5))[there].mean())
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_mixture_is_spread_evenly_and_only_grows(rows, cols, share, more):
+    before, after = np.zeros((rows, cols)), np.ones((rows, cols))
+    less, most = sorted((share, more))
+    mixed, later = handed_over(before, after, less), handed_over(before, after, most)
+    assert (later >= mixed).all()
+    assert handed_over(before, after, 1.0).all() and not handed_over(before, after, 0.0).any()
+    assert abs(mixed.mean() - less) < 0.05 + 2.0 / np.sqrt(rows * cols)
+    colours = handed_over(np.zeros((rows, cols, 3)), np.ones((rows, cols, 3)), less)
+    assert (colours == mixed[..., None]).all()
+
+
+def test_a_switch_takes_the_frames_that_its_errors_need(descriptor, level):
+    plans = [
+        choose(descriptor, level).model_copy(update={"predicted": Predicted(ms=1.0, wrong=w, wrong_cast=w)})
+        for w in (0.0, 0.003, 1.0)
+    ]
+    assert frames_of_switch(plans[0], plans[0]) == 1
+    assert frames_of_switch(plans[0], plans[1]) == 2 and frames_of_switch(plans[1], plans[1]) == 3
+    assert frames_of_switch(plans[1], plans[2]) == LONGEST

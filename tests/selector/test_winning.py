@@ -1,0 +1,79 @@
+"""Who wins: cases that can be told by hand, and what holds for any candidates."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector.winning import ALIKE, MOST_INTERIOR, Figures, best, overshoot
+
+SMALL = Figures("small map", 10.0, 0.05, 0.0)
+MIDDLE = Figures("middle map", 20.0, 0.02, 0.0)
+LARGE = Figures("large map", 40.0, 0.004, 0.0)
+LEAKY = Figures("leaky", 5.0, 0.01, 0.004)
+NONE = Figures("none", 0.0, 0.0, 0.0)
+ALL = [SMALL, MIDDLE, LARGE, LEAKY, NONE]
+
+figures = st.builds(
+    Figures, st.sampled_from(["a", "b", "c", "none"]), st.floats(0.01, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 0.05)
+)
+
+
+@pytest.mark.parametrize(
+    ("max_error", "max_ms", "winner", "met"),
+    [
+        (0.05, None, SMALL, True),  # at most, not below
+        (0.03, None, MIDDLE, True),  # not the leaky one, though it is cheaper and its error small
+        (0.03, 20.0, MIDDLE, True),
+        (0.03, 15.0, SMALL, False),  # within the time, one without failure before the more accurate one with it
+        (0.003, None, LARGE, False),
+        (0.003, 25.0, MIDDLE, False),
+        (0.0, 1.0, LEAKY, False),  # nothing in time: four times too long, but the others are further off
+    ],
+)
+def test_the_winner_is_the_one_that_the_rules_name(max_error, max_ms, winner, met):
+    verdict = best(ALL, max_error, max_ms)
+    assert (verdict.winner, verdict.met) == (winner, met)
+    assert (verdict.missed_by is None) is met
+
+
+def test_what_is_missed_is_told_in_numbers():
+    assert best(ALL, 0.003).missed_by == "an error of 0.40 %, 0.10 % more than 0.30 %"
+    assert best([LEAKY], 0.03).missed_by == "0.40 % wrong inside shadows or lights, 0.30 % more than 0.10 %"
+    assert best([SMALL], 0.04, 4.0).missed_by == "an error of 5.0 %, 1.0 % more than 4.0 %; 10 ms, 6.0 ms more than 4.0 ms"
+
+
+def test_of_times_alike_the_more_accurate_is_taken():
+    close = Figures("close", 20.0 * ALIKE, 0.01, 0.0)
+    assert best([MIDDLE, close], 0.03).winner is close
+    assert best([MIDDLE, Figures("later", 20.0 * ALIKE + 0.1, 0.01, 0.0)], 0.03).winner is MIDDLE
+    assert best([MIDDLE, close], 0.03, alike=1.0).winner is MIDDLE
+
+
+def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():
+    assert best([NONE, Figures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
+    assert best([NONE], 0.03).winner is NONE
+    with pytest.raises(ValueError, match="no candidates"):
+        best([], 0.03)
+
+
+@given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0), st.none() | st.floats(0.01, 1e4))
+def test_a_target_is_met_if_anything_meets_it(candidates, max_error, max_ms):
+    verdict = best(candidates, max_error, max_ms)
+    able = [one for one in candidates if one.name != "none"] or candidates
+    meeting = [one for one in able if overshoot(one, max_error, max_ms) == 0.0]
+    assert verdict.met is bool(meeting) is (verdict.missed_by is None)
+    if meeting:
+        assert verdict.winner in meeting and verdict.winner.ms <= ALIKE * min(one.ms for one in meeting)
+    elif max_ms is not None and any(one.ms <= max_ms for one in able):
+        assert verdict.winner.ms <= max_ms
+        if any(one.ms <= max_ms and one.interior <= MOST_INTERIOR for one in able):
+            assert verdict.winner.interior <= MOST_INTERIOR
+    else:
+        assert overshoot(verdict.winner, max_error, max_ms) == min(overshoot(one, max_error, max_ms) for one in able)
+
+
+@given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0))
+def test_the_order_of_the_candidates_does_not_matter(candidates, max_error):
+    assert best(candidates, max_error) == best(candidates[::-1], max_error)

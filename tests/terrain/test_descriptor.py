@@ -1,0 +1,239 @@
+"""Descriptors as values: what may be written by hand, what is refused, and that the same view has the same one."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from selector.picks import Asked
+from selector.rules import choose
+from terrain.descriptor import Descriptor, describe
+from terrain.level import Shadows, load_level
+from terrain.level_parts import SunSpec
+from terrain.look import nearest_triangles
+from terrain.scene import build_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGS = ROOT / "configs"
+
+MINIMAL = {
+    "view": "map", "view_kind": "map", "flat_world": True, "pixel_m": 1.0, "node_m": 1.0, "casters": ["relief"], "relief_m": 50.0,
+    "block_relief_m": 50.0, "sun_azimuth_deg": 180, "sun_altitude_deg": 30, "highest_sun_deg": 30,
+    "receivers_light_m": [1000, 500, 900],
+}  # fmt: skip
+
+BAND = {"near_m": 4, "far_m": 8, "share": 0.5, "low_light_m": [0, 0, 0], "high_light_m": [1, 1, 1]}
+CAST_BAND = {"near_m": 4, "far_m": 8, "share": 0.5, "cast": 0.1, "pixel_m": 0.1, "differs": [0.0] * 8}
+STAND = {"kind": "relief", "triangles": 8}
+LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30, "reference_m": 10}
+
+
+def scene_of(name: str):
+    return build_scene(load_level(CONFIGS / f"{name}.yaml"))
+
+
+def in_light(**facts) -> dict:
+    return {"lights": {"sun": facts}}
+
+
+def in_casting(*bands: dict, share: float = 0.1) -> dict:
+    return in_light(casts={"relief": {"share": share, "bands": list(bands)}})
+
+
+def with_band(**changes) -> dict:
+    return {"bands": [BAND | changes]}
+
+
+IMPOSSIBLE = {
+    "view_kind": {"view_kind": "globe"},
+    "pixel_m": {"pixel_m": 0.0},
+    "pixel": {"pixel": -0.1},
+    "rows": {"rows": 0},
+    "cols": {"cols": -1},
+    "pixels": {"pixels": 0},
+    "node_m": {"node_m": float("nan")},
+    "casters.0": {"casters": ["clouds"]},
+    "casters": {"casters": ["relief", "relief"]},
+    "relief_m": {"relief_m": -1.0},
+    "block_relief_m": {"block_relief_m": float("inf")},
+    "mean_slope_deg": {"mean_slope_deg": 91.0},
+    "p95_slope_deg": {"p95_slope_deg": -1.0},
+    "highest_slope_deg": {"mean_slope_deg": 20.0, "highest_slope_deg": 10.0},
+    "sun_azimuth_deg": {"sun_azimuth_deg": 1000.0},
+    "sun_altitude_deg": {"sun_altitude_deg": 91.0},
+    "highest_sun_deg": {"highest_sun_deg": None},
+    "receivers_light_m.1": {"receivers_light_m": [1.0, -1.0, 1.0]},
+    "bend_px": {"bend_px": -0.5},
+    "tallest_m": {"tallest_m": -2.0},
+    "weather.cloud_cover": {"weather": {"cloud_cover": 2.0}},
+    "facts.haze.visibility_m": {"facts": {"haze": {"visibility_m": float("nan")}}},
+    "cloudiness": {"cloudiness": 1.0},
+    "bands.0.share": with_band(share=1.5),
+    "bands.0.near_m": with_band(near_m=0.0),
+    "far_m": with_band(far_m=4.0),
+    "high_light_m": with_band(high_light_m=[1.0, -1.0, 1.0]),
+    "bands add up": {"bands": [BAND, BAND, BAND]},
+    "lamps.0.cutoff_deg": {"lamps": [LAMP | {"cutoff_deg": 181.0}]},
+    "lamps.0.reference_m": {"lamps": [LAMP | {"reference_m": 0.0}]},
+    "lamps: 'lamp'": {"lamps": [LAMP, LAMP]},
+    "stands.0.triangles": {"stands": [STAND | {"triangles": -1}]},
+    "stands.0.count": {"stands": [STAND | {"count": -1}]},
+    "stands.0.outside_triangles": {"stands": [STAND | {"outside_triangles": -1}]},
+    "stands.0.closed_share": {"stands": [STAND | {"closed_share": 1.1}]},
+    "stands.0.alpha_share": {"stands": [STAND | {"alpha_share": -0.1}]},
+    "stands.0.height_m": {"stands": [STAND | {"height_m": -1.0}]},
+    "stands.0.width_m": {"stands": [STAND | {"width_m": -1.0}]},
+    "stands.0.leaf_gap_m": {"stands": [STAND | {"leaf_gap_m": -1.0}]},
+    "stands: 'forest'": {"stands": [STAND | {"kind": "forest"}]},
+    "lights: 'lamp'": {"lights": {"lamp": {}}},
+    "lights.sun.casts: 'meshes'": in_light(casts={"meshes": {"share": 0.0}}),
+    "lights.sun.to_view_deg": in_light(to_view_deg=190.0),
+    "lights.sun.facing_share": in_light(facing_share=1.2),
+    "lights.sun.cast_share": in_light(cast_share=-0.2),
+    "lights.sun.area_share": in_light(area_share=3.0),
+    "lights.sun.nearest_edge_m": in_light(nearest_edge_m=-1.0),
+    "lights.sun.silhouette_edges": in_light(silhouette_edges=-1),
+    "lights.sun.silhouette_px": in_light(silhouette_px=float("inf")),
+    "lights.sun.volume_layers": in_light(volume_layers=-1.0),
+    "lights.sun.casts.relief.share": in_casting(share=2.0),
+    "lights.sun.casts.relief.bands.0.cast": in_casting(CAST_BAND | {"cast": 1.1}),
+    "lights.sun.casts.relief.bands.0.near_m": in_casting(CAST_BAND | {"near_m": -1.0}),
+    "lights.sun.casts.relief.bands.0.pixel_m": in_casting(CAST_BAND | {"pixel_m": 0.0}),
+    "lights.sun.casts.relief.bands.0.light_m": in_casting(CAST_BAND | {"light_m": -1.0}),
+    "lights.sun.casts.relief.bands.0.differs": in_casting(CAST_BAND | {"differs": [0.1] * 7}),
+    "lights.sun.casts.relief.bands.0.differs.2": in_casting(CAST_BAND | {"differs": [0.0, 0.0, 1.1, *[0.0] * 5]}),
+    "far_m 3": in_casting(CAST_BAND | {"far_m": 3.0}),
+    "near_m": in_casting(CAST_BAND, CAST_BAND),
+}
+
+
+@pytest.mark.parametrize("name", IMPOSSIBLE)
+def test_what_cannot_be_is_refused_by_name(name):
+    with pytest.raises(ValidationError) as caught:
+        Descriptor.model_validate(MINIMAL | IMPOSSIBLE[name])
+    error = caught.value.errors()[0]
+    said = f"{'.'.join(map(str, error['loc']))} {error['msg']}"
+    assert all(word in said for word in name.split()), said
+
+
+def test_nothing_else_need_be_known():
+    descriptor = Descriptor.model_validate(MINIMAL)
+    assert descriptor.pixels == 1024**2 and descriptor.stands == () and descriptor.lights == {}
+    assert Descriptor.model_validate(MINIMAL | {"rows": 100, "cols": 200}).pixels == 20_000
+    plan = choose(descriptor, Asked(Shadows(), ("sun",)))
+    assert set(plan.algorithm["sun"]) == {"relief"}
+
+
+def test_the_example_of_the_page_is_valid():
+    text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
+    descriptor = Descriptor.model_validate_json(example)
+    assert choose(descriptor, Asked(Shadows(), ("sun",))).algorithm["sun"].keys() == {"relief", "meshes"}
+
+
+def test_the_page_names_every_field():
+    from terrain.descriptor import CastBand, CasterFacts, Casting, LampFacts, LightFacts
+
+    text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
+    models = (Descriptor, CasterFacts, LightFacts, Casting, CastBand, LampFacts)
+    missing = [f"{model.__name__}.{name}" for model in models for name in model.model_fields if f"`{name}`" not in text]
+    assert not missing
+
+
+@pytest.mark.parametrize("fact", [np.inf, -np.inf, 2.5, True, "why", None])
+def test_facts_of_effects_come_back_from_json(fact):
+    descriptor = Descriptor.model_validate(MINIMAL | {"facts": {"haze": {"its": fact}}})
+    assert Descriptor.model_validate_json(descriptor.model_dump_json()).facts["haze"]["its"] == fact
+
+
+VIEWS = [("spatialace", "main"), ("spatialace", "map"), ("thesis_boxgrid", "main"), ("jacksboro", "map")]
+
+
+@pytest.mark.parametrize(("level", "view"), VIEWS)
+def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
+    scene = scene_of(level)
+    text = describe(scene, scene.view(view), view).model_dump_json()
+    assert Descriptor.model_validate_json(text).model_dump_json() == text
+    script = (
+        "from terrain.level import load_level; from terrain.scene import build_scene; from terrain.descriptor import describe\n"
+        f"scene = build_scene(load_level({str(CONFIGS / f'{level}.yaml')!r}))\n"
+        f"print(describe(scene, scene.view({view!r}), {view!r}).model_dump_json())"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(run.stdout) == json.loads(text)
+
+
+def test_another_sun_over_the_same_view_changes_its_light_alone():
+    scene = scene_of("spatialace")
+    view = scene.view("main")
+    one, other = (describe(its, view, "main") for its in (scene, scene.with_sun(SunSpec(azimuth=20, altitude=60))))
+    assert one.stands == other.stands and one.pixel_m == other.pixel_m
+    assert one.lights["sun"] != other.lights["sun"]
+
+
+def test_what_a_map_says_does_not_depend_on_the_part_that_is_shown():
+    scene = scene_of("jacksboro")
+    view = scene.view("map", size=(512, 512))
+    left, right = (describe(scene, view.part(0, col, 256, 256)) for col in (0, 256))
+    for field in ("stands", "lights", "mean_slope_deg", "highest_slope_deg"):
+        assert getattr(left, field) == getattr(right, field)
+
+
+def test_thesis_boxes_are_closed_and_cast():
+    scene = scene_of("thesis_boxgrid")
+    facts = describe(scene, scene.view("main"), "main")
+    relief, meshes = facts.stands
+    assert (relief.kind, relief.triangles) == ("relief", 20_000)
+    assert (meshes.count, meshes.triangles, meshes.closed_share) == (1000, 12_000, 1.0)
+    lamp = facts.lights["lamp"]
+    assert 0.0 < lamp.cast_share < lamp.facing_share < 1.0
+    assert lamp.silhouette_edges >= 6 * 1000 * 0.9 and lamp.volume_layers > 1.0
+    assert lamp.casts["relief"].share == 0.0
+    differs = np.array([band.differs for band in lamp.casts["meshes"].bands])
+    assert (differs[:, -1] > differs[:, 1]).any()
+
+
+def test_a_spinning_caster_moves():
+    assert describe(*_view("spatialace", "map")).moves
+    assert not describe(*_view("jacksboro", "map")).moves
+
+
+def _view(level: str, view: str):
+    scene = scene_of(level)
+    return scene, scene.view(view), view
+
+
+def test_the_nearest_triangle_shows_wherever_its_corners_lie():
+    """A floor that reaches behind the eye fills the lower half of the picture, a plate before it the middle."""
+    scene = scene_of("thesis_room")
+    view = scene.view("main", size=(64, 64))
+    frame = view.frame(scene.world)
+    eye, camera_from_frame = view.in_frame(frame)
+
+    def placed(at_camera):
+        return np.array(at_camera, float) @ camera_from_frame + eye
+
+    floor = placed([[-500, 20, -100], [500, 20, -100], [500, 20, 1000], [-500, 20, 1000]])
+    half = 8.0 / view.focal_px * 10.0  # eight pixels
+    board = placed([[-half, -half, 10], [half, -half, 10], [half, half, 10], [-half, half, 10]])
+    quads = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    number = nearest_triangles(view, frame, [(floor, quads), (board, quads)])
+    assert set(np.unique(number[40:])) <= {1, 2} and (number[:24] == 0).all()
+    assert np.isin(number[24:40, 24:40], (3, 4)).all()
+    assert (number[24:32, :24] == 0).all() and (number[34:, :24] > 0).all()
+
+
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 180))
+def test_any_share_and_angle_that_can_be_is_taken(facing, cast, angle):
+    facts = in_light(facing_share=facing, cast_share=cast, to_view_deg=angle)
+    descriptor = Descriptor.model_validate(MINIMAL | facts)
+    assert Descriptor.model_validate_json(descriptor.model_dump_json()) == descriptor

@@ -1,0 +1,216 @@
+"""What lights do in a view, held against known geometry."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from terrain.caster_facts import trees_of
+from terrain.descriptor import TEXEL_LADDER_PX, Descriptor, describe
+from terrain.leaf_rays import first_leaves
+from terrain.level import load_level
+from terrain.mesh_rays import meets, tree_of
+from terrain.probes import evenly, quasirandom
+from terrain.rays import RayScene, trees_as_mesh
+from terrain.scene import Scene, build_scene
+from terrain.silhouettes_seen import edges_of, layers_before, length_px
+from tests.rasters import ENGINEERING
+
+
+def made(folder: Path, body: trimesh.Trimesh | None = None, size: float = 300.0, **keys) -> Scene:
+    """A floor with one body on it, which stands where its own coordinates say."""
+    level = {"version": 1, "terrain": {"flat": {"size": [size, size], "cells": [30, 30]}}, **keys}
+    if body is not None:
+        body.export(folder / "body.ply")
+        level["meshes"] = [{"source": "body.ply", "at": [0, 0]}]
+    (folder / "level.yaml").write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(folder / "level.yaml"))
+
+
+def plate(side: float, x: float, y: float, z: float) -> trimesh.Trimesh:
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * side / 2 + [x, y, z]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def hung(body: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A body that keeps its height: what stands lowest, a speck in a corner of the floor, stands on it."""
+    speck = trimesh.Trimesh([[149.0, 149.0, 0.0], [149.01, 149.0, 0.0], [149.0, 149.01, 0.0]], [[0, 1, 2]], process=False)
+    return trimesh.util.concatenate([body, speck])
+
+
+def block(size: tuple[float, float, float]) -> trimesh.Trimesh:
+    body = trimesh.creation.box(extents=size)
+    body.apply_translation([0.0, 0.0, size[2] / 2])
+    return body
+
+
+SUN = {"azimuth": 180, "altitude": 45}
+DOWN = {"kind": "perspective", "eye": [0, -1, 250], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
+
+
+def in_map(scene: Scene) -> Descriptor:
+    return describe(scene, scene.view("map", size=(300, 300)))
+
+
+def test_the_shadow_of_a_plate_is_as_large_as_the_plate(tmp_path):
+    facts = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"]
+    seen_m2 = 310.0**2 - 120.0**2  # half a cell more on each side
+    assert facts.facing_share == 1.0
+    assert facts.cast_share == pytest.approx(120.0**2 / seen_m2, rel=0.1)
+    assert facts.casts["meshes"].share == facts.cast_share
+    assert facts.casts["relief"].share == 0.0
+
+
+def test_a_texel_beside_an_edge_is_wrong_as_often_as_a_chord_crosses_it(tmp_path):
+    """A place in a texel of side k lies k / 4 beside the point in the mean: so wide is the strip along an edge that differs."""
+    (band,) = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"].casts["meshes"].bands
+    assert band.near_m == 0.0 and band.far_m is None and band.pixel_m == pytest.approx(310.0 / 300.0)
+    seen_m2 = 310.0**2 - 120.0**2
+    for rung, rel in ((6, 0.35), (7, 0.25)):
+        strip_m = TEXEL_LADDER_PX[rung] * band.pixel_m / 4.0
+        expected = (240.0 * strip_m / np.sin(np.radians(45.0)) + 240.0 * strip_m) / seen_m2
+        assert band.differs[rung] == pytest.approx(expected, rel=rel)
+    assert band.differs[0] <= 0.01
+
+
+@pytest.mark.parametrize("view", ["map", "down"])
+def test_nothing_casts_on_an_empty_plain(tmp_path, view):
+    scene = made(tmp_path, sun=SUN, views={"down": DOWN})
+    facts = describe(scene, scene.view(view), view).lights["sun"]
+    assert facts.cast_share == 0.0 and facts.nearest_edge_m is None
+    assert all(not any(band.differs) for casting in facts.casts.values() for band in casting.bands)
+
+
+def test_by_night_nothing_faces_the_sun(tmp_path):
+    scene = made(tmp_path, block((10, 10, 10)), sun={"azimuth": 0, "altitude": -20}, views={"down": DOWN})
+    facts = describe(scene, scene.view("down"), "down").lights["sun"]
+    assert (facts.facing_share, facts.cast_share, facts.casts) == (0.0, 0.0, {})
+
+
+def test_a_ridge_throws_its_shadow_as_far_as_it_is_high(make_scene, write_raster):
+    """From its crest to 100 m / tan(30 degrees) away; its far side is turned away from the sun itself."""
+    heights = np.zeros((64, 64), np.float32)
+    heights[32] = 100.0
+    scene = make_scene(write_raster(heights, "EPSG:32616", 700_000.0, 4_000_000.0, 30.0), 180.0, 30.0)
+    facts = describe(scene, scene.view("map")).lights["sun"]
+    cells = 100.0 / np.tan(np.radians(30.0)) / 30.0
+    assert facts.casts["relief"].share == pytest.approx((cells - 1.0) / 64.0, rel=0.2)
+    assert facts.facing_share == pytest.approx(1.0 - 1.0 / 64.0, abs=0.01)
+
+
+def test_the_nearest_edge_of_a_shadow_is_where_it_is(tmp_path):
+    """Seen from above, the end of the shadow of a wall lies as far north of it as the wall is high."""
+    scene = made(tmp_path, block((100.0, 1.0, 40.0)), sun=SUN, views={"down": DOWN})
+    facts = describe(scene, scene.view("down"), "down").lights["sun"]
+    assert 205.0 < facts.nearest_edge_m < 255.0
+    assert facts.to_view_deg == pytest.approx(135.0, abs=1.0)
+    assert 0.0 < facts.area_share < 1.0
+    shares = [band.share for band in facts.casts["meshes"].bands]
+    assert sum(shares) == pytest.approx(facts.facing_share)
+
+
+def test_a_spot_lights_what_lies_in_its_cone(tmp_path):
+    """A cone of 20 degrees from 100 m lights a disc of 36 m; an omni light all of the floor, a face of the cube round it."""
+    spot = {"kind": "spot", "position": [0, 0, 100], "target": [0, 0, 0], "cutoff": 20}
+    scene = made(tmp_path, sun="none", lights={"spot": spot, "omni": {"kind": "omni", "position": [0, 0, 100]}}, size=180.0)
+    lights = describe(scene, scene.view("map")).lights
+    radius = 100.0 * np.tan(np.radians(20.0))
+    assert lights["spot"].facing_share == pytest.approx(np.pi * radius**2 / (180.0 * 31.0 / 30.0) ** 2, rel=0.05)
+    assert lights["spot"].area_share == pytest.approx(1.0, abs=0.1)
+    assert lights["omni"].facing_share == 1.0 and 0.1 < lights["omni"].area_share < 0.25
+    (band,) = lights["spot"].casts["relief"].bands
+    assert 100.0 <= band.light_m <= 100.0 / np.cos(np.radians(20.0))
+
+
+@pytest.mark.parametrize(("body", "edges"), [(block((20, 30, 25)), 6), (plate(30.0, 0.0, 0.0, 20.0), 4)])
+def test_the_outline_of_a_box_has_six_edges_and_that_of_a_plate_four(tmp_path, body, edges):
+    scene = made(tmp_path, body, sun={"azimuth": 205, "altitude": 40}, views={"down": DOWN})
+    facts = describe(scene, scene.view("down"), "down").lights["sun"]
+    assert facts.silhouette_edges == edges
+    assert facts.silhouette_px > 0.0
+
+
+def test_edges_are_shared_by_position():
+    edges = edges_of(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
+    assert len(edges.ends) == 5 and (edges.beside[:, 1] >= 0).sum() == 1
+
+
+def test_the_length_of_an_edge_is_what_falls_into_the_picture():
+    low, high = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    inside = np.array([[[-5.0, 0.0, 100.0], [5.0, 0.0, 100.0]]])
+    half = np.array([[[0.0, 0.0, 10.0], [20.0, 0.0, 10.0]]])
+    behind = np.array([[[-1.0, 0.0, -5.0], [1.0, 0.0, -5.0]]])
+    assert length_px(inside, low, high) == pytest.approx(0.1)
+    assert length_px(half, low, high) == pytest.approx(1.0)
+    assert length_px(behind, low, high) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("light", "at_place"), [(np.array([0.0, 0.0, 1.0]), False), (np.array([5.0, 0.0, 20.0]), True)], ids=["sun", "lamp"]
+)
+def test_one_side_of_a_shadow_volume_lies_before_what_is_seen_through_it(light, at_place):
+    """An edge 10 m up, from x = 0 to 10: its side hangs down from it, wider below a lamp."""
+    ends = np.array([[[0.0, 0.0, 10.0], [10.0, 0.0, 10.0]]])
+    start = np.tile([5.0, -20.0, 5.0], (4, 1))
+    way = np.array([[0.0, 40.0, 0.0], [0.0, 10.0, 0.0], [0.0, 40.0, 20.0], [12.0, 40.0, 0.0]])
+    through, short, above, beside = (layers_before(ends, light, at_place, start[:1], one[None]) for one in way)
+    assert (through, short, above) == (1.0, 0.0, 0.0)
+    assert beside == (1.0 if at_place else 0.0)
+    assert layers_before(ends, light, at_place, start, way) == pytest.approx((2.0 if at_place else 1.0) / 4.0)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31), st.integers(1, 300))
+def test_rays_meet_the_triangles_that_embree_says(seed, count):
+    rng = np.random.default_rng(seed)
+    vertices = np.repeat(rng.uniform(-10, 10, (count, 1, 3)), 3, axis=1) + rng.uniform(-2, 2, (count, 3, 3))
+    vertices, triangles = vertices.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    start, way = rng.uniform(-12, 12, (200, 3)), rng.normal(size=(200, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    length = rng.uniform(1.0, 20.0, 200)
+    tree = tree_of(vertices, triangles)
+    found = meets(tree, start - tree.origin_earth_m, way, length)
+    expected = RayScene(meshes=[(vertices, triangles)]).blocked(start, way, length)
+    assert (found != expected).sum() <= 1  # one that grazes an edge in float32
+
+
+def test_leaves_stop_the_rays_that_embree_says(tmp_path):
+    places = np.random.default_rng(3).uniform(-60, 60, (150, 2))
+    wkb = shapely.to_wkb(shapely.points(places))
+    pyogrio.raw.write(tmp_path / "trees.gpkg", wkb, [np.full(150, 12.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
+    view = {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 0, 0], "fov": 50, "size": [512, 512]}
+    scene = made(tmp_path, sun=SUN, forest=[{"source": "trees.gpkg", "height": "height"}], views={"main": view})
+    trees = trees_of(scene, scene.view("main"))
+    rng = np.random.default_rng(5)
+    start = np.column_stack([rng.uniform(-60, 60, (500, 2)), rng.uniform(0.1, 5.0, 500)])
+    way = np.tile(scene.sun.to_sun_earth, (500, 1))
+    met, _ = first_leaves(trees, start, way, np.full(500, np.inf))
+    expected = RayScene(alpha=[trees_as_mesh(trees)]).blocked(start, way)
+    assert 0.1 < expected.mean() < 0.9
+    assert (np.isfinite(met) == expected).mean() >= 0.97
+    facts = describe(scene, scene.view("main"), "main")
+    forest = facts.lights["sun"].casts["forest"]
+    assert forest.share > 0.02
+    (stand,) = (its for its in facts.stands if its.kind == "forest")
+    assert (stand.count, stand.triangles, stand.alpha_share) == (150, 900, 1.0)
+    assert stand.height_m == pytest.approx(12.0) and 0.0 < stand.leaf_gap_m < stand.width_m
+
+
+@given(st.integers(0, 5000), st.integers(1, 2000))
+def test_a_few_of_many_are_distinct_and_in_order(size, count):
+    some = evenly(size, count)
+    assert len(some) == min(size, count)
+    assert (np.diff(some) > 0).all() and (not len(some) or (some[0] >= 0 and some[-1] < size))
+
+
+def test_chance_is_even():
+    counts = np.histogram2d(*quasirandom(np.arange(1024)).T, bins=8, range=[[0, 1], [0, 1]])[0]
+    assert counts.min() >= 12 and counts.max() <= 20
