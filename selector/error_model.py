@@ -16,12 +16,13 @@ The constants are fitted to measured views by `benchmarks/selection.py`, which a
 
 from __future__ import annotations
 
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
+from math import log2, radians, sqrt, tan
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
@@ -123,11 +124,11 @@ def _texel_px(descriptor: Descriptor, light: str, step: Step, band: CastBand, mo
         ends = (cascade.far_m for cascade in settings.cascades[:-1])
         number = sum(1 for end in ends if end is not None and band.near_m >= end * (1.0 - 1e-9))
         right, up = settings.cascades[number].texel_m
-        return float(np.sqrt(right * up)) / band.pixel_m
+        return sqrt(right * up) / band.pixel_m
     if isinstance(settings, LampMapSettings):
         return _uniform_px(descriptor, light, band) / settings.map_size
     if isinstance(settings, PerspectiveMapSettings):
-        seen_px = model.perspective * float(np.sqrt(descriptor.rows * descriptor.cols))
+        seen_px = model.perspective * sqrt(descriptor.rows * descriptor.cols)
         return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
     return 0.0
 
@@ -137,17 +138,18 @@ def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if light == SUN or lamp is None:
         right, up, _ = descriptor.receivers_light_m or (band.pixel_m, band.pixel_m, 0.0)
-        return float(np.sqrt(right * up)) / band.pixel_m
-    tangent = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
+        return sqrt(right * up) / band.pixel_m
+    tangent = 1.0 if lamp.kind == "omni" else tan(radians(lamp.cutoff_deg))
     return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
 
 
 def _differs(band: CastBand, texel_px: float) -> float:
     """``differs`` between the texels of the ladder; below the least in proportion."""
-    least = TEXEL_LADDER_PX[0]
-    if texel_px <= least:
-        return band.differs[0] * texel_px / least
-    return float(np.interp(np.log2(texel_px), _LADDER, band.differs))
-
-
-_LADDER = np.log2(TEXEL_LADDER_PX)
+    if texel_px <= TEXEL_LADDER_PX[0]:
+        return band.differs[0] * texel_px / TEXEL_LADDER_PX[0]
+    above = bisect(TEXEL_LADDER_PX, texel_px)
+    if above == len(TEXEL_LADDER_PX):
+        return band.differs[-1]
+    low, high = TEXEL_LADDER_PX[above - 1], TEXEL_LADDER_PX[above]
+    share = log2(texel_px / low) / log2(high / low)
+    return band.differs[above - 1] * (1.0 - share) + band.differs[above] * share

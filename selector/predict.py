@@ -11,13 +11,14 @@ from selector.device_profile import DeviceProfile
 from selector.error_model import Errors, expected_errors
 from selector.picks import Pick, Wishes
 from selector.portfolio import portfolio
-from selector.rules import choose
+from selector.rules import Planner, planner_of
+from selector.serves import kinds_of_lights
 from selector.winning import Figures, Verdict, best
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned, Step, Target
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
-from terrain.level import AlgorithmName, CasterKind, override
+from terrain.level import AlgorithmName, CasterKind
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,10 @@ def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, 
 
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """
-    asked = override(wishes.shadows, overrides or {})
-    usual = choose(descriptor, wishes, overrides, picks={})
-    casting = {light: [kind for kind, name in per_kind.items() if name != "none"] for light, per_kind in usual.algorithm.items()}
-    options = {light: options_of(descriptor, wishes, overrides, light, kinds, device) for light, kinds in casting.items() if kinds}
+    planner = planner_of(descriptor, wishes, overrides)
+    asked = planner.asked
+    casting = {light: planner.casting(light) for light in kinds_of_lights(descriptor)}
+    options = {light: options_of(planner, light, kinds, device) for light, kinds in casting.items() if kinds}
     verdicts = {light: best([each.figures for each in its], asked.max_error) for light, its in options.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     if asked.max_ms is not None and options:
@@ -57,7 +58,7 @@ def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, 
     picks = {
         light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
     }
-    plan = choose(descriptor, wishes, overrides, picks, _rejected(options, taken, asked.max_error))
+    plan = planner.plan(picks, _rejected(options, taken, asked.max_error))
     return plan.model_copy(
         update={
             "policy": "predict",
@@ -72,22 +73,14 @@ def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, 
     )
 
 
-def options_of(
-    descriptor: Descriptor,
-    wishes: Wishes,
-    overrides: dict[str, Any] | None,
-    light: str,
-    kinds: Sequence[CasterKind],
-    device: DeviceProfile,
-) -> list[Option]:
+def options_of(planner: Planner, light: str, kinds: Sequence[CasterKind], device: DeviceProfile) -> list[Option]:
     """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
     found: dict[tuple[Step, ...], Option] = {}
-    for pick in portfolio(descriptor, light, kinds):
-        plan = choose(descriptor, wishes, overrides, {light: pick})
-        steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
+    for pick in portfolio(planner.descriptor, light, kinds):
+        steps = planner.steps(light, pick)
         if steps not in found:
-            ms = sum(predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings) for step in steps)
-            found[steps] = Option(pick, steps, ms, expected_errors(descriptor, light, steps))
+            ms = sum(predicted_ms(device, planner.descriptor, light, step.kinds, step.algorithm, step.settings) for step in steps)
+            found[steps] = Option(pick, steps, ms, expected_errors(planner.descriptor, light, steps))
     return list(found.values())
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from pydantic_core import PydanticCustomError
@@ -15,14 +16,14 @@ from selector.picks import Pick, Wishes
 from selector.serves import kinds_of_lights, parts_of
 from selector.volume_settings import hybrid_settings, volume_settings
 from shadows.passes import PassLog
-from shadows.plan import Plan, Reasoned, Settings, SweepSettings, Target, TruthSettings
+from shadows.plan import Plan, Reasoned, Settings, Step, SweepSettings, Target, TruthSettings, steps_of
 from shadows.registry import ALGORITHMS, Part, able
 from shadows.render import passes_of
 from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, EffectName, Shadows, algorithm_choice, override, spelt
+from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
 
 SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
 """What can be asked for besides an algorithm and a target."""
@@ -41,50 +42,107 @@ def choose(
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
+    planner = planner_of(descriptor, wishes, overrides)
+    return planner.plan(advised(descriptor, planner.asked) if picks is None else picks, rejected or {})
+
+
+def planner_of(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None) -> Planner:
+    """What plans of a descriptor go by whatever is picked. Raises as ``choose`` does."""
     overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     asked = override(wishes.shadows, overrides)
-    picks = advised(descriptor, asked) if picks is None else picks
     effects, left_out = _effects(descriptor, wishes, asked)
-    missing = {effect.name: effect.reason for effect in left_out}
-    forced = {name for name in EFFECTS if _wish(wishes, name) == "on"}
     try:
         choice = algorithm_choice(asked.algorithm, wishes.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
-    who = _who(overrides, "algorithm")
-    algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
-    settings: dict[str, dict[CasterKind, Settings]] = {}
-    taken: list[_Taken] = []
-    for light, kind_of_light in kinds_of_lights(descriptor).items():
-        for caster in descriptor.casters:
-            wish, parts = choice.get(light, {}).get(caster), parts_of(descriptor, kind_of_light, caster)
-            name, why, free = _algorithm(descriptor, light, caster, wish, who, missing, forced, picks.get(light))
-            _check(name, light, caster, parts, who)
-            algorithm.setdefault(light, {})[caster] = name
-            taken.append(_Taken(light, caster, name, why, free, parts))
-    reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
-    for light, per_kind in algorithm.items():
-        resolved: dict[str, Settings | None] = {}
-        for caster, name in per_kind.items():
-            if name not in resolved:
-                resolved[name], why_so = _settings(name, descriptor, light, asked, picks.get(light), missing.get("soft_edges"))
+    forced = frozenset(name for name in EFFECTS if _wish(wishes, name) == "on")
+    return Planner(descriptor, overrides, asked, effects, left_out, choice, forced)
+
+
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``choice`` the algorithms among it;
+    ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
+    """
+
+    descriptor: Descriptor
+    overrides: dict[str, Any]
+    asked: Shadows
+    effects: list[Reasoned]
+    left_out: list[Reasoned]
+    choice: Choice
+    forced: frozenset[EffectName]
+    _kept: dict[tuple[object, ...], tuple[Settings | None, list[Reasoned]]] = field(default_factory=dict)
+
+    def casting(self, light: str) -> list[CasterKind]:
+        """The kinds of casters that throw shadows under a light, or may."""
+        return [one.kind for one in self._taken(light, None) if one.name != "none"]
+
+    def steps(self, light: str, pick: Pick) -> tuple[Step, ...]:
+        """What a pick comes to under its light. Raises as ``choose`` does."""
+        taken = self._taken(light, pick)
+        algorithm = {one.kind: one.name for one in taken if one.name != "none"}
+        settings = {kind: its for kind, name in algorithm.items() if (its := self._settings(light, name, pick)[0]) is not None}
+        return tuple(steps_of({light: algorithm}, {light: settings}))
+
+    def plan(self, picks: Mapping[str, Pick], rejected: Mapping[AlgorithmName, str]) -> Plan:
+        """The plan that comes of picks by light. Raises as ``choose`` does."""
+        descriptor, asked, who = self.descriptor, self.asked, _who(self.overrides, "algorithm")
+        taken = [one for light in kinds_of_lights(descriptor) for one in self._taken(light, picks.get(light))]
+        reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
+        algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
+        settings: dict[str, dict[CasterKind, Settings]] = {}
+        told = set()
+        for one in taken:
+            algorithm.setdefault(one.light, {})[one.kind] = one.name
+            its, why_so = self._settings(one.light, one.name, picks.get(one.light))
+            if (one.light, one.name) not in told:
                 reasons += why_so
-            if (its := resolved[name]) is not None:
-                settings.setdefault(light, {})[caster] = its
-    reasons += _settings_asked_for(asked, overrides, settings, reasons)
-    effects, left_out = _with_work(effects, left_out, algorithm, settings)
-    used = {one.name for one in taken}
-    nothing = missing.get("cast_shadows")
-    plan = Plan(
-        view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
-        rejected=[
-            Reasoned(name=name, reason=nothing or _rejected(name, taken, who, rejected or {}))
-            for name in ALGORITHMS if name not in used
-        ],
-        passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
-    )  # fmt: skip
-    passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
-    return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
+                told.add((one.light, one.name))
+            if its is not None:
+                settings.setdefault(one.light, {})[one.kind] = its
+        reasons += _settings_asked_for(asked, self.overrides, settings, reasons)
+        effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
+        used = {one.name for one in taken}
+        nothing = self._missing.get("cast_shadows")
+        plan = Plan(
+            view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
+            rejected=[
+                Reasoned(name=name, reason=nothing or _rejected(name, taken, who, rejected))
+                for name in ALGORITHMS if name not in used
+            ],
+            passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
+        )  # fmt: skip
+        passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
+        return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
+
+    @cached_property
+    def _missing(self) -> dict[str, str]:
+        return {effect.name: effect.reason for effect in self.left_out}
+
+    def _taken(self, light: str, pick: Pick | None) -> list[_Taken]:
+        who, kind_of_light, found = _who(self.overrides, "algorithm"), kinds_of_lights(self.descriptor)[light], []
+        missing = self._missing
+        for caster in self.descriptor.casters:
+            wish, parts = self.choice.get(light, {}).get(caster), parts_of(self.descriptor, kind_of_light, caster)
+            name, why, free = _algorithm(self.descriptor, light, caster, wish, who, missing, self.forced, pick)
+            _check(name, light, caster, parts, who)
+            found.append(_Taken(light, caster, name, why, free, parts))
+        return found
+
+    def _settings(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
+        """The settings of an algorithm, if it has any, and the reasons for them; the same ones are worked out once."""
+        picked = {key: value for key, value in (pick.settings if pick else {}).items() if getattr(self.asked, key) == "auto"}
+        key = (light, name, *picked.items())
+        if key not in self._kept:
+            sharp = self._missing.get("soft_edges")
+            self._kept[key] = _resolved(name, self.descriptor, light, self.asked.model_copy(update=picked), sharp)
+        settings, reasons = self._kept[key]
+        chosen = [
+            Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why
+        ]
+        taken = {key for key in picked if hasattr(getattr(settings, "map", settings), key)}
+        return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
 
 
 @dataclass(frozen=True)
@@ -160,7 +218,7 @@ def _algorithm(
     wish: AlgorithmName | None,
     who: str,
     missing: dict[str, str],
-    forced: set[EffectName],
+    forced: Collection[EffectName],
     pick: Pick | None,
 ) -> tuple[AlgorithmName, str, bool]:
     """The algorithm of a light for a kind of casters, the reason, and whether it was free to be picked; ``missing`` are the effects
@@ -176,7 +234,7 @@ def _algorithm(
         return wish, f"asked for by {who}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return "none", "level ground cannot cast", False
-    if light == SUN and not forced & needed and not kind_of_sun(descriptor, caster).called_for:
+    if light == SUN and not needed & set(forced) and not kind_of_sun(descriptor, caster).called_for:
         return "none", kind_of_sun(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return "none", f"{light} reaches nothing that is seen", False
@@ -238,20 +296,10 @@ def _has(settings: Settings, key: str, value: Any) -> bool:
     return False
 
 
-def _settings(
-    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, pick: Pick | None, sharp: str | None
-) -> tuple[Settings | None, list[Reasoned]]:
-    """The settings of an algorithm, if it has any, and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
-    picked = {key: value for key, value in (pick.settings if pick else {}).items() if getattr(asked, key) == "auto"}
-    chosen = [Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why]
-    settings, reasons = _resolved(name, descriptor, light, asked.model_copy(update=picked), sharp)
-    taken = {key for key in picked if hasattr(getattr(settings, "map", settings), key)}
-    return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
-
-
 def _resolved(
     name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
 ) -> tuple[Settings | None, list[Reasoned]]:
+    """Settings and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
     ignored, hard = [], []
     if light == SUN and sharp is not None and asked.filter != 1:
         hard.append(Reasoned(name="filter 1", reason=f"sharp edges: {sharp}"))

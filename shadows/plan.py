@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -177,18 +178,8 @@ class Plan(_Value):
 
     @property
     def steps(self) -> list[Step]:
-        """What is to be filled, in order: caster kinds of one light that share algorithm and settings go together."""
-        steps: list[Step] = []
-        for light, per_kind in self.algorithm.items():
-            for kind, name in per_kind.items():
-                settings = self.settings.get(light, {}).get(kind)
-                for number, step in enumerate(steps):
-                    if step.light == light and step.algorithm == name and step.settings == settings:
-                        steps[number] = Step(light, (*step.kinds, kind), name, settings)
-                        break
-                else:
-                    steps.append(Step(light, (kind,), name, settings))
-        return steps
+        """What is to be filled, in order."""
+        return steps_of(self.algorithm, self.settings)
 
     @property
     def headline(self) -> str:
@@ -203,3 +194,20 @@ class Plan(_Value):
             else:
                 words += [f"{kind}={name}" for kind, name in per_kind.items()]
         return ",".join(words)
+
+
+def steps_of(
+    algorithm: Mapping[str, Mapping[CasterKind, AlgorithmName]], settings: Mapping[str, Mapping[CasterKind, Settings]]
+) -> list[Step]:
+    """The steps of algorithms and settings by light and kind of casters: kinds of one light that share both go together."""
+    steps: list[Step] = []
+    for light, per_kind in algorithm.items():
+        for kind, name in per_kind.items():
+            its = settings.get(light, {}).get(kind)
+            for number, step in enumerate(steps):
+                if step.light == light and step.algorithm == name and step.settings == its:
+                    steps[number] = Step(light, (*step.kinds, kind), name, its)
+                    break
+            else:
+                steps.append(Step(light, (kind,), name, its))
+    return steps
