@@ -123,9 +123,7 @@ def judged(instances: Sequence[Instance], taken: Mapping[tuple[str, str], str], 
     best = np.array([loss[single[key]] for loss, key in zip(losses, keys, strict=True)])
     can = [any(map(one.meets, one.rows)) for one in instances]
     met = [one.meets(taken[key]) for one, key, able in zip(instances, keys, can, strict=True) if able]
-    dirty = [
-        able and one.rows[taken[key]]["interior"] > INTERIOR for one, key, able in zip(instances, keys, can, strict=True)
-    ]
+    dirty = [able and one.rows[taken[key]]["interior"] > INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
     worst = sorted(zip(own - 1.0, keys, strict=True), reverse=True)[:5]
     gap = float(best.mean() - 1.0)
     return Verdict(

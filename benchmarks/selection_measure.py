@@ -6,13 +6,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from selection_judge import GOALS
 from selection_views import Instance
 
 from selector.candidates import name_of
 from selector.compare import compare
-from selector.picks import Pick
 from selector.portfolio import portfolio
-from selector.rules import choose
+from selector.rules import choose, planner_of
 from shadows.plan import Plan
 from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
@@ -27,38 +27,41 @@ TIME_LIMIT_S = 45.0
 Figures = dict[str, Any]
 
 
-def picks_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[Pick, Plan]:
-    """The picks of a light and their plans, of the kinds of casters that cast at all."""
+def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan]:
+    """By name the plans of all picks of a light, and those that the rules lead to at each error that is asked for."""
     level = scene.loaded.level
-    usual = choose(descriptor, level, picks={})
-    kinds = [kind for kind, name in usual.algorithm.get(light, {}).items() if name != "none"]
-    return {pick.name: choose(descriptor, level, picks={light: pick}) for pick in portfolio(descriptor, light, kinds)}  # type: ignore[misc]
+    planner = planner_of(descriptor, level)
+    picks = portfolio(descriptor, light, planner.casting(light))
+    plans = {pick.name: planner.plan({light: pick}, {}) for pick in picks}
+    return plans | {f"rules {goal.max_error:g}": choose(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
 
 def measured(instance: Instance, data: Path) -> Figures:
-    """An instance's figures: its descriptor as ``POST /plan`` takes it, and by pick milliseconds and errors."""
+    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = scene.light_names[0]
         descriptor = describe(scene, view, instance.view)
-        plans = picks_of(descriptor, scene, light)
+        plans = plans_of(descriptor, scene, light)
         found = _compared(scene, view, instance.view, light, plans)
-    rows = {row.figures["name"]: row.figures for row in found.rows}
-    keys = {"ms": "ms_median", "wrong_cast": "wrong_cast", "interior": "interior", "coverage": "coverage", "runs": "runs"}
-    kept = {}
-    for pick, plan in plans.items():
-        row = rows.get(name_of(plan, light))
-        if row is not None:
-            kept[pick] = {key: _rounded(row[source]) for key, source in keys.items()}
-            kept[pick] |= {"stages": row["stages"], "counters": row["counters"], "bytes": row["bytes"]}
     return {
         "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
         "renderer": device().renderer, "error": found.error, "boundary": _rounded(found.boundary),
-        "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks, "picks": kept,
+        "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
+        "rows": {row.figures["name"]: _row(row.figures, light) for row in found.rows},
+        "picks": {pick: name_of(plan, light) for pick, plan in plans.items()},
+        "descriptor": descriptor.model_dump(mode="json"),
     }  # fmt: skip
 
 
-def described(instance: Instance, data: Path) -> dict[str, Any]:
+def _row(figures: Figures, light: str) -> Figures:
+    shares = {key: _rounded(figures[key]) for key in ("wrong", "wrong_cast", "interior", "coverage")}
+    algorithms = sorted(set(figures["algorithm"].get(light, {}).values()) - {"none"})
+    ms, runs = _rounded(figures["ms_median"]), figures["runs"]
+    return {"algorithms": algorithms, "ms": ms, "runs": runs, **shares, "bytes": figures["bytes"]}
+
+
+def described(instance: Instance, data: Path) -> Figures:
     """The descriptor of an instance as JSON."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))

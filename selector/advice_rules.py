@@ -12,16 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from selector.serves import SWEPT_M, swept_m
 from terrain.descriptor import Descriptor
 from terrain.facts import CasterFacts, LampFacts, LightFacts
-from terrain.grid import BLOCK_PX
 from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
-from terrain.reach import longest_shadow_m
-
-SWEPT_M = 200e3
-"""As wide a piece of the round earth is swept at once: across a wider one the sun's rays bend too much for the lines. In Web
-Mercator windows of 300 km were swept up to 72 degrees of latitude and of 150 km up to 78, all that were tried.
-"""
 
 MAPS_ERROR = 0.006
 """Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as
@@ -115,8 +109,8 @@ def _settings_of_maps(case: Case) -> str | None:
 
 
 def _heightfield(case: Case) -> str | None:
-    swept_m = _swept_m(case)
-    if case.light != SUN or case.kind != "relief" or swept_m is None or swept_m > SWEPT_M:
+    across_m = swept_m(case.descriptor)
+    if case.light != SUN or case.kind != "relief" or across_m is None or across_m > SWEPT_M:
         return None
     return "ground is a heightfield: lines along the sun's azimuth find its shadows, without texels"
 
@@ -196,24 +190,6 @@ def _little_seen(case: Case) -> str | None:
     if gain < LEAST_GAIN:
         return None
     return f"of all that the light covers {100.0 * seen.area_share:.1f} % is seen: texels go where the camera looks"
-
-
-def _swept_m(case: Case) -> float | None:
-    """How far across the ground is that the sun's lines cross at once, if that is known: a map's block and the way of its longest
-    shadow, in perspective all of the level, whose area follows from the share of it that is seen. A flat world bends nothing.
-    """
-    descriptor, seen = case.descriptor, case.seen
-    if descriptor.sun_altitude_deg is None:
-        return None
-    if descriptor.flat_world:
-        return 0.0
-    if descriptor.view_kind == "map":
-        return BLOCK_PX * descriptor.pixel_m + longest_shadow_m(descriptor.relief_m, descriptor.sun_altitude_deg)
-    if descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
-        return None
-    right_m, up_m, _ = descriptor.receivers_light_m
-    sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
-    return float(np.sqrt(right_m * up_m / (seen.area_share * sine)))
 
 
 def _near_texel_px(case: Case) -> float | None:

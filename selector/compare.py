@@ -105,11 +105,12 @@ def compare(
 
     ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``. Every candidate is
     drawn once for its errors; then all are timed in turns, so that what else a machine does meets them alike, the quickest first.
-    What would end after ``time_limit_s`` seconds is left out, never an algorithm: repeats, and after the greater part of the time
-    variants and mixes of algorithms that were drawn already.
+    What would end after ``time_limit_s`` seconds is left out, never an algorithm, and none of ``plans``: repeats, and after the
+    greater part of the time variants and mixes of algorithms that were drawn already.
     """
     start = time.perf_counter()
     light = _light(scene, light)
+    all_of_them = plans is not None
     plans = candidates(scene, view, name, light) if plans is None else plans
     total = len(plans) + REPEATS + 2
     step = on_step or (lambda done, of: None)
@@ -125,7 +126,8 @@ def compare(
     took_s: dict[str, float] = {}
     for done, plan in enumerate(plans, start=3):
         began_s, names = time.perf_counter() - start, set(plan.algorithm.get(light, {}).values())
-        if names <= took_s.keys() and began_s + max(map(took_s.get, names), default=0.0) > ROWS_SHARE * time_limit_s:
+        ends_s = began_s + max((took_s.get(each, 0.0) for each in names), default=0.0)
+        if not all_of_them and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
             trials.append(_trial(scene, real, plan, pixel_m))

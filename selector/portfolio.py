@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from itertools import islice, product
 
 from selector.picks import Pick
-from selector.serves import serves
+from selector.serves import SWEPT_M, serves, swept_m
 from terrain.descriptor import Descriptor
 from terrain.level import SUN, AlgorithmName, CasterKind
 
@@ -49,12 +49,15 @@ def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind])
 
 def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Pick]:
     seen = set()
+    across_m = swept_m(descriptor) or 0.0
     triangles = sum(each.triangles + each.outside_triangles for each in descriptor.stands if each.kind == "relief")
     for company, named in COMPANY:
         algorithm = {kind: named.get(kind, SHADOW_MAP) for kind in kinds}
         if not all(serves(name, descriptor, light, kind) for kind, name in algorithm.items()):
             continue
         if algorithm.get("relief") in VOLUMES and triangles > MOST_VOLUMES:
+            continue
+        if algorithm.get("relief") == "sweep" and across_m > SWEPT_M:
             continue
         for settings in _settings(descriptor, light, set(algorithm.values())):
             words = [company, *(f"{settings[key]}" if key == "map_size" else f"x{settings[key]}" for key in settings)]

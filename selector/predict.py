@@ -8,7 +8,7 @@ from typing import Any
 
 from selector.cost_model import predicted_ms
 from selector.device_profile import DeviceProfile
-from selector.error_model import Errors, expected_errors
+from selector.error_model import ErrorModel, Errors, expected_errors
 from selector.picks import Pick, Wishes
 from selector.portfolio import portfolio
 from selector.rules import Planner, planner_of
@@ -39,16 +39,22 @@ class Option:
         return Figures(self.pick.name, self.ms, self.errors.cautious, self.errors.interior)
 
 
-def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, device: DeviceProfile) -> Plan:
+def predicted_plan(
+    descriptor: Descriptor,
+    wishes: Wishes,
+    overrides: dict[str, Any] | None,
+    device: DeviceProfile,
+    errors: ErrorModel | None = None,
+) -> Plan:
     """The plan that is expected to be the cheapest of those that meet ``max_error``, or the most accurate within ``max_ms``; where
-    none is expected to, the nearest, marked as missing the target.
+    none is expected to, the nearest, marked as missing the target. ``errors`` are other constants than those fitted.
 
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """
     planner = planner_of(descriptor, wishes, overrides)
     asked = planner.asked
     casting = {light: planner.casting(light) for light in kinds_of_lights(descriptor)}
-    options = {light: options_of(planner, light, kinds, device) for light, kinds in casting.items() if kinds}
+    options = {light: options_of(planner, light, kinds, device, errors) for light, kinds in casting.items() if kinds}
     verdicts = {light: best([each.figures for each in its], asked.max_error) for light, its in options.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     if asked.max_ms is not None and options:
@@ -73,14 +79,16 @@ def predicted_plan(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, 
     )
 
 
-def options_of(planner: Planner, light: str, kinds: Sequence[CasterKind], device: DeviceProfile) -> list[Option]:
+def options_of(
+    planner: Planner, light: str, kinds: Sequence[CasterKind], device: DeviceProfile, errors: ErrorModel | None = None
+) -> list[Option]:
     """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
     found: dict[tuple[Step, ...], Option] = {}
     for pick in portfolio(planner.descriptor, light, kinds):
         steps = planner.steps(light, pick)
         if steps not in found:
             ms = sum(predicted_ms(device, planner.descriptor, light, step.kinds, step.algorithm, step.settings) for step in steps)
-            found[steps] = Option(pick, steps, ms, expected_errors(planner.descriptor, light, steps))
+            found[steps] = Option(pick, steps, ms, expected_errors(planner.descriptor, light, steps, errors))
     return list(found.values())
 
 

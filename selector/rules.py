@@ -262,7 +262,7 @@ def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapp
         return "there are casters and light"
     if name in rejected:
         return rejected[name]
-    if len(free) == 1 or len({one.why for one in free}) == 1:
+    if len(free) == 1:
         return ALGORITHMS[name].refusal(free[0].parts) or f"{free[0].name} goes before it: {free[0].why}"
     whys: dict[str, list[str]] = {}
     for one in free:

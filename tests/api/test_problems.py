@@ -79,7 +79,7 @@ def test_not_found(client: Client, address: str, parameter: str | None, said: st
         (f"{TILEJSON}?page=2", "page", "2"),
         (f"{TILEJSON}?azimuth=1&altitude=91", "altitude", "91"),
         ("levels/hills/plan?view=ridge", "view", "map"),
-        ("levels/hills/plan?zoom=2", "zoom", "2"),
+        ("levels/hills/plan?page=2", "page", "2"),
     ],
 )
 def test_wrong_parameters(client: Client, address: str, parameter: str, said: str):

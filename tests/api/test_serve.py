@@ -70,7 +70,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
 def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number: signal.Signals):
     with serving(hills_level, r"render process (\d+) ready") as (process, worker):
         process.send_signal(number)

@@ -24,13 +24,12 @@ from selector.advice_rules import (
     RULES,
     SHARP_PX,
     SMALL_SHADOW,
-    SWEPT_M,
     USUAL_TEXELS,
     Case,
 )
 from selector.picks import Asked
 from selector.rules import choose
-from selector.serves import serves
+from selector.serves import SWEPT_M, serves
 from terrain.descriptor import Descriptor, describe
 from terrain.facts import CasterFacts, LightFacts
 from terrain.level import Shadows, load_level

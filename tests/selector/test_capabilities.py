@@ -176,7 +176,7 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
-    for ground, words in (("uneven", "is not flat"), ("level", "casters projected")):
+    for ground, words in (("uneven", "is not flat"), ("level", "goes before it")):
         plan = plan_of(scene_on(ground), scene_on(ground).view("map"))
         (reason,) = [item.reason for item in plan.rejected if item.name == "planar"]
         assert words in reason

@@ -89,6 +89,7 @@ def ground_round_the_middle(scene: Scene) -> MapView:
     return scene.view(bounds=(x - 3000, y - 3000, x + 3000, y + 3000), size=(PX, PX))
 
 
+@pytest.mark.long
 def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro):
     """Texels of 20 by 3 pixels, so that a lattice that moved would show."""
     view, map_size = ground_round_the_middle(jacksboro), 96

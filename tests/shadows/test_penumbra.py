@@ -68,6 +68,7 @@ def test_a_straight_edge_is_as_soft_as_the_disc(gl, tmp_path, height_m, radii_te
     assert np.ptp(seen, axis=0).max() < 0.01 + 0.2 / radii_texels
 
 
+@pytest.mark.long
 def test_the_penumbra_widens_with_the_distance(gl, tmp_path):
     widths = []
     for height_m in (10.0, 20.0, 40.0):
@@ -139,7 +140,7 @@ def test_made_scenes_are_near_rays(gl, level, view):
     assert found["sun"] < 0.015 and found["sun"] < 0.9 * found[3]
 
 
-@pytest.mark.parametrize("altitude", [30.0, 10.0])
+@pytest.mark.parametrize("altitude", [30.0, pytest.param(10.0, marks=pytest.mark.long)])
 def test_terrain_is_near_rays(gl, altitude):
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=altitude))
     view = block_at(-84.25, 36.58, 13).part(0, 0, 192, 192)

@@ -167,7 +167,8 @@ def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_
         assert np.abs(shade - shares)[whole].mean() < 0.04 and 0.1 < shares[whole].mean() < 0.9
 
 
-@pytest.mark.parametrize("level", [pytest.param("thesis_rocks", marks=pytest.mark.long), "thesis_rocks_sun"])
+@pytest.mark.long
+@pytest.mark.parametrize("level", ["thesis_rocks", "thesis_rocks_sun"])
 def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view("close", size=(320, 256))

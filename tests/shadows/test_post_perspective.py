@@ -158,6 +158,7 @@ def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspe
     return found, fitted(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lamp", [False, True])
 def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
     """Casters all along the way from each receiver to the light, behind the eye and beside the view among them, are drawn where the

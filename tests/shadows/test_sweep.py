@@ -160,6 +160,7 @@ def test_trees_and_houses_stand_in_the_hills_shadow():
     assert (((seen < 0.5) == real.lit) & decided).sum() <= 2e-3 * decided.sum()
 
 
+@pytest.mark.long
 def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
     for sun in ((113.0, 10.0), (202.0, 25.0)):
         scene = under(jacksboro, *sun)

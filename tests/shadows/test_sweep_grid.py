@@ -82,6 +82,7 @@ def test_more_lines_leave_fewer_errors():
     assert wrong[4] < wrong[1] / 3
 
 
+@pytest.mark.long
 @given(azimuth=st.floats(0, 360), altitude=st.floats(10, 60), height=st.floats(100, 200))
 def test_a_cone_throws_the_shadow_that_it_must(azimuth, altitude, height):
     """On a floor: the convex hull of its foot and of its tip's shadow, height / tan(altitude) away from the sun."""

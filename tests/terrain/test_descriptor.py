@@ -158,6 +158,7 @@ def test_facts_of_effects_come_back_from_json(fact):
 VIEWS = [("spatialace", "main"), ("spatialace", "map"), ("thesis_boxgrid", "main"), ("jacksboro", "map")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("level", "view"), VIEWS)
 def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
     scene = scene_of(level)
