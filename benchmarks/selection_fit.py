@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from selector.error_model import Counted, ErrorModel, expected_errors
+from selector.error_model import Counted, ErrorModel, expected_errors, kinds_of_step, texel_px_of
 from selector.picks import Asked
 from selector.portfolio import portfolio
 from selector.rules import planner_of
-from shadows.plan import Step
+from shadows.plan import PerspectiveMapSettings, Step
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
+from terrain.facts import TEXEL_LADDER_PX
 from terrain.level import SUN, Shadows
 
 Figures = dict[str, Any]
@@ -27,45 +28,44 @@ CAUTIOUS = 0.9
 """Share of the rows whose error lies below the cautious one."""
 
 MAPS = ("shadow_map", "perspective_shadow_map")
+EXACT = ("shadow_volume", "hybrid", "sweep")
 
 START = (1.0, 4.0, 1.2, 1.0, 4.0, 1.2, 1.3, 3e-4, 3e-4)
-"""The part of what differs that counts (most, half, steepness) of solid casters and of foliage; texels of perspective maps to a
-pixel; the floors of both kinds of maps."""
+"""The part of what differs that counts (most, half, steepness) of solid casters and of foliage; pixels of a perspective map's
+texels at the picture's own size; the floors of both kinds of maps."""
+
+DRAWN_BACK = 0.1
+"""How strongly constants are drawn back to where they start, in residuals."""
+
+TOLD = 5e-4
+"""From this share of wrong pixels on it is told how many of them lie inside."""
+
+LADDER = np.log2(TEXEL_LADDER_PX)
 
 
+@dataclass(frozen=True, eq=False)
 class Case:
-    """A measured row: the steps it took, and what it got wrong."""
+    """A measured row: the view it belongs to, the steps it took, and what it got wrong."""
 
-    def __init__(self, view: Figures, steps: tuple[Step, ...], row: Figures) -> None:
-        self.descriptor, self.light, self.steps = described(view), view["light"], steps
-        self.error, self.wrong, self.interior = row[view["error"]], row["wrong"], row["interior"]
-        self.algorithms = frozenset(step.algorithm for step in steps)
+    view: Figures
+    descriptor: Descriptor
+    steps: tuple[Step, ...]
+    row: Figures
+
+    @property
+    def light(self) -> str:
+        return self.view["light"]
+
+    @property
+    def error(self) -> float:
+        return self.row[self.view["error"]]
+
+    @property
+    def algorithms(self) -> frozenset[str]:
+        return frozenset(step.algorithm for step in self.steps)
 
     def expected(self, model: ErrorModel) -> float:
         return expected_errors(self.descriptor, self.light, self.steps, model).wrong_cast
-
-
-def described(view: Figures) -> Descriptor:
-    """A view's descriptor."""
-    return _described(view["name"], _Same(view["descriptor"]))
-
-
-class _Same:
-    """A value that counts as equal to itself alone."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-    def __hash__(self) -> int:
-        return id(self.value)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.value is self.value
-
-
-@lru_cache(maxsize=256)
-def _described(name: str, same: _Same) -> Descriptor:
-    return Descriptor.model_validate(same.value)
 
 
 def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Asked:
@@ -73,45 +73,75 @@ def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Asked:
     return Asked(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 
-def cases(views: Sequence[Figures]) -> list[Case]:
-    """The rows of picks, each once, of views in which anything lies in cast shadow."""
-    found = []
-    for view in views:
-        descriptor, light = described(view), view["light"]
-        if not descriptor.lights[light].cast_share > 0.0:
-            continue
-        planner = planner_of(descriptor, asked_of(descriptor))
-        seen = set()
-        for pick in portfolio(descriptor, light, planner.casting(light)):
-            name = view["picks"].get(pick.name)
-            if name in view["rows"] and name not in seen:
-                seen.add(name)
-                found.append(Case(view, planner.steps(light, pick), view["rows"][name]))
-    return found
+def cases_of(view: Figures) -> list[Case]:
+    """The rows of a view's picks, each once; none where nothing is expected to lie in cast shadow."""
+    descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
+    if not descriptor.lights[light].cast_share > 0.0:
+        return []
+    planner = planner_of(descriptor, asked_of(descriptor))
+    found: dict[str, Case] = {}
+    for pick in portfolio(descriptor, light, planner.casting(light)):
+        name = view["picks"].get(pick.name)
+        if name in view["rows"] and name not in found:
+            found[name] = Case(view, descriptor, planner.steps(light, pick), view["rows"][name])
+    return list(found.values())
 
 
-def fitted(views: Sequence[Figures]) -> ErrorModel:
-    """The constants that fit measured views."""
-    its = cases(views)
-    mapped = [case for case in its if case.algorithms & set(MAPS)]
+def fitted(cases: Sequence[Case]) -> ErrorModel:
+    """The constants that fit measured rows."""
+    mapped = [case for case in cases if case.algorithms & set(MAPS) and "planar" not in case.algorithms]
+    terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
-        model = _model(np.exp(logarithms))
-        return np.array([np.log(case.expected(model) + LEAST) - np.log(case.error + LEAST) for case in mapped])
+        beside = DRAWN_BACK * (logarithms - np.log(START))  # what nothing was measured of stays where it is
+        return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + LEAST) - measured, beside])
 
-    found = least_squares(off, np.log(START), loss="soft_l1")
+    found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
-    exact = {name: _quantile([case.error for case in its if case.algorithms == {name}], 0.5) for name in ALGORITHMS}
-    floor = {name: model.floor[name] if name in MAPS else exact[name] for name in ALGORITHMS}
-    model = model.model_copy(update={"floor": floor})
+    exact = {name: _quantile([case.error for case in cases if case.algorithms == {name}], 0.5) for name in EXACT}
+    model = model.model_copy(update={"floor": model.floor | exact})
     inside, caution = {}, {}
     for name in ALGORITHMS:
-        with_it = [case for case in its if name in case.algorithms]
-        shares = [case.interior / max(case.wrong, 1e-6) for case in with_it if case.wrong > 0.0]
+        with_it = [case for case in cases if name in case.algorithms]
+        shares = [case.row["interior"] / max(case.row["wrong"], 1e-6) for case in with_it if case.row["wrong"] > TOLD]
         ratios = [(case.error + LEAST) / (case.expected(model) + LEAST) for case in with_it]
         inside[name] = min(_quantile(shares, CAUTIOUS), 1.0)
         caution[name] = max(_quantile(ratios, CAUTIOUS), 1.0)
     return model.model_copy(update={"interior": inside, "caution": caution})
+
+
+class _Terms:
+    """The sum of ``selector.error_model``, taken apart once for many constants: a term for each band of each kind of each step."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        rows: list[tuple[float, ...]] = []
+        differs: list[tuple[float, ...]] = []
+        self._maps = np.array([[float(name in case.algorithms) for name in MAPS] for case in cases])
+        self._count = len(cases)
+        for number, case in enumerate(cases):
+            cast = max(case.descriptor.lights[case.light].cast_share, 1e-4)
+            for step in case.steps:
+                for kind, casting in kinds_of_step(case.descriptor, case.light, step):
+                    for band in casting.bands:
+                        follows = isinstance(step.settings, PerspectiveMapSettings)
+                        fixed, seen = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, 1.0))
+                        if fixed > 0.0:
+                            rows.append((number, kind == "forest", band.share / cast, fixed, seen if follows else np.inf))
+                            differs.append(band.differs)
+        self._of, leaves, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
+        self._of, self._leaves, self._differs = self._of.astype(int), leaves.astype(bool), np.array(differs)
+
+    def expected(self, x: np.ndarray) -> np.ndarray:
+        texel = np.minimum(self._most, x[6] * self._each)
+        at = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
+        low = np.minimum(at.astype(int), len(LADDER) - 2)
+        first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
+        differs = first + (second - first) * (at - low)
+        differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
+        most, half, steepness = (np.where(self._leaves, x[3 + k], x[k]) for k in range(3))
+        counted = most / (1.0 + (half / np.maximum(texel, 1e-9)) ** steepness)
+        total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
+        return np.minimum(total + self._maps @ x[7:9], 1.0)
 
 
 def _model(x: np.ndarray) -> ErrorModel:

@@ -21,8 +21,8 @@ from terrain.gl import device
 from terrain.grid import MapView
 from terrain.scene import Scene
 
-TIME_LIMIT_S = 45.0
-"""What the picks of a view may take in all; beyond it there are fewer repeats."""
+TIME_LIMIT_S = 25.0
+"""What a view may take in all; beyond it there are fewer repeats."""
 
 Figures = dict[str, Any]
 

@@ -95,30 +95,35 @@ def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], m
     cast = max(facts.cast_share, 1e-4)
     for step in steps:
         its = model.floor[step.algorithm] * cast
-        its += sum(_of_kind(descriptor, light, facts, step, kind, model) for kind in step.kinds)
+        its += sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
         wrong += its
         cautious += its * model.caution[step.algorithm]
         interior += its * model.interior[step.algorithm]
     return Errors(min(wrong, 1.0), min(wrong / cast, 1.0), min(interior, 1.0), min(cautious / cast, 1.0))
 
 
-def _of_kind(descriptor: Descriptor, light: str, facts: LightFacts, step: Step, kind: CasterKind, model: ErrorModel) -> float:
+def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
+    """What a step's kinds of casters throw on what is seen; ``UNKNOWN`` where the descriptor says nothing of the light."""
+    casts = descriptor.lights[light].casts if light in descriptor.lights else {}
+    return [(kind, casts.get(kind, UNKNOWN)) for kind in step.kinds if not casts or kind in casts]
+
+
+def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
     """The share of all that is seen that one kind's shadows are wrong on."""
-    casting = facts.casts.get(kind, UNKNOWN if not facts.casts else None)
-    if casting is None:
-        return 0.0
     if step.algorithm == "planar":
         return casting.share if casting.on_bodies is None else casting.on_bodies
     wrong = 0.0
     for band in casting.bands:
-        texel_px = _texel_px(descriptor, light, step, band, model)
+        texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
         if texel_px > 0.0:
             wrong += band.share * _differs(band, texel_px) * model.counted[kind].of(texel_px)
     return wrong
 
 
-def _texel_px(descriptor: Descriptor, light: str, step: Step, band: CastBand, model: ErrorModel) -> float:
-    """A texel's side in a band in pixels, across the light (the geometric mean of both sides); 0 without texels."""
+def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, perspective: float) -> float:
+    """A texel's side in a band in pixels, across the light (the geometric mean of both sides); 0 without texels. ``perspective`` is
+    ``ErrorModel.perspective``.
+    """
     settings = step.settings
     if isinstance(settings, ShadowMapSettings):
         ends = (cascade.far_m for cascade in settings.cascades[:-1])
@@ -128,7 +133,7 @@ def _texel_px(descriptor: Descriptor, light: str, step: Step, band: CastBand, mo
     if isinstance(settings, LampMapSettings):
         return _uniform_px(descriptor, light, band) / settings.map_size
     if isinstance(settings, PerspectiveMapSettings):
-        seen_px = model.perspective * sqrt(descriptor.rows * descriptor.cols)
+        seen_px = perspective * sqrt(descriptor.rows * descriptor.cols)
         return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
     return 0.0
 

@@ -31,7 +31,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     wide_px = wide_m / pixel_m
     if wide_px < 1.0:
         return Verdict(False, f"no penumbra is wider than {wide_px:.2g} pixels")
-    return Verdict(True, f"penumbras are up to {wide_px:.3g} pixels wide")
+    return Verdict(True, f"penumbras are up to {wide_px:{'.3g' if wide_px < 999.5 else '.0f'}} pixels wide")
 
 
 def penumbra_m(descriptor: Descriptor) -> float:
