@@ -98,8 +98,8 @@ def fitted(cases: Sequence[Case]) -> ErrorModel:
 
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
-    exact = {name: _quantile([case.error for case in cases if case.algorithms == {name}], 0.5) for name in EXACT}
-    model = model.model_copy(update={"floor": model.floor | exact})
+    by_itself = {name: [case.error for case in cases if case.algorithms == {name}] for name in EXACT}
+    model = model.model_copy(update={"floor": model.floor | {name: float(np.mean(its)) for name, its in by_itself.items() if its}})
     inside, caution = {}, {}
     for name in ALGORITHMS:
         with_it = [case for case in cases if name in case.algorithms]
