@@ -1,10 +1,14 @@
 """How well the selector chooses: every pick of many views measured, and what each policy takes held against the best of them.
 
-    python benchmarks/selection.py measure DATA [--folder build/selection] [--only NAME ...] [--again]
-    python benchmarks/selection.py fit DATA [--folder build/selection]
+    python benchmarks/selection.py measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
+    python benchmarks/selection.py choose DATA [--folder build/selection]     what the policy `measure` takes; as long again
+    python benchmarks/selection.py describe DATA [--folder build/selection]   descriptors, and what planning takes
+    python benchmarks/selection.py keep [--folder build/selection]            write it all to benchmarks/selection.jsonl
+    python benchmarks/selection.py fit                                        write selector/error_model.json from there
+    python benchmarks/selection.py judge [--write]                            print the tables of docs/selection.md, or write them
 
-`measure` takes about half an hour on two cores; it goes on where it stopped. DATA is the folder of sample rasters. `fit` writes the
-constants of the error model, `selector/error_model.json`, from what was measured.
+Each goes on where it stopped; `time DATA` times all rows anew, `--again` does again what is done. DATA is the folder of sample
+rasters. The device must be calibrated (`skugga calibrate`).
 """
 
 from __future__ import annotations
@@ -16,14 +20,19 @@ from pathlib import Path
 from typing import Any
 
 from selection_fit import cases_of, fitted
-from selection_measure import described, measured
-from selection_views import instances
+from selection_measure import chosen, described, measured, timed
+from selection_page import page, with_tables
+from selection_table import read_table, write_table
+from selection_views import Instance, instances
 
+from selector.device_profile import load_profile
+from terrain.gl import device
+
+STEPS = {"measure": "rows", "time": "anew", "choose": "measured", "describe": "plan_ms"}
+"""What is done view by view, and the key of a record that says that it was."""
+
+PAGE = Path(__file__).parents[1] / "docs" / "selection.md"
 MODEL = Path(__file__).parents[1] / "selector" / "error_model.json"
-
-
-def slug(name: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in name)
 
 
 def _rounded(value: Any) -> Any:
@@ -33,27 +42,62 @@ def _rounded(value: Any) -> Any:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("measure", "describe", "fit"))
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--folder", type=Path, default=Path("build/selection"))
-    parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--again", action="store_true")
+    commands = parser.add_subparsers(dest="what", required=True)
+    for name, _ in STEPS.items():
+        command = commands.add_parser(name)
+        command.add_argument("data", type=Path)
+        command.add_argument("--folder", type=Path, default=Path("build/selection"))
+        command.add_argument("--only", nargs="*", default=[])
+        command.add_argument("--again", action="store_true")
+    commands.add_parser("keep").add_argument("--folder", type=Path, default=Path("build/selection"))
+    commands.add_parser("fit")
+    commands.add_parser("judge").add_argument("--write", action="store_true")
     given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    if given.what == "fit":
-        views = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(given.folder.glob("*.json"))]
-        model = fitted([case for view in views if "rows" in view for case in cases_of(view)])
+    if given.what in STEPS:
+        _go_on(given.what, given.data, given.folder, given.only, given.again)
+    elif given.what == "keep":
+        profile = load_profile(device().renderer, device().version)
+        if profile is None:
+            parser.error("the device is not calibrated: skugga calibrate")
+        write_table([record for one in instances() if (record := _read(given.folder, one)) is not None], profile)
+    elif given.what == "fit":
+        views, _ = read_table()
+        model = fitted([case for view in views for case in cases_of(view)])
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
         MODEL.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
-        return
+    else:
+        text = page(*read_table())
+        print(text)
+        if given.write:
+            PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), text), encoding="utf-8")
+
+
+def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) -> None:
+    """Do a step for all views that it is not done for."""
+    folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
-        path = given.folder / f"{slug(instance.name)}.{'json' if given.what == 'measure' else 'descriptor.json'}"
-        if (path.exists() and not given.again) or (given.only and not any(word in instance.name for word in given.only)):
+        record = _read(folder, instance)
+        if (only and not any(word in instance.name for word in only)) or (record is None) != (what == "measure"):
+            continue
+        if record is not None and STEPS[what] in record and not again:
             continue
         start = time.perf_counter()
-        made = (measured if given.what == "measure" else described)(instance, given.data)
-        path.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+        made = (
+            measured(instance, data)
+            if record is None
+            else {"time": timed, "choose": chosen, "describe": described}[what](instance, data, record)
+        )
+        _path(folder, instance).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)
+
+
+def _path(folder: Path, instance: Instance) -> Path:
+    return folder / ("".join(c if c.isalnum() else "_" for c in instance.name) + ".json")
+
+
+def _read(folder: Path, instance: Instance) -> dict[str, Any] | None:
+    path = _path(folder, instance)
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
 if __name__ == "__main__":

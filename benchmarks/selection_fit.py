@@ -9,29 +9,40 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from selector.error_model import Counted, ErrorModel, expected_errors, kinds_of_step, texel_px_of
+from selector.error_model import (
+    DECIMATED,
+    HALF_A_HIT,
+    LEAST,
+    LEAST_INTERIOR,
+    LEAST_SPREAD,
+    MANNERS,
+    Counted,
+    ErrorModel,
+    Errors,
+    Manner,
+    expected_errors,
+    kinds_of_step,
+    manner_of,
+    pooled,
+    texel_px_of,
+)
 from selector.picks import Asked
 from selector.portfolio import portfolio
 from selector.rules import planner_of
 from shadows.plan import PerspectiveMapSettings, Step
-from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
 from terrain.facts import TEXEL_LADDER_PX
-from terrain.level import SUN, Shadows
+from terrain.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
 
-LEAST = 1e-3
-"""Errors are fitted as their logarithms, from this one on."""
-
-CAUTIOUS = 0.9
-"""Share of the rows whose error lies below the cautious one."""
-
 MAPS = ("shadow_map", "perspective_shadow_map")
-EXACT = ("shadow_volume", "hybrid", "sweep")
+EXACT = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 
-START = (1.0, 4.0, 1.2, 1.0, 4.0, 1.2, 1.3, 3e-4, 3e-4)
-"""The part of what differs that counts (most, half, steepness) of solid casters and of foliage; pixels of a perspective map's
+KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
+
+START = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
+"""The part of what differs that counts (most, half, steepness) of each kind of casters; pixels of a perspective map's
 texels at the picture's own size; the floors of both kinds of maps."""
 
 DRAWN_BACK = 0.1
@@ -64,8 +75,12 @@ class Case:
     def algorithms(self) -> frozenset[str]:
         return frozenset(step.algorithm for step in self.steps)
 
-    def expected(self, model: ErrorModel) -> float:
-        return expected_errors(self.descriptor, self.light, self.steps, model).wrong_cast
+    @property
+    def manners(self) -> frozenset[Manner]:
+        return frozenset(manner_of(self.descriptor, step) for step in self.steps)
+
+    def expected(self, model: ErrorModel) -> Errors:
+        return expected_errors(self.descriptor, self.light, self.steps, model)
 
 
 def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Asked:
@@ -74,10 +89,10 @@ def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Asked:
 
 
 def cases_of(view: Figures) -> list[Case]:
-    """The rows of a view's picks, each once; none where nothing is expected to lie in cast shadow."""
-    descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
-    if not descriptor.lights[light].cast_share > 0.0:
+    """The rows of a view's picks, each once; none where nothing lies in cast shadow, of which the errors would be a share."""
+    if view["error"] == "wrong":
         return []
+    descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
     planner = planner_of(descriptor, asked_of(descriptor))
     found: dict[str, Case] = {}
     for pick in portfolio(descriptor, light, planner.casting(light)):
@@ -98,16 +113,18 @@ def fitted(cases: Sequence[Case]) -> ErrorModel:
 
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
-    by_itself = {name: [case.error for case in cases if case.algorithms == {name}] for name in EXACT}
-    model = model.model_copy(update={"floor": model.floor | {name: float(np.mean(its)) for name, its in by_itself.items() if its}})
-    inside, caution = {}, {}
-    for name in ALGORITHMS:
-        with_it = [case for case in cases if name in case.algorithms]
-        shares = [case.row["interior"] / max(case.row["wrong"], 1e-6) for case in with_it if case.row["wrong"] > TOLD]
-        ratios = [(case.error + LEAST) / (case.expected(model) + LEAST) for case in with_it]
-        inside[name] = min(_quantile(shares, CAUTIOUS), 1.0)
-        caution[name] = max(_quantile(ratios, CAUTIOUS), 1.0)
-    return model.model_copy(update={"interior": inside, "caution": caution})
+    by_itself = {name: [case.error for case in cases if case.manners == {name}] for name in EXACT}
+    floors = {name: float(np.exp(np.mean(np.log(np.array(its) + LEAST))) - LEAST) for name, its in by_itself.items() if its}
+    model = model.model_copy(update={"floor": model.floor | floors})
+    inside, spread, inside_spread = {}, {}, {}
+    for name in MANNERS:
+        with_it = [(case, case.expected(model)) for case in cases if name in case.manners]
+        spread[name] = _scale([(case.error + LEAST) / (expected.wrong_cast + LEAST) for case, expected in with_it])
+        told = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
+        shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in told]
+        inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
+        inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
+    return model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
 
 
 class _Terms:
@@ -119,38 +136,41 @@ class _Terms:
         self._maps = np.array([[float(name in case.algorithms) for name in MAPS] for case in cases])
         self._count = len(cases)
         for number, case in enumerate(cases):
-            cast = max(case.descriptor.lights[case.light].cast_share, 1e-4)
+            cast = max(case.descriptor.lights[case.light].cast_share, HALF_A_HIT)
             for step in case.steps:
                 for kind, casting in kinds_of_step(case.descriptor, case.light, step):
                     for band in casting.bands:
                         follows = isinstance(step.settings, PerspectiveMapSettings)
                         fixed, seen = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, 1.0))
                         if fixed > 0.0:
-                            rows.append((number, kind == "forest", band.share / cast, fixed, seen if follows else np.inf))
-                            differs.append(band.differs)
-        self._of, leaves, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
-        self._of, self._leaves, self._differs = self._of.astype(int), leaves.astype(bool), np.array(differs)
+                            rows.append((number, KINDS.index(kind), band.share / cast, fixed, seen if follows else np.inf))
+                            differs.append(pooled(band.differs))
+        self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
+        self._of, self._kind, self._differs = self._of.astype(int), self._kind.astype(int), np.array(differs)
 
     def expected(self, x: np.ndarray) -> np.ndarray:
-        texel = np.minimum(self._most, x[6] * self._each)
+        counts, perspective, floors = np.reshape(x[:-3], (len(KINDS), 3)), x[-3], x[-2:]
+        texel = np.minimum(self._most, perspective * self._each)
         at = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
         low = np.minimum(at.astype(int), len(LADDER) - 2)
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
         differs = first + (second - first) * (at - low)
         differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
-        most, half, steepness = (np.where(self._leaves, x[3 + k], x[k]) for k in range(3))
+        most, half, steepness = counts[self._kind].T
         counted = most / (1.0 + (half / np.maximum(texel, 1e-9)) ** steepness)
         total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
-        return np.minimum(total + self._maps @ x[7:9], 1.0)
+        return np.minimum(total + self._maps @ floors, 1.0)
 
 
 def _model(x: np.ndarray) -> ErrorModel:
-    solid, leaves = (Counted(most=x[k], half_px=x[k + 1], steepness=x[k + 2]) for k in (0, 3))
-    floor = {name: x[7] if name == "shadow_map" else x[8] if name in MAPS else 0.0 for name in ALGORITHMS}
-    ones, zeros = dict.fromkeys(ALGORITHMS, 1.0), dict.fromkeys(ALGORITHMS, 0.0)
-    counted = {"relief": solid, "meshes": solid, "forest": leaves}
-    return ErrorModel(counted=counted, perspective=x[6], floor=floor, interior=zeros, caution=ones)  # type: ignore[arg-type]
+    values = np.reshape(x[:-3], (len(KINDS), 3)).tolist()
+    counted = {kind: Counted(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
+    floor = {name: x[-2 + MAPS.index(name)] if name in MAPS else 0.0 for name in MANNERS}
+    zeros = dict.fromkeys(MANNERS, 0.0)
+    return ErrorModel(counted=counted, perspective=x[-3], floor=floor, interior=zeros, spread=zeros, interior_spread=zeros)  # type: ignore[arg-type]
 
 
-def _quantile(values: Sequence[float], share: float) -> float:
-    return float(np.quantile(values, share)) if len(values) else 0.0
+def _scale(ratios: Sequence[float]) -> float:
+    """The scale of the logistic distribution of which nine tenths lie within what nine tenths of some ratios' logarithms do."""
+    off = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
+    return max(off / np.log(19.0), LEAST_SPREAD)

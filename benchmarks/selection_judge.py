@@ -22,6 +22,9 @@ MISSED = 10.0
 WITHIN = 0.10
 """Where the single best lies this near to the virtual best, there is no gap to speak of."""
 
+WORST = 5
+"""So many of the worst picks are told."""
+
 Figures = dict[str, Any]
 
 
@@ -74,6 +77,11 @@ class Instance:
         least = max(min(found.values()), 1e-12)
         return {name: value / least for name, value in found.items()}
 
+    def share_of_best(self, ms: float) -> float:
+        """Milliseconds as a multiple of those of the quickest row that meets the target; 0 where none does."""
+        met = [row["ms"] for name, row in self.rows.items() if self.meets(name)]
+        return ms / min(met) if met else 0.0
+
     def _overshoot(self, name: str) -> float:
         row = self.rows[name]
         late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
@@ -104,32 +112,46 @@ class Verdict:
     """Share of the instances whose target can be met in which the policy's row meets it."""
     regret: float
     regret_p95: float
+    regret_met: float
+    regret_met_p95: float
+    """The same of the picks that met their target."""
     unclean: float
     """Share in which its row has interior error above ``INTERIOR`` though a clean row met the target."""
     loss: float
     single: float
     """Mean loss of the single best."""
+    single_met: float
     gap_closed: float | None
     """``None`` where single best and virtual best lie within ``WITHIN``."""
     worst: list[tuple[str, str, str, float]]
     """View, goal, row taken and regret of the worst picks."""
 
 
-def judged(instances: Sequence[Instance], taken: Mapping[tuple[str, str], str], single: Mapping[tuple[str, str], str]) -> Verdict:
-    """The verdict on the rows ``taken`` by (view, goal), against those of the single best."""
+def judged(
+    instances: Sequence[Instance],
+    taken: Mapping[tuple[str, str], str],
+    single: Mapping[tuple[str, str], str],
+    own_ms: Callable[[Figures], float] = lambda view: 0.0,
+) -> Verdict:
+    """The verdict on the rows ``taken`` by (view, goal), against those of the single best; ``own_ms`` is what a choice itself takes
+    in a view.
+    """
     losses = [one.losses() for one in instances]
     keys = [(one.view["name"], one.goal.name) for one in instances]
-    own = np.array([loss[taken[key]] for loss, key in zip(losses, keys, strict=True)])
+    spent = [one.share_of_best(own_ms(one.view)) for one in instances]
+    own = np.array([loss[taken[key]] for loss, key in zip(losses, keys, strict=True)]) + spent
     best = np.array([loss[single[key]] for loss, key in zip(losses, keys, strict=True)])
-    can = [any(map(one.meets, one.rows)) for one in instances]
-    met = [one.meets(taken[key]) for one, key, able in zip(instances, keys, can, strict=True) if able]
+    can = np.array([any(map(one.meets, one.rows)) for one in instances])
+    met = np.array([one.meets(taken[key]) for one, key in zip(instances, keys, strict=True)])
+    single_met = np.array([one.meets(single[key]) for one, key in zip(instances, keys, strict=True)])
     dirty = [able and one.rows[taken[key]]["interior"] > INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
-    worst = sorted(zip(own - 1.0, keys, strict=True), reverse=True)[:5]
-    gap = float(best.mean() - 1.0)
+    regret, gap = own - 1.0, float(best.mean() - 1.0)
+    worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
     return Verdict(
-        len(instances), float(np.mean(met)), float(own.mean() - 1.0), float(np.quantile(own - 1.0, 0.95)), float(np.mean(dirty)),
-        float(own.mean()), float(best.mean()), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
-        [(view, goal, taken[view, goal], float(regret)) for regret, (view, goal) in worst],
+        len(instances), float(met[can].mean()), float(regret.mean()), float(np.quantile(regret, 0.95)), float(regret[met].mean()),
+        float(np.quantile(regret[met], 0.95)), float(np.mean(dirty)), float(own.mean()), float(best.mean()),
+        float(single_met[can].mean()), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
+        [(view, goal, taken[view, goal], float(its)) for its, (view, goal) in worst],
     )  # fmt: skip
 
 
@@ -147,7 +169,7 @@ def stand_in(pick: str, view: Figures) -> str | None:
 
 def single_best(training: Sequence[Instance]) -> str:
     """The one pick with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed."""
-    names = sorted({name for one in training for name in one.view["picks"]})
+    names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 
     def mean(pick: str) -> float:

@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import tempfile
+import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from selection_judge import GOALS
+import numpy as np
+from selection_judge import GOALS, instances_of
 from selection_views import Instance
 
 from selector.candidates import name_of
-from selector.compare import compare
+from selector.compare import NO_CAST, compare, run_steps
+from selector.device_profile import load_profile
+from selector.measuring import Wanted, measured_rows, timed_at_full_size, winners
 from selector.portfolio import portfolio
 from selector.rules import choose, planner_of
+from selector.select import select
 from shadows.plan import Plan
+from shadows.render import FILLS, bands_of
 from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import UnsupportedError
 from terrain.gl import device
-from terrain.grid import MapView
+from terrain.grid import MapView, blocks_of
+from terrain.picture import geometry_of
+from terrain.reach import casters_of
 from terrain.scene import Scene
 
-TIME_LIMIT_S = 25.0
-"""What a view may take in all; beyond it there are fewer repeats."""
+RUNS = 3
+"""A row is timed so often, all rows in turns, after a first run that pays for compiling."""
 
 Figures = dict[str, Any]
 
@@ -37,42 +46,99 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
 
 
 def measured(instance: Instance, data: Path) -> Figures:
-    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row."""
+    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row.
+
+    ``error`` is the figure that targets go by: ``wrong`` where nothing lies in cast shadow, since of nothing there is no share.
+    """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = scene.light_names[0]
         descriptor = describe(scene, view, instance.view)
         plans = plans_of(descriptor, scene, light)
         found = _compared(scene, view, instance.view, light, plans)
-    return {
-        "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
-        "renderer": device().renderer, "error": found.error, "boundary": _rounded(found.boundary),
-        "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
-        "rows": {row.figures["name"]: _row(row.figures, light) for row in found.rows},
-        "picks": {pick: name_of(plan, light) for pick, plan in plans.items()},
-        "descriptor": descriptor.model_dump(mode="json"),
-    }  # fmt: skip
+        error = "wrong" if NO_CAST in found.remarks else found.error
+        record = {
+            "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
+            "renderer": device().renderer, "error": error, "boundary": _rounded(found.boundary),
+            "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
+            "rows": {row.figures["name"]: _row(row.figures, light) for row in found.rows},
+            "picks": {pick: name_of(plan, light) for pick, plan in plans.items()},
+            "descriptor": descriptor.model_dump(mode="json"),
+        }  # fmt: skip
+        return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
+
+
+def timed(instance: Instance, data: Path, record: Figures) -> Figures:
+    """The record with its rows timed anew."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, view = instance.opened(data, Path(folder))
+        light = record["light"]
+        plans = plans_of(describe(scene, view, instance.view), scene, light)
+        return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
+
+
+def chosen(instance: Instance, data: Path, record: Figures) -> Figures:
+    """The record with what the policy ``measure`` takes for each goal, by row; its candidates are drawn once for all of them."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, view = instance.opened(data, Path(folder))
+        light, start = record["light"], time.perf_counter()
+        rows = measured_rows(scene, view, instance.view)
+        rows_s = time.perf_counter() - start
+        taken, took_s = {}, {}
+        for one in instances_of([record]):
+            start, wanted = time.perf_counter(), Wanted(one.goal.max_error, one.max_ms)
+            timed = timed_at_full_size(scene, view, rows, wanted)
+            winner = winners(timed, wanted)[light].winner
+            plan = next(trial.candidate.plan for trial in timed[light].trials if trial.figures == winner)
+            taken[one.goal.name] = name_of(plan, light)
+            took_s[one.goal.name] = _rounded(rows_s + time.perf_counter() - start)
+    return record | {"measured": taken, "measured_s": took_s}
+
+
+def _timed(
+    scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
+) -> dict[str, Figures]:
+    """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
+    blocks = [block for block, _, _ in (blocks_of(view) if isinstance(view, MapView) else bands_of(view))]
+    buffers = [geometry_of(scene, block) for block in blocks]
+    grounds = [(buffer, casters_of(scene, buffer)) for buffer in buffers]
+    steps = {
+        name_of(plan, light): [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
+        for plan in plans.values()
+    }
+    times: dict[str, list[float]] = {name: [] for name in rows}
+    for _ in range(1 + RUNS):
+        for name, its in times.items():
+            its.append(run_steps(scene, grounds, steps[name]).times[0])
+    count = len(blocks) if isinstance(view, MapView) else 1
+    return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
 
 
 def _row(figures: Figures, light: str) -> Figures:
     shares = {key: _rounded(figures[key]) for key in ("wrong", "wrong_cast", "interior", "coverage")}
     algorithms = sorted(set(figures["algorithm"].get(light, {}).values()) - {"none"})
-    ms, runs = _rounded(figures["ms_median"]), figures["runs"]
-    return {"algorithms": algorithms, "ms": ms, "runs": runs, **shares, "bytes": figures["bytes"]}
+    return {"algorithms": algorithms, **shares, "bytes": figures["bytes"]}
 
 
-def described(instance: Instance, data: Path) -> Figures:
-    """The descriptor of an instance as JSON."""
+def described(instance: Instance, data: Path, record: Figures) -> Figures:
+    """The record with its descriptor made anew, and the milliseconds that describing the warm scene and choosing take."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
-        return describe(scene, view, instance.view).model_dump(mode="json")
+        profile = load_profile(device().renderer, device().version)
+        times_ms = []
+        for _ in range(1 + RUNS):
+            start = time.perf_counter()
+            descriptor = describe(scene, view, instance.view)
+            select(descriptor, scene.loaded.level, None, "predict", profile)
+            times_ms.append(1000.0 * (time.perf_counter() - start))
+        return record | {"descriptor": descriptor.model_dump(mode="json"), "plan_ms": _rounded(float(np.median(times_ms[1:])))}
 
 
 def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
     """The comparison of those plans that the view is served with; what a fill refuses is taken out of ``plans``."""
     while True:
         try:
-            return compare(scene, view, name, light=light, time_limit_s=TIME_LIMIT_S, plans=list(plans.values()))
+            return compare(scene, view, name, light=light, time_limit_s=0.0, plans=list(plans.values()))
         except UnsupportedError:
             swept = [pick for pick, plan in plans.items() if any(step.algorithm == "sweep" for step in plan.steps)]
             if not swept:

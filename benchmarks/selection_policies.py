@@ -32,6 +32,8 @@ class Split:
     name: str
     taken: Mapping[str, Taken]
     single: Taken
+    best: Mapping[str, int]
+    """The single best picks, and in how many parts each was it."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
@@ -54,10 +56,12 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
     cases = {view["name"]: cases_of(view) for part in parts for view in part}
     taken: dict[str, Taken] = {"rules": {}, "predict": {}, "measure": {}}
     single: Taken = {}
+    bests: dict[str, int] = {}
     for number, part in enumerate(parts):
         others = [view for other, views in enumerate(parts) if other != number for view in views]
         model = fitted([case for view in others for case in cases[view["name"]]])
         best = single_best(instances_of(others))
+        bests[best] = bests.get(best, 0) + 1
         for one in instances_of(part):
             key = (one.view["name"], one.goal.name)
             single[key] = stand_in(best, one.view) or max(one.rows, key=one.losses().__getitem__)
@@ -65,7 +69,7 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
             taken["predict"][key] = predicted(one, device, model)
             if "measured" in one.view:
                 taken["measure"][key] = one.view["measured"][one.goal.name]
-    return Split(name, {policy: its for policy, its in taken.items() if its}, single)
+    return Split(name, {policy: its for policy, its in taken.items() if its}, single, bests)
 
 
 def predicted(one: Instance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
@@ -75,17 +79,23 @@ def predicted(one: Instance, device: DeviceProfile, model: ErrorModel | None = N
     return name_of(predicted_plan(descriptor, asked_of(descriptor, shadows), None, device, model), one.view["light"])
 
 
-def verdicts(views: Sequence[Figures], device: DeviceProfile) -> dict[str, dict[str, Verdict]]:
-    """By split and policy what its choices are worth."""
-    found: dict[str, dict[str, Verdict]] = {}
-    for name, parts in (("held-out views", held_out_views(views)), ("leave one terrain out", terrains(views))):
-        made = split(name, parts, device)
-        found[name] = {policy: judged(_known(views, its), its, made.single) for policy, its in made.taken.items()}
-    return found
+def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
+    """Views held out of known terrains, and all of a terrain left out."""
+    parts = {"held-out views": held_out_views(views), "leave one terrain out": terrains(views)}
+    return [split(name, its, device) for name, its in parts.items()]
 
 
-def _known(views: Sequence[Figures], taken: Taken) -> list[Instance]:
-    return [one for one in instances_of(views) if (one.view["name"], one.goal.name) in taken]
+def verdict(views: Sequence[Figures], made: Split, policy: str, with_plans: bool = False) -> Verdict:
+    """What a policy's choices are worth; ``with_plans`` counts what it takes to plan a frame of a perspective view, too.
+
+    Tiles share a plan, and one that was measured is made beforehand.
+    """
+
+    def own_ms(view: Figures) -> float:
+        return view["plan_ms"] if with_plans and view["descriptor"]["view_kind"] == "perspective" else 0.0
+
+    its = made.taken[policy]
+    return judged([one for one in instances_of(views) if (one.view["name"], one.goal.name) in its], its, made.single, own_ms)
 
 
 def errors_of_time(cases: Iterable[Case], device: DeviceProfile, which: Callable[[Case], bool] = lambda case: True) -> np.ndarray:

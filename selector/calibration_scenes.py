@@ -61,7 +61,7 @@ def described(folder: Path) -> Iterator[tuple[str, dict[str, Any], str, tuple[in
     low, far = _camera([-26, -34, 16], [0, 0, 6]), _camera([60, -50, 48], [0, 0, 0])
     yield "lattice", _level(FLOOR, low, meshes=[dense], sun=(100, 24)), "main", (640, 512), "sun", ("meshes",), "some"
     yield "lattice_far", _level(FLOOR, far, meshes=[dense], sun=(220, 40)), "main", (400, 320), "sun", ("meshes",), "few"
-    yield "few_balls_map", _level(FLOOR, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "some"
+    yield "few_balls_map", _level(FLOOR, near, meshes=[few], sun=(60, 45)), "map", (256, 256), "sun", ("meshes",), "full"
     yield "many_balls_map", _level(FLOOR, near, meshes=[many], sun=(60, 25)), "map", (384, 384), "sun", ("meshes",), "some"
     for kind, lamp in (("spot", spot), ("omni", {"kind": "omni", "position": [8, -8, 30]})):
         level = _level(FLOOR, near, meshes=[many], sun=None) | {"lights": {"lamp": lamp}}
@@ -72,6 +72,9 @@ def described(folder: Path) -> Iterator[tuple[str, dict[str, Any], str, tuple[in
     over, down = _camera([-900, -1100, 900], [0, 0, 0]), _camera([1200, 900, 1500], [-200, 0, 0])
     yield "hills", _level(hills, over, sun=(120, 25)), "main", (640, 512), "sun", ("relief",), "full"
     yield "fine_hills", _level(fine, down, sun=(250, 15)), "main", (480, 400), "sun", ("relief",), "some"
+    wide, aloft = _hills(8000, 8, 700), _camera([-2200, -2600, 1900], [0, 0, 0])
+    yield "wide_hills", _level(wide, aloft, sun=(200, 20)), "main", (400, 320), "sun", ("relief",), "few"
+    yield "wide_hills_map", _level(wide, aloft, sun=(310, 12)), "map", (448, 448), "sun", ("relief",), "few"
     yield "hills_map", _level(hills, over, sun=(120, 25)), "map", (280, 280), "sun", ("relief",), "full"
     yield "fine_hills_map", _level(fine, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
     houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _places(60, 900.0)}
@@ -80,6 +83,8 @@ def described(folder: Path) -> Iterator[tuple[str, dict[str, Any], str, tuple[in
     every: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
     yield "grove", _level(hills, close, meshes=[houses], forest=[grove], sun=(200, 35)), "main", (640, 512), "sun", every, "some"
     yield "wood", _level(hills, over, forest=[wood], sun=(150, 22)), "main", (400, 320), "sun", ("relief", "forest"), "few"
+    above = _camera([10, -50, 70], [0, 0, 0])
+    yield "below_in_the_wood", _level(hills, above, forest=[wood], sun=(70, 50)), "main", (400, 320), "sun", ("forest",), "few"
     yield "wood_map", _level(hills, over, forest=[wood], sun=(150, 40)), "map", (448, 448), "sun", ("forest",), "few"
     inside = {"kind": "map", "bounds": [-400.0, -400.0, 400.0, 400.0]}
     level = _level(hills, over, forest=[wood], sun=(150, 40))

@@ -18,8 +18,10 @@ from shadows.plan import Plan, Step
 from shadows.render import FILLS, forget_kept
 from terrain.descriptor import describe
 from terrain.errors import InputError
+from terrain.geometry import GeometryBuffer
 from terrain.level import SUN
 from terrain.picture import geometry_of
+from terrain.reach import Casters
 from terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
@@ -31,6 +33,9 @@ TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
 """Time from which on a comparison begins nothing more, and the share of it from which on no more rows."""
 
 FINE_SAMPLES = 16
+
+NO_CAST = "nothing lies in cast shadow: only false shadow can be measured"
+"""A remark on a view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +197,7 @@ def _trial(scene: Scene, real: ViewTruth, plan: Plan, pixel_m: float) -> Trial:
     """A plan's first run, and its figures but for the times."""
     light, truth = real.grounds[0].light, real.whole
     steps = [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
-    run = _run(scene, real.grounds, steps)
+    run = run_steps(scene, _drawn_on(real.grounds), steps)
     for ground, part in zip(real.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
@@ -215,15 +220,15 @@ def _trial(scene: Scene, real: ViewTruth, plan: Plan, pixel_m: float) -> Trial:
     return Trial(steps, row, run.times)
 
 
-def _run(scene: Scene, grounds: list[Ground], steps: list[Step]) -> Run:
+def run_steps(scene: Scene, grounds: Sequence[tuple[GeometryBuffer, Casters]], steps: Sequence[Step]) -> Run:
+    """Execute a light's steps on the blocks of a view, nothing kept from before."""
     forget_kept()  # every cost that a moving sun has is to be paid
     log, start = PassLog(), time.perf_counter()
     parts = []
-    for ground in grounds:
-        visibility = np.ones(ground.buffer.there.shape, np.float32)
+    for buffer, casters in grounds:
+        visibility = np.ones(buffer.there.shape, np.float32)
         for step in steps:
-            fill = FILLS[step.algorithm]
-            visibility *= fill(ground.buffer, scene, step.light, step.kinds, ground.casters, step.settings, log)
+            visibility *= FILLS[step.algorithm](buffer, scene, step.light, step.kinds, casters, step.settings, log)
         parts.append(visibility)
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
@@ -234,7 +239,11 @@ def _run(scene: Scene, grounds: list[Ground], steps: list[Step]) -> Run:
 
 
 def _time_again(scene: Scene, grounds: list[Ground], trial: Trial) -> None:
-    trial.later.append(_run(scene, grounds, trial.steps).times)
+    trial.later.append(run_steps(scene, _drawn_on(grounds), trial.steps).times)
+
+
+def _drawn_on(grounds: Sequence[Ground]) -> list[tuple[GeometryBuffer, Casters]]:
+    return [(ground.buffer, ground.casters) for ground in grounds]
 
 
 def _timed(trial: Trial) -> Row:
@@ -269,7 +278,7 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[Row]) -> list[str]:
     elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
     elif not (real.there & ~real.attached & ~real.lit).any():
-        remarks.append("nothing lies in cast shadow: only false shadow can be measured")
+        remarks.append(NO_CAST)
     elif not real.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
     if real.there.any() and view_truth.error == "coverage":

@@ -9,9 +9,12 @@ A perspective map's texels follow the picture's pixels, ``perspective`` of them 
 the picture has pixels, and are never larger than a uniform map's would be.
 
 **Planar** shadows are right on the ground and nowhere else: wrong is what lies in cast shadow on bodies. **Everything else** is
-exact but for a floor.
+exact but for a floor, which is a high one where a perspective view's ground is swept with fewer triangles than its nodes make.
 
-The constants are fitted to measured views by `benchmarks/selection.py`, which also says how far off they are.
+How far off all this is, is part of it: the logarithm of an error scatters about what is expected with a logistic distribution,
+whose scale is fitted, too, and from which the chance follows that a target is missed.
+
+The constants are fitted to measured views by `benchmarks/selection.py`.
 """
 
 from __future__ import annotations
@@ -21,14 +24,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from math import log2, radians, sqrt, tan
+from math import exp, log, log2, radians, sqrt, tan
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from selector.task import is_decimated
+from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
+from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
 from terrain.facts import TEXEL_LADDER_PX, CastBand, Casting, LightFacts
 from terrain.level import SUN, AlgorithmName, CasterKind
+from terrain.probes import PROBES
 
 UNKNOWN = Casting(
     share=0.1,
@@ -38,17 +46,50 @@ UNKNOWN = Casting(
 )  # fmt: skip
 """What is taken of shadows of which a descriptor says nothing: a tenth of what is seen, with an edge a hundred pixels apart."""
 
+POOLED = 3
+"""Sizes of texels that tell of one of them together."""
+
+LEAST, LEAST_INTERIOR = 1e-3, 1e-5
+"""Errors are compared by their logarithms, from these ones on."""
+
+LEAST_SPREAD = 0.05
+"""No algorithm is surer than this."""
+
+HALF_A_HIT = 0.5 / PROBES
+"""What no probe was hit by may be there all the same: half a probe's share."""
+
+
+DECIMATED: Literal["sweep of decimated ground"] = "sweep of decimated ground"
+
+Manner = AlgorithmName | Literal["sweep of decimated ground"]
+"""What errors are told by: an algorithm, or a sweep of ground of which the drawn triangles leave out nodes."""
+
+MANNERS: tuple[Manner, ...] = (*ALGORITHMS, DECIMATED)
+
 
 @dataclass(frozen=True)
 class Errors:
     """Expected shares, as ``shadows.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
-    ``interior``; ``cautious`` is the ``wrong_cast`` that all but a few views stay below.
+    ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
     """
 
     wrong: float
     wrong_cast: float
     interior: float
-    cautious: float
+    spread: float
+    interior_spread: float
+
+    def chance_over(self, max_error: float) -> float:
+        """How likely it is that a picture has more than ``max_error`` of its cast shadow wrong, or more than ``MOST_INTERIOR``
+        inside of shadows and lights, in [0, 1].
+        """
+        error = _chance_over((self.wrong_cast + LEAST) / (max_error + LEAST), self.spread)
+        inside = _chance_over((self.interior + LEAST_INTERIOR) / (MOST_INTERIOR + LEAST_INTERIOR), self.interior_spread)
+        return max(error, inside)  # what is wrong inside is wrong besides
+
+
+def _chance_over(ratio: float, scale: float) -> float:
+    return 1.0 / (1.0 + exp(-max(min(log(ratio) / scale, 50.0), -50.0)))
 
 
 class Counted(BaseModel):
@@ -68,17 +109,18 @@ class ErrorModel(BaseModel):
     """The fitted constants.
 
     ``counted`` is by kind of casters, ``perspective`` the texels of a perspective map to a pixel's side, ``floor`` what each
-    algorithm gets wrong of the cast shadow however fine it is, ``interior`` which share of what is wrong lies inside,
-    ``caution`` the factor to the error that all but a few views stay below.
+    algorithm gets wrong of the cast shadow however fine it is, ``interior`` which share of what is wrong lies inside, ``spread``
+    and ``interior_spread`` the scales of both about what is expected.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     counted: dict[CasterKind, Counted]
     perspective: float = Field(gt=0)
-    floor: dict[AlgorithmName, float]
-    interior: dict[AlgorithmName, float]
-    caution: dict[AlgorithmName, float]
+    floor: dict[Manner, float]
+    interior: dict[Manner, float]
+    spread: dict[Manner, float]
+    interior_spread: dict[Manner, float]
 
 
 @lru_cache(maxsize=1)
@@ -91,15 +133,24 @@ def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], m
     """What the steps of a light are expected to get wrong together."""
     model = model or fitted()
     facts = descriptor.lights.get(light, LightFacts(cast_share=UNKNOWN.share))
-    wrong = cautious = interior = 0.0
-    cast = max(facts.cast_share, 1e-4)
+    cast = max(facts.cast_share, HALF_A_HIT)
+    wrong = interior = spread = interior_spread = 0.0
     for step in steps:
-        its = model.floor[step.algorithm] * cast
+        manner = manner_of(descriptor, step)
+        its = model.floor[manner] * cast
         its += sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
-        wrong += its
-        cautious += its * model.caution[step.algorithm]
-        interior += its * model.interior[step.algorithm]
-    return Errors(min(wrong, 1.0), min(wrong / cast, 1.0), min(interior, 1.0), min(cautious / cast, 1.0))
+        inside = its * model.interior[manner]
+        wrong, spread = wrong + its, spread + its * model.spread[manner]
+        interior, interior_spread = interior + inside, interior_spread + inside * model.interior_spread[manner]
+    return Errors(
+        min(wrong, 1.0), min(wrong / cast, 1.0), min(interior, 1.0),
+        spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
+    )  # fmt: skip
+
+
+def manner_of(descriptor: Descriptor, step: Step) -> Manner:
+    """What a step's errors are told by: its algorithm, and for a sweep whether the ground is decimated."""
+    return DECIMATED if step.algorithm == "sweep" and is_decimated(descriptor) else step.algorithm
 
 
 def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
@@ -111,7 +162,7 @@ def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[
 def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
     """The share of all that is seen that one kind's shadows are wrong on."""
     if step.algorithm == "planar":
-        return casting.share if casting.on_bodies is None else casting.on_bodies
+        return casting.share if casting.on_bodies is None else max(casting.on_bodies, HALF_A_HIT)
     wrong = 0.0
     for band in casting.bands:
         texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
@@ -148,13 +199,24 @@ def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
     return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
 
 
+@lru_cache(maxsize=1024)
+def pooled(differs: tuple[float, ...]) -> tuple[float, ...]:
+    """``differs`` with less chance in it: what differs grows about as a texel's side does, so each texel's is told by the next
+    ``POOLED`` together, of which the larger ones count most of what was seen.
+    """
+    sides = [sum(TEXEL_LADDER_PX[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
+    seen = [sum(differs[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
+    return tuple(min(px * part / whole, 1.0) for px, part, whole in zip(TEXEL_LADDER_PX, seen, sides, strict=True))
+
+
 def _differs(band: CastBand, texel_px: float) -> float:
     """``differs`` between the texels of the ladder; below the least in proportion."""
+    differs = pooled(band.differs)
     if texel_px <= TEXEL_LADDER_PX[0]:
-        return band.differs[0] * texel_px / TEXEL_LADDER_PX[0]
+        return differs[0] * texel_px / TEXEL_LADDER_PX[0]
     above = bisect(TEXEL_LADDER_PX, texel_px)
     if above == len(TEXEL_LADDER_PX):
-        return band.differs[-1]
+        return differs[-1]
     low, high = TEXEL_LADDER_PX[above - 1], TEXEL_LADDER_PX[above]
     share = log2(texel_px / low) / log2(high / low)
-    return band.differs[above - 1] * (1.0 - share) + band.differs[above] * share
+    return differs[above - 1] * (1.0 - share) + differs[above] * share

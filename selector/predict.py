@@ -13,7 +13,8 @@ from selector.picks import Pick, Wishes
 from selector.portfolio import portfolio
 from selector.rules import Planner, planner_of
 from selector.serves import kinds_of_lights
-from selector.winning import Figures, Verdict, best
+from selector.wager import LIKELY, Hope, wagered
+from selector.winning import Figures, Verdict
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned, Step, Target
 from shadows.registry import ALGORITHMS
@@ -34,9 +35,10 @@ class Option:
     def algorithms(self) -> frozenset[AlgorithmName]:
         return frozenset(step.algorithm for step in self.steps)
 
-    @property
-    def figures(self) -> Figures:
-        return Figures(self.pick.name, self.ms, self.errors.cautious, self.errors.interior)
+    def hope(self, max_error: float) -> Hope:
+        """What there is to hope for of it with a target."""
+        figures = Figures(self.pick.name, self.ms, self.errors.wrong_cast, self.errors.interior)
+        return Hope(figures, self.errors.chance_over(max_error))
 
 
 def predicted_plan(
@@ -46,8 +48,9 @@ def predicted_plan(
     device: DeviceProfile,
     errors: ErrorModel | None = None,
 ) -> Plan:
-    """The plan that is expected to be the cheapest of those that meet ``max_error``, or the most accurate within ``max_ms``; where
-    none is expected to, the nearest, marked as missing the target. ``errors`` are other constants than those fitted.
+    """The plan of the picks with the least expected loss (``selector.wager``): the cheapest that are likely to meet ``max_error``,
+    or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are other constants
+    than those fitted.
 
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """
@@ -55,11 +58,12 @@ def predicted_plan(
     asked = planner.asked
     casting = {light: planner.casting(light) for light in kinds_of_lights(descriptor)}
     options = {light: options_of(planner, light, kinds, device, errors) for light, kinds in casting.items() if kinds}
-    verdicts = {light: best([each.figures for each in its], asked.max_error) for light, its in options.items()}
+    hopes = {light: [each.hope(asked.max_error) for each in its] for light, its in options.items()}
+    verdicts = {light: wagered(its, asked.max_error) for light, its in hopes.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     if asked.max_ms is not None and options:
         shares = {light: asked.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
-        verdicts = {light: best([each.figures for each in its], asked.max_error, shares[light]) for light, its in options.items()}
+        verdicts = {light: wagered(its, asked.max_error, shares[light]) for light, its in hopes.items()}
     taken = {light: next(each for each in its if each.pick.name == verdicts[light].winner.name) for light, its in options.items()}
     picks = {
         light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
@@ -99,19 +103,23 @@ def _with_words(taken: Option, options: Sequence[Option], kinds: Sequence[Caster
     if not verdict.met:
         why = f"{its}: nothing is expected to meet the target, and this comes nearest"
     else:
-        others = [each for each in options if each.algorithms != taken.algorithms and _right(each, max_error)]
-        beside = min(others, key=lambda each: each.ms, default=None)
-        why = f"{its}; " + (
-            f"nothing else is expected to keep to {percent(max_error)}"
-            if beside is None
-            else f"of what else keeps to {percent(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
-        )
+        why = f"{its}, {_chance(taken, max_error)}; "
+        others = [each for each in options if each.algorithms != taken.algorithms]
+        likely = [each for each in others if each.errors.chance_over(max_error) <= LIKELY]
+        beside = min(likely, key=lambda each: each.ms, default=None)
+        if beside is None:
+            why += f"nothing else is expected to keep to {percent(max_error)}"
+        elif beside.ms >= taken.ms:
+            why += f"of what else keeps to {percent(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
+        else:
+            why += f"{beside.pick.name} would take {duration(beside.ms)}, {_chance(beside, max_error)}"
     sizes = f"what the target takes ({settings})"
     return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
 
 
-def _right(option: Option, max_error: float) -> bool:
-    return best([option.figures], max_error).met
+def _chance(option: Option, max_error: float) -> str:
+    chance = option.errors.chance_over(max_error)
+    return f"{'under 1 %' if chance < 0.01 else percent(chance)} likely to be over {percent(max_error)}"
 
 
 def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Option], max_error: float) -> dict[AlgorithmName, str]:
@@ -122,10 +130,12 @@ def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Optio
             able = [each for each in its if name in each.algorithms]
             if not able or name in taken[light].algorithms:
                 continue
-            verdict = best([each.figures for each in able], max_error)
+            verdict = wagered([each.hope(max_error) for each in able], max_error)
+            nearest = next(each for each in able if each.pick.name == verdict.winner.name)
             if verdict.met:
                 said[name] = (
-                    f"{duration(verdict.winner.ms)} expected of {verdict.winner.name}, {duration(taken[light].ms)} of what is taken"
+                    f"{duration(nearest.ms)} expected of {nearest.pick.name}, {_chance(nearest, max_error)}; "
+                    f"{duration(taken[light].ms)} of what is taken"
                 )
             else:
                 said[name] = f"expected at best: {verdict.missed_by}"

@@ -5,16 +5,27 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
+from math import erfc, log, pi, sqrt
 
 import numpy as np
 
 from selector.serves import kinds_of_lights
 from shadows.registry import LightKind
 from terrain.descriptor import CasterFacts, Descriptor, LightFacts
+from terrain.ground_mesh import WHOLE_TRIANGLES
 from terrain.level import SUN, CasterKind
+
+DENSEST = 0.98
+"""No wood is taken to stop a larger share of the light."""
 
 UNKNOWN = LightFacts()
 """What is taken of a light of which a descriptor says nothing."""
+
+
+def is_decimated(descriptor: Descriptor) -> bool:
+    """Whether the ground of a perspective view is drawn with fewer triangles than its nodes make, if that is known."""
+    relief = next((its for its in descriptor.stands if its.kind == "relief"), None)
+    return relief is not None and 2 * (relief.nodes or 0) > WHOLE_TRIANGLES
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,19 @@ class Task:
         """Pixels that show a surface which faces the light."""
         return self.seen * self.facts.facing_share
 
+    @cached_property
+    def turned_away(self) -> float:
+        """The share of the ground that faces away from the light. What is seen does not tell, since an eye sees few far sides:
+        under the sun gradients are taken to be normally distributed, of the level's mean slope, whatever their direction (so that
+        their lengths have a Rayleigh distribution).
+        """
+        seen = 1.0 - self.facts.facing_share
+        mean = np.tan(np.radians(min(self.descriptor.mean_slope_deg, 89.0)))
+        if self.light != SUN or self.descriptor.sun_altitude_deg is None or mean <= 0.0:
+            return seen
+        rise = np.tan(np.radians(min(max(self.descriptor.sun_altitude_deg, 0.0), 89.0)))
+        return max(seen, 0.5 * erfc(rise / (mean * sqrt(2.0 / pi)) / sqrt(2.0)))
+
     def stand(self, kind: CasterKind) -> CasterFacts | None:
         """What there is of a kind of casters, if the step takes it on."""
         return next((its for its in self.descriptor.stands if its.kind == kind and kind in self.kinds), None)
@@ -63,6 +87,11 @@ class Task:
     def outside_triangles(self) -> float:
         its = self.stand("relief")
         return 0.0 if its is None else float(its.outside_triangles)
+
+    @property
+    def decimated(self) -> bool:
+        """Whether a perspective view's ground is drawn with fewer triangles than its nodes make."""
+        return is_decimated(self.descriptor)
 
     @property
     def trees(self) -> float:
@@ -79,12 +108,26 @@ class Task:
         across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
         return max(across_m**2, 1e-6)
 
-    @property
+    @cached_property
     def tree_layers(self) -> float:
-        """How many times the trees, as boxes seen from the light, cover the level in the mean."""
+        """How many times trees, as boxes seen from the light, cover what lies round the view in the mean: as often as their leaves
+        stop its rays, if that is known (J. Ross 1981, "The radiation regime and architecture of plant stands": e to the power of
+        minus the layers is let through), or as the level is wooded in the mean.
+        """
+        cast = self.facts.casts.get("forest")
+        if cast is not None and self.facts.facing_share > 0.0:
+            return -log(1.0 - min(cast.share / self.facts.facing_share, DENSEST))
+        return self.trees * self.tree_light_m2 / self.level_light_m2
+
+    @property
+    def tree_light_m2(self) -> float:
+        """The area of a tree as a box, seen from the light, square metres; 0 without trees."""
         its = self.stand("forest")
         if its is None or its.height_m is None or its.width_m is None:
             return 0.0
         rise = np.radians(self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else np.radians(45.0)
-        tree_m2 = its.width_m * (its.height_m * np.cos(rise) + its.width_m * np.sin(rise))
-        return float(its.count * tree_m2 / self.level_light_m2)
+        return float(its.width_m * (its.height_m * np.cos(rise) + its.width_m * np.sin(rise)))
+
+    def trees_within(self, light_m2: float) -> float:
+        """How many trees are drawn for an area across the light."""
+        return min(self.trees, self.tree_layers * light_m2 / max(self.tree_light_m2, 1e-9))

@@ -27,9 +27,11 @@ from shadows.sweep import STRIPS
 from shadows.tiles import LEAST_TILES, RECTANGLE_FACES, TILE_PX
 from terrain.clip_space import PART_PX
 from terrain.descriptor import TEXEL_LADDER_PX, Descriptor
-from terrain.ground_mesh import WHOLE_TRIANGLES
 from terrain.level import SUN, AlgorithmName, CasterKind
 from terrain.reach import PATCH_QUADS
+
+MARKED_LAYERS = 50.0
+"""How many layers drawn in all of the picture take the time of one drawn in marked pixels only: few fill a rectangle there."""
 
 Counts = dict[str, float]
 """How often each thing is done, by name."""
@@ -55,7 +57,7 @@ def work_of(
     if isinstance(settings, VolumeSettings):
         return {
             _of(task, "silhouettes"): _silhouettes(task),
-            _of(task, "counting"): _counting(task, settings) | {"facing": task.facing},
+            _of(task, "counting"): _counting(task, settings),
         }
     if isinstance(settings, SweepSettings):
         return _sweep(task, settings)
@@ -89,12 +91,15 @@ def _maps(task: Task, settings: ShadowMapSettings | LampMapSettings | Perspectiv
     count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
     leaves, trees = 0.0, 0.0
     for its_texels, window_m2 in windows:
-        leaves += its_texels * task.tree_layers
-        trees += task.trees * (min(window_m2 / task.level_light_m2, 1.0) if task.light == SUN else 1.0)
+        leaves += its_texels * task.tree_layers if task.trees else 0.0
+        trees += task.trees_within(window_m2) if task.light == SUN else task.trees
     counts = {
         "blocks": 1.0, "maps": count, "fitted pixels": task.pixels * count, f"look-ups, filter {settings.filter}": looked_up,
+        # The larger a map, the less of it a cache holds.
+        "look-ups by texels": looked_up * texels / max(count, 1.0) / 2.0**20,
         "texels": texels, "texels of ground": texels if task.stand("relief") else 0.0, "texels of leaves": leaves,
-        "texels in shadow": texels * task.facts.cast_share,
+        # What casters cover of a map: nothing that is seen tells it of a lamp's.
+        "texels in shadow": texels * task.facts.cast_share if task.light == SUN else 0.0,
         "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
     }  # fmt: skip
     ground = {"ground": count * _ground(task)}
@@ -155,14 +160,15 @@ def _faces(task: Task) -> tuple[float, float, float]:
     ends = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.stand("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
-    ground = (task.triangles("relief") + task.outside_triangles) * (1.0 - task.facts.facing_share)
+    ground = (task.triangles("relief") + task.outside_triangles) * task.turned_away
     return ends * _mesh_edges(task), ends * caps, ends * ground
 
 
-def _counting(task: Task, settings: VolumeSettings, tiles: float = 1.0) -> Counts:
-    """Counting volumes in a share of the picture's ``tiles``.
+def _counting(task: Task, settings: VolumeSettings, marked: float | None = None) -> Counts:
+    """Counting volumes in all of the picture, or in the share of its tiles that is ``marked``.
 
-    Sides reach across the picture, into as many rectangles as lie along it; caps are small.
+    Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not
+    drawn, and the more there are, the more do: time grows far slower than their number. How slowly was found by measuring.
     """
     edges, caps, ground = _faces(task)
     faces = edges + caps + ground
@@ -170,11 +176,13 @@ def _counting(task: Task, settings: VolumeSettings, tiles: float = 1.0) -> Count
     rectangles = max(task.pixels / TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = task.facts.volume_layers if task.stand("meshes") else 0.0
-    counts = {
-        "blocks": 1.0, "pixels": task.pixels, "faces drawn": sides * drawn * tiles**0.25,
-        "layers": sides * layers * tiles * task.seen,
-    }  # fmt: skip
+    layers = sides * task.facts.volume_layers if task.stand("meshes") else 0.0
+    counts = {"blocks": 1.0, "pixels": task.pixels}
+    if marked is None:
+        counts |= {"faces drawn": sides * drawn, "facing": task.facing, "layers": task.facing * np.sqrt(np.log1p(layers))}
+    else:
+        deep = np.log1p(MARKED_LAYERS * layers * marked)
+        counts |= {"faces beside marks": sides * drawn * marked**0.25, "layers beside marks": task.facing * deep}
     if task.in_map:
         parts = np.ceil(task.descriptor.rows / PART_PX) * np.ceil(task.descriptor.cols / PART_PX)
         relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.stand("relief") else 0.0
@@ -190,8 +198,7 @@ def _hybrid(task: Task, settings: HybridSettings) -> dict[str, Counts]:
     texel_px, size = _texel_px(task, settings.map.map_size)
     counting = {
         _of(task, "silhouettes"): _silhouettes(task),
-        _of(task, "counting"): _counting(task, settings, _uncertain(task, texel_px + TILE_PX))
-        | {"facing beside marks": task.facing},
+        _of(task, "counting"): _counting(task, settings, _uncertain(task, texel_px + TILE_PX)),
     }
     if settings.mask == "original":
         return counting | _maps(task, settings.map)
@@ -230,7 +237,7 @@ def _uncertain(task: Task, side_px: float) -> float:
 def _sweep(task: Task, settings: SweepSettings) -> dict[str, Counts]:
     nodes = _nodes(task) + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
     strips = STRIPS if settings.filter == "sun" else 1
-    rasterised = 0.0 if task.in_map else task.triangles("relief") * (task.triangles("relief") > WHOLE_TRIANGLES)
+    rasterised = task.triangles("relief") * task.decimated
     counts = {
         "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels, "points": task.seen,
         "answers": task.seen * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
@@ -239,8 +246,6 @@ def _sweep(task: Task, settings: SweepSettings) -> dict[str, Counts]:
 
 
 def _ground_nodes(task: Task) -> float:
-    """Nodes of a perspective view's whole ground: half its triangles where it is not decimated, else by the level's area."""
-    drawn = task.triangles("relief") / 2.0
-    rise = np.sin(np.radians(max(task.descriptor.sun_altitude_deg or 90.0, 1.0)))
-    level = task.level_light_m2 / rise / task.descriptor.node_m**2
-    return drawn if 2.0 * drawn <= WHOLE_TRIANGLES else max(drawn, level)
+    """Nodes of a perspective view's whole ground; half its triangles where they are not told."""
+    relief = task.stand("relief")
+    return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)

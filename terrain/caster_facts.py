@@ -12,7 +12,7 @@ from terrain.elevation import Elevation
 from terrain.facts import CasterFacts
 from terrain.foliage import THRESHOLD, foliage
 from terrain.grid import BLOCK_PX, MapView
-from terrain.ground_mesh import ground_mesh
+from terrain.ground_mesh import ground_mesh, ground_nodes
 from terrain.population import Population
 from terrain.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
 from terrain.scene import Scene
@@ -49,7 +49,8 @@ def map_pixel_m(scene: Scene, view: MapView) -> float:
 def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
     low, high = scene.height_range_m
     if isinstance(view, PerspectiveView):
-        return CasterFacts(kind="relief", triangles=len(ground_mesh(scene, view).triangles), height_m=high - low)
+        ground, nodes = ground_mesh(scene, view), ground_nodes(scene).height_m.size
+        return CasterFacts(kind="relief", triangles=len(ground.triangles), nodes=nodes, height_m=high - low)
     nodes = [min(size, BLOCK_PX) * step for size, step in ((view.rows, view.row_step), (view.cols, view.col_step))]
     outside = _outside_triangles(scene, step_at_anchor_m(scene.world, view.grid), *nodes)
     return CasterFacts(kind="relief", triangles=int(2 * nodes[0] * nodes[1]), outside_triangles=outside, height_m=high - low)

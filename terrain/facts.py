@@ -69,15 +69,18 @@ class CasterFacts(Facts):
     """What there is of a kind of casters, as it casts.
 
     ``count`` bodies or trees as the view draws them (1 for the relief) of ``triangles`` in all; of the relief of a map those of a
-    block, and ``outside_triangles`` those of ground beyond it that is drawn to cast into it (an estimate). ``closed_share`` of the
-    triangles bound closed bodies, ``alpha_share`` are cut out by a texture. ``height_m`` and ``width_m`` are a body's medians (of
-    the relief: its range of heights); ``leaf_gap_m`` how wide leaves and the gaps between them are, in the mean.
+    block, and ``outside_triangles`` those of ground beyond it that is drawn to cast into it (an estimate); of the relief in
+    perspective ``nodes`` are those of the level's ground, of which decimation leaves out many where there are many.
+    ``closed_share`` of the triangles bound closed bodies, ``alpha_share`` are cut out by a texture. ``height_m`` and ``width_m``
+    are a body's medians (of the relief: its range of heights); ``leaf_gap_m`` how wide leaves and the gaps between them are, in
+    the mean.
     """
 
     kind: CasterKind
     count: Count = 1
     triangles: Count
     outside_triangles: Count = 0
+    nodes: Count | None = None
     closed_share: Share = 0.0
     alpha_share: Share = 0.0
     height_m: AtLeastZero | None = None

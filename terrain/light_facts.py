@@ -1,7 +1,8 @@
 """Scene and view -> what each light does there: what it shines on, what stands in its way, and where its shadows end.
 
-All of it by looking: from the points of a coarse look (a map: of ground all over the level) rays go to the light and to beside it
-(``terrain.probes``). No kind of casters knows of the others here; what one of them shades counts as its shadow whatever else does.
+All of it by looking: from the points of a coarse look (a map: of what is seen from above all over the level) rays go to the light
+and to beside it (``terrain.probes``). No kind of casters knows of the others here; what one of them shades counts as its shadow
+whatever else does.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ import numpy as np
 from terrain.compiled import compiled
 from terrain.population import Population
 from terrain.probes import Probes, Rays
+from terrain.world import LocalFrame
 
 LEAF = 4
 """Triangles in a leaf of the tree, at most."""
@@ -56,9 +57,32 @@ def past_meshes(population: Population, probes: Probes, rays: Rays) -> np.ndarra
 
 def meets(tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
     """Which rays from starts (..., 3), counted from the tree's origin, meet a triangle within their lengths (...), bool."""
+    return np.isfinite(_met_by(tree, start_m, direction, length_m, False)[0])
+
+
+def first_meshes(
+    population: Population, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far along rays from starts (n, 3), within their lengths (n,), what stands for the meshes is met first (n,), infinite
+    where it is not, and its unit normal (n, 3) there, towards the start.
+    """
+    tree = _tree_of(population)
+    rotation = frame.frame_from_earth
+    start = start_frame_m @ rotation + (frame.origin_earth_m - tree.origin_earth_m)
+    away_m, triangle = _met_by(tree, start, direction_frame @ rotation, length_m, True)
+    normal = np.cross(tree.side_a[triangle], tree.side_b[triangle]) @ rotation.T
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return away_m, np.where(np.einsum("ij,ij->i", normal, direction_frame)[:, None] > 0.0, -normal, normal)
+
+
+def _met_by(
+    tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (...) to a triangle that rays meet, the nearest or any, infinite without one; and its number (...)."""
     flat = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
-    found = _meets(tree.low, tree.high, tree.first, tree.count, tree.corner, tree.side_a, tree.side_b, *flat, np.ravel(length_m))
-    return found.reshape(np.shape(length_m))
+    boxes = tree.low, tree.high, tree.first, tree.count
+    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, *flat, np.ravel(length_m), nearest)
+    return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 
 @lru_cache(maxsize=4)
@@ -142,8 +166,8 @@ def _built(box_low, box_high, leaf, bins):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _meets(low, high, first, count, corner, side_a, side_b, start, direction, length):  # type: ignore[no-untyped-def]
-    out = np.zeros(len(start), np.bool_)
+def _met(low, high, first, count, corner, side_a, side_b, start, direction, length, nearest):  # type: ignore[no-untyped-def]
+    away, number = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):
         x, y, z = start[n, 0], start[n, 1], start[n, 2]
@@ -151,7 +175,7 @@ def _meets(low, high, first, count, corner, side_a, side_b, start, direction, le
         ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
         most = length[n]
         stack[0], waiting = 0, 1
-        while waiting > 0 and not out[n]:
+        while waiting > 0 and (nearest or away[n] == np.inf):
             waiting -= 1
             node = stack[waiting]
             # A product of 0 and infinity is no number, which no comparison lets through: a ray in a box's face may pass it.
@@ -184,6 +208,8 @@ def _meets(low, high, first, count, corner, side_a, side_b, start, direction, le
                     continue
                 s = (bx * qx + by * qy + bz * qz) / det
                 if 0.0 < s < most:
-                    out[n] = True
-                    break
-    return out
+                    away[n], number[n] = s, t
+                    if not nearest:
+                        break
+                    most = s
+    return away, number

@@ -11,10 +11,10 @@ from terrain.camera import PerspectiveView
 from terrain.effects.effect import Look
 from terrain.elevation import Elevation
 from terrain.leaf_rays import first_leaves
-from terrain.mesh_rays import past_meshes
+from terrain.mesh_rays import first_meshes
 from terrain.population import Population
-from terrain.probes import Probes, Rays, evenly, quasirandom
-from terrain.resolve import FOREST, RELIEF
+from terrain.probes import Probes, evenly, quasirandom
+from terrain.resolve import FOREST, MESHES, RELIEF
 from terrain.scene import Scene
 from terrain.stand import Stand
 from terrain.world import World
@@ -27,9 +27,7 @@ AMONG_LEAVES = 2048
 
 
 def points_in_map(scene: Scene, pixel_m: float, trees: Stand | None) -> Probes:
-    """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of the leaves above it; what lies
-    below a mesh is left out, and so is the mesh.
-    """
+    """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of what is seen from above there."""
     probes = _points_in_map(scene.population, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
@@ -81,14 +79,13 @@ def _points_in_map(population: Population, trees: Stand | None) -> Probes:
     bare, tallest_m = ground_points(population.world, population.elevation), population.tallest_m
     away = population.world.curvature * bare.point_frame_m[:, :2]
     up = np.column_stack([away, np.ones(len(bare))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
+    start, length = bare.point_frame_m + tallest_m * up, np.full(len(bare), tallest_m)
     if population.solids is not None:
-        upwards = Rays(bare.point_frame_m[None], up[None], np.full((1, len(bare)), np.inf))
-        open_above = np.flatnonzero(~past_meshes(population, bare, upwards)[0])
-        bare, up = bare.some(open_above), up[open_above]
+        start, length = start + tallest_m * up, 2.0 * length  # higher than what stands on a slope beside
+        bare, length = _with_roofs(population, bare, start, -up, length)
     if trees is None:
         return bare
-    start = bare.point_frame_m + tallest_m * up
-    met, normal = first_leaves(trees, start, -up, np.full(len(bare), tallest_m))
+    met, normal = first_leaves(trees, start, -up, length)
     leaf = np.isfinite(met)
     there = bare.some(leaf)
     above = replace(
@@ -96,6 +93,19 @@ def _points_in_map(population: Population, trees: Stand | None) -> Probes:
         kind=np.full(len(there), FOREST, np.uint8),
     )  # fmt: skip
     return _joined(bare.some(~leaf), above)
+
+
+def _with_roofs(
+    population: Population, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
+) -> tuple[Probes, np.ndarray]:
+    """The probes, those below meshes on top of them, and how far below the starts (n, 3) they lie (n,)."""
+    met, normal = first_meshes(population, bare.frame, start, down, length)
+    roof = np.isfinite(met)
+    length = np.where(roof, met, length)
+    return replace(
+        bare, point_frame_m=np.where(roof[:, None], start + length[:, None] * down, bare.point_frame_m),
+        normal_frame=np.where(roof[:, None], normal, bare.normal_frame), kind=np.where(roof, np.uint8(MESHES), bare.kind),
+    ), length  # fmt: skip
 
 
 @lru_cache(maxsize=4)

@@ -97,15 +97,22 @@ def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
     assert counts["trees"] == 500 and counts["trees drawn"] == pytest.approx(125.0)
     tree_m2 = 4.0 * (10.0 * np.cos(np.radians(30.0)) + 4.0 * 0.5)
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * 500 * tree_m2 / (128.0 * 64.0 / 0.25))
+    # Where leaves are known to stop the light of half of what is seen, so dense is the wood round it.
+    dense = LightFacts(area_share=0.25, casts={"forest": {"share": 0.5, "bands": ()}})
+    counts = work_of(described(casters=("relief", "forest"), stands=(GROUND, TREES), lights={SUN: dense}), SUN, ("forest",),
+                     "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]  # fmt: skip
+    assert counts["texels of leaves"] == pytest.approx(counts["texels"] * np.log(2.0))
+    assert counts["trees drawn"] == pytest.approx(min(np.log(2.0) * 128.0 * 64.0 / tree_m2, 500.0))
 
 
 def test_counts_of_volumes_grow_with_edges_and_layers():
     few = work_of(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
     assert few["silhouettes, perspective"]["edges"] == 200 and few["silhouettes, perspective"]["ground"] == 0
     counting = few["counting, perspective"]
-    assert counting["faces drawn"] == 200 + 500 and counting["layers"] == 1.5 * 640 * 512
+    assert counting["faces drawn"] == 200 + 500 and counting["layers"] == pytest.approx(np.log(2.5) ** 0.5 * counting["facing"])
     twice = work_of(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings(stencil="two_pass"))["counting, perspective"]
-    assert twice["layers"] == 2 * counting["layers"] and twice["faces drawn"] == 2 * counting["faces drawn"]
+    assert twice["layers"] == pytest.approx(np.log(4.0) ** 0.5 * counting["facing"])
+    assert twice["faces drawn"] == 2 * counting["faces drawn"]
     both = work_of(described(), SUN, ("relief", "meshes"), "shadow_volume", VolumeSettings())["counting, perspective"]
     # so many faces are drawn in rectangles of 16 x 16 tiles: 20 of them, and sides run through the root of that
     assert both["faces drawn"] == pytest.approx(200 * 20**0.5 + 500 + 0.25 * 20_000)
@@ -120,8 +127,9 @@ def test_a_hybrid_counts_where_its_map_cannot_decide():
     settings = HybridSettings(map=one_map(768, 0.25, filter=2))
     few, many = (work_of(casting(share), SUN, ("meshes",), "hybrid", settings) for share in (0.1, 0.5))
     part = "counting, perspective"
-    assert few[part]["layers"] == pytest.approx(0.75 * 0.1 * 1.5 * 640 * 512)
-    assert many[part]["layers"] == pytest.approx(5 * few[part]["layers"])
+    assert few[part]["layers beside marks"] == pytest.approx(0.75 * 640 * 512 * np.log1p(50 * 1.5 * 0.75 * 0.1))
+    assert many[part]["layers beside marks"] == pytest.approx(0.75 * 640 * 512 * np.log1p(50 * 1.5 * 0.75 * 0.5))
+    assert many[part]["faces beside marks"] == pytest.approx(5**0.25 * few[part]["faces beside marks"])
     assert few["conservative map, perspective"] == many["conservative map, perspective"]
     original = work_of(casting(0.1), SUN, ("meshes",), "hybrid", HybridSettings(map=settings.map, mask="original"))
     assert "shadow_map, perspective" in original and "mask" not in original

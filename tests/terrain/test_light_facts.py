@@ -62,11 +62,21 @@ def in_map(scene: Scene) -> Descriptor:
 
 def test_the_shadow_of_a_plate_is_as_large_as_the_plate(tmp_path):
     facts = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"]
-    seen_m2 = 310.0**2 - 120.0**2  # half a cell more on each side
     assert facts.facing_share == 1.0
-    assert facts.cast_share == pytest.approx(120.0**2 / seen_m2, rel=0.1)
+    assert facts.cast_share == pytest.approx(120.0**2 / 310.0**2, rel=0.1)  # half a cell more on each side of the ground
     assert facts.casts["meshes"].share == facts.cast_share
     assert facts.casts["relief"].share == 0.0
+
+
+def test_a_map_sees_the_tops_of_what_stands_there(tmp_path):
+    """Of two plates the higher one shades part of the lower one, and hides the ground below: planar shadows know of neither."""
+    low, high = plate(100.0, 60.0, 60.0, 20.0), plate(60.0, 60.0, 20.0, 60.0)
+    facts = in_map(made(tmp_path, hung(trimesh.util.concatenate([low, high])), sun=SUN)).lights["sun"].casts["meshes"]
+    # The sun stands at 45 degrees in the south: the shadow on the lower plate lies 40 m north of the higher one.
+    on_top_m2 = 60.0 * 60.0 - 60.0 * 20.0
+    assert facts.on_bodies == pytest.approx(on_top_m2 / 310.0**2, rel=0.35)
+    ground = in_map(made(tmp_path, hung(high), sun=SUN)).lights["sun"].casts["meshes"]
+    assert ground.on_bodies == 0.0 and ground.share > 0.0
 
 
 def test_a_texel_beside_an_edge_is_wrong_as_often_as_a_chord_crosses_it(tmp_path):

@@ -1,0 +1,65 @@
+"""The table of what was measured, as it is kept in the repository: a line with the device, then one a view."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from selector.device_profile import DeviceProfile
+from terrain.descriptor import Descriptor
+
+TABLE = Path(__file__).with_name("selection.jsonl")
+
+COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage", "bytes")
+"""What a row is a list of, in the table."""
+
+DIGITS = 8
+"""Of a descriptor's numbers: shares must still add up to no more than one."""
+
+Figures = dict[str, Any]
+
+
+def write_table(views: Iterable[Figures], profile: DeviceProfile, path: Path = TABLE) -> None:
+    """Write views' records and the calibration of the device that they were measured on."""
+    lines = [profile.model_dump(mode="json"), *map(_packed, views)]
+    path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines), encoding="utf-8")
+
+
+def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
+    """The records of the views of which more than one row was measured, and the device's calibration."""
+    first, *lines = path.read_text(encoding="utf-8").splitlines()
+    return [view for view in map(_unpacked, map(json.loads, lines)) if len(view["rows"]) > 1], DeviceProfile.model_validate_json(
+        first
+    )
+
+
+def _packed(view: Figures) -> Figures:
+    """The record without defaults and names of columns; rows are told by their number in ``picks``."""
+    names = list(view["rows"])
+    descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
+    return view | {
+        "descriptor": _rounded(descriptor),
+        "rows": {name: [row[column] for column in COLUMNS] for name, row in view["rows"].items()},
+        "picks": {pick: names.index(row) for pick, row in view["picks"].items() if row in names},
+    }
+
+
+def _unpacked(line: Figures) -> Figures:
+    names = list(line["rows"])
+    return line | {
+        "rows": {name: dict(zip(COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
+        "picks": {pick: names[number] for pick, number in line["picks"].items()},
+    }
+
+
+def _rounded(value: Any) -> Any:
+    match value:
+        case float():
+            return float(f"{value:.{DIGITS}g}")
+        case dict():
+            return {key: _rounded(each) for key, each in value.items()}
+        case list():
+            return [_rounded(each) for each in value]
+    return value
