@@ -20,7 +20,7 @@ The constants are fitted to measured views by `benchmarks/selection.py`.
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -34,7 +34,7 @@ from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
-from terrain.facts import TEXEL_LADDER_PX, CastBand, Casting, LightFacts
+from terrain.facts import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.level import SUN, AlgorithmName, CasterKind
 from terrain.probes import PROBES
 
@@ -132,20 +132,33 @@ def fitted() -> ErrorModel:
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> Errors:
     """What the steps of a light are expected to get wrong together."""
     model = model or fitted()
-    facts = descriptor.lights.get(light, LightFacts(cast_share=UNKNOWN.share))
-    cast = max(facts.cast_share, HALF_A_HIT)
+    return errors_together(descriptor, light, {step: wrong_of_step(descriptor, light, step, model) for step in steps}, model)
+
+
+def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
+    """The share of all that is seen that a step is expected to get wrong."""
+    floor = model.floor[manner_of(descriptor, step)] * _cast(descriptor, light)
+    return floor + sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
+
+
+def errors_together(descriptor: Descriptor, light: str, wrong_of: Mapping[Step, float], model: ErrorModel) -> Errors:
+    """The errors of steps that get such shares wrong."""
     wrong = interior = spread = interior_spread = 0.0
-    for step in steps:
+    for step, its in wrong_of.items():
         manner = manner_of(descriptor, step)
-        its = model.floor[manner] * cast
-        its += sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
         inside = its * model.interior[manner]
         wrong, spread = wrong + its, spread + its * model.spread[manner]
         interior, interior_spread = interior + inside, interior_spread + inside * model.interior_spread[manner]
     return Errors(
-        min(wrong, 1.0), min(wrong / cast, 1.0), min(interior, 1.0),
+        min(wrong, 1.0), min(wrong / _cast(descriptor, light), 1.0), min(interior, 1.0),
         spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
     )  # fmt: skip
+
+
+def _cast(descriptor: Descriptor, light: str) -> float:
+    """The share of what is seen that is taken to lie in cast shadow."""
+    facts = descriptor.lights.get(light)
+    return max(UNKNOWN.share if facts is None else facts.cast_share, HALF_A_HIT)
 
 
 def manner_of(descriptor: Descriptor, step: Step) -> Manner:

@@ -129,12 +129,8 @@ def _cascades(
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
     bands, pixel, wished_px = descriptor.bands, descriptor.pixel, _wished_px(descriptor)
-    extent_m = _run_extents_m(bands)
+    extent_m, near_m, nearness = _of_runs(bands)
     texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
-    near_m = np.array([band.near_m for band in bands])
-    nearness = np.array(
-        [[sum(each.share / each.near_m for each in bands[i:j]) for j in range(1, len(bands) + 1)] for i in range(len(bands))]
-    )
     ways = []
     for count in range(1, 5) if asked.cascades == "auto" else [asked.cascades]:
         first, last = _splits(len(bands), count)
@@ -165,13 +161,18 @@ def _power(texels: float, most: int) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * BORDER_TEXELS)), SMALLEST, most))
 
 
-def _run_extents_m(bands: tuple[Band, ...]) -> np.ndarray:
-    """Extents in light space (n, n, 3), metres, rounded up, of the bands from one to another joined; of a band before it: NaN."""
+@lru_cache(maxsize=4)
+def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of n bands, from one to another joined: extents in light space (n, n, 3), metres, rounded up, of a band before it NaN; where
+    each begins (n,), metres from the eye; and the sums (n, n) of their shares by that.
+    """
+    near_m = np.array([band.near_m for band in bands])
+    upto = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
     low, high = (np.array([getattr(band, name) for band in bands]) for name in ("low_light_m", "high_light_m"))
     span = np.full((len(bands), len(bands), 3), np.nan)
     for i in range(len(bands)):
         span[i, i:] = np.maximum.accumulate(high[i:]) - np.minimum.accumulate(low[i:])
-    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP))
+    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, upto[None, 1:] - upto[:-1, None]
 
 
 @lru_cache(maxsize=128)

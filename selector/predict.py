@@ -8,7 +8,7 @@ from typing import Any
 
 from selector.cost_model import predicted_ms
 from selector.device_profile import DeviceProfile
-from selector.error_model import ErrorModel, Errors, expected_errors
+from selector.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
 from selector.picks import Pick, Wishes
 from selector.portfolio import portfolio
 from selector.rules import Planner, planner_of
@@ -87,12 +87,19 @@ def options_of(
     planner: Planner, light: str, kinds: Sequence[CasterKind], device: DeviceProfile, errors: ErrorModel | None = None
 ) -> list[Option]:
     """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
+    descriptor, model = planner.descriptor, errors or fitted()
     found: dict[tuple[Step, ...], Option] = {}
-    for pick in portfolio(planner.descriptor, light, kinds):
+    known: dict[Step, tuple[float, float]] = {}  # many picks share steps
+    for pick in portfolio(descriptor, light, kinds):
         steps = planner.steps(light, pick)
-        if steps not in found:
-            ms = sum(predicted_ms(device, planner.descriptor, light, step.kinds, step.algorithm, step.settings) for step in steps)
-            found[steps] = Option(pick, steps, ms, expected_errors(planner.descriptor, light, steps, errors))
+        if steps in found:
+            continue
+        for step in steps:
+            if step not in known:
+                ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
+                known[step] = ms, wrong_of_step(descriptor, light, step, model)
+        together = errors_together(descriptor, light, {step: known[step][1] for step in steps}, model)
+        found[steps] = Option(pick, steps, sum(known[step][0] for step in steps), together)
     return list(found.values())
 
 
@@ -108,18 +115,22 @@ def _with_words(taken: Option, options: Sequence[Option], kinds: Sequence[Caster
         likely = [each for each in others if each.errors.chance_over(max_error) <= LIKELY]
         beside = min(likely, key=lambda each: each.ms, default=None)
         if beside is None:
-            why += f"nothing else is expected to keep to {percent(max_error)}"
+            why += f"nothing else is expected to keep to {_limit(max_error)}"
         elif beside.ms >= taken.ms:
-            why += f"of what else keeps to {percent(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
+            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
         else:
-            why += f"{beside.pick.name} would take {duration(beside.ms)}, {_chance(beside, max_error)}"
+            why += f"{beside.pick.name} would take {duration(beside.ms)} {_chance(beside, max_error)}"
     sizes = f"what the target takes ({settings})"
     return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
 
 
 def _chance(option: Option, max_error: float) -> str:
     chance = option.errors.chance_over(max_error)
-    return f"{'under 1 %' if chance < 0.01 else percent(chance)} likely to be over {percent(max_error)}"
+    return f"with {'hardly a' if chance < 0.01 else f'a {percent(chance)}'} chance of more than {_limit(max_error)}"
+
+
+def _limit(max_error: float) -> str:
+    return f"{100.0 * max_error:g} %"
 
 
 def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Option], max_error: float) -> dict[AlgorithmName, str]:
@@ -134,7 +145,7 @@ def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Optio
             nearest = next(each for each in able if each.pick.name == verdict.winner.name)
             if verdict.met:
                 said[name] = (
-                    f"{duration(nearest.ms)} expected of {nearest.pick.name}, {_chance(nearest, max_error)}; "
+                    f"{duration(nearest.ms)} expected of {nearest.pick.name} {_chance(nearest, max_error)}; "
                     f"{duration(taken[light].ms)} of what is taken"
                 )
             else:

@@ -82,7 +82,8 @@ class Planner:
         """What a pick comes to under its light. Raises as ``choose`` does."""
         taken = self._taken(light, pick)
         algorithm = {one.kind: one.name for one in taken if one.name != "none"}
-        settings = {kind: its for kind, name in algorithm.items() if (its := self._settings(light, name, pick)[0]) is not None}
+        of_name = {name: self._resolved(light, name, pick)[0] for name in dict.fromkeys(algorithm.values())}
+        settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
         return tuple(steps_of({light: algorithm}, {light: settings}))
 
     def plan(self, picks: Mapping[str, Pick], rejected: Mapping[AlgorithmName, str]) -> Plan:
@@ -130,14 +131,23 @@ class Planner:
             found.append(_Taken(light, caster, name, why, free, parts))
         return found
 
-    def _settings(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
-        """The settings of an algorithm, if it has any, and the reasons for them; the same ones are worked out once."""
-        picked = {key: value for key, value in (pick.settings if pick else {}).items() if getattr(self.asked, key) == "auto"}
+    def _picked(self, pick: Pick | None) -> dict[str, Any]:
+        """The settings of a pick that the level and the request leave open."""
+        return {key: value for key, value in (pick.settings if pick else {}).items() if getattr(self.asked, key) == "auto"}
+
+    def _resolved(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
+        """The settings of an algorithm, if it has any, and what spoke for those that the pick left open; each worked out once."""
+        picked = self._picked(pick)
         key = (light, name, *picked.items())
         if key not in self._kept:
             sharp = self._missing.get("soft_edges")
             self._kept[key] = _resolved(name, self.descriptor, light, self.asked.model_copy(update=picked), sharp)
-        settings, reasons = self._kept[key]
+        return self._kept[key]
+
+    def _settings(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
+        """The settings of an algorithm, if it has any, and the reasons for them."""
+        picked = self._picked(pick)
+        settings, reasons = self._resolved(light, name, pick)
         chosen = [
             Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why
         ]
@@ -200,7 +210,7 @@ def _with_work(
     if "forest" not in casting:
         idle["alpha_test"] = "foliage casts by no algorithm"
     if not filtered:
-        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()))) or 'lamps'} are sharp"
+        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {'none'})) or 'lamps'} are sharp"
     if "relief" not in casting:
         idle["outside_casters"] = "ground casts by no algorithm"
     stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]

@@ -8,6 +8,7 @@ the sum of counts times its rates (``selector.cost_model``). Counts of a map vie
 from __future__ import annotations
 
 from collections.abc import Collection
+from math import ceil
 
 import numpy as np
 
@@ -119,18 +120,19 @@ def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> list[tup
             far_m = np.inf if cascade.far_m is None else cascade.far_m
             run = [band for band in descriptor.bands if near_m <= band.near_m < far_m]
             if run:
-                low, high = (np.array([getattr(band, key) for band in run]) for key in ("low_light_m", "high_light_m"))
-                spans_m.append((high.max(axis=0) - low.min(axis=0), cascade))
+                spans_m.append((tuple(
+                    max(band.high_light_m[k] for band in run) - min(band.low_light_m[k] for band in run) for k in (0, 1)
+                ), cascade))  # fmt: skip
             near_m = far_m
     elif descriptor.receivers_light_m is not None:
-        spans_m.append((np.array(descriptor.receivers_light_m), settings.cascades[0]))
+        spans_m.append((descriptor.receivers_light_m[:2], settings.cascades[0]))
     windows = []
     for span_m, cascade in spans_m:
-        size = span_m[:2] / np.array(cascade.texel_m) + 2 * BORDER_TEXELS
+        size = [side / texel + 2 * BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
         if settings.fit == "tight":
-            size = np.full(2, float(settings.map_size))
-        texels = float(np.prod(np.ceil(size / SIZE_STEP) * SIZE_STEP))
-        windows.append((texels, float(span_m[0] * span_m[1])))
+            size = [float(settings.map_size)] * 2
+        texels = float(ceil(size[0] / SIZE_STEP) * SIZE_STEP * ceil(size[1] / SIZE_STEP) * SIZE_STEP)
+        windows.append((texels, span_m[0] * span_m[1]))
     return windows
 
 

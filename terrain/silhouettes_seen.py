@@ -20,7 +20,7 @@ from terrain.population import Population
 MOST_SIDES = 4096
 """Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""
 
-EYE_RAYS = 96
+EYE_RAYS = 48
 """Rays from the eye that are held against the sides."""
 
 

@@ -21,6 +21,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Fact, Look, Verdict
 from terrain.grid import MapView
 from terrain.ground_mesh import ground_mesh
+from terrain.light_space import LightSpace
 from terrain.population import Population
 from terrain.scene import Scene
 from terrain.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
@@ -58,7 +59,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return sun
     if not can_cast(descriptor):
         return Verdict(False, "bare ground at one height: nothing can cast")
-    return Verdict(True, f"{', '.join(lamps)} shine on what can block them")
+    return Verdict(True, f"{', '.join(lamps)} {'shines' if len(lamps) == 1 else 'shine'} on what can cast shadows")
 
 
 def of_sun(descriptor: Descriptor) -> Verdict:
@@ -179,9 +180,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
     assert scene.light is not None
     population, frame = scene.population, look.buffer.frame
     if kind == "meshes":
-        solids = population.solids
-        assert solids is not None
-        first, last = _boxes(scene.light.from_earth(solids.caster_vertices_earth_m), solids.caster_triangles)
+        first, last = _boxes_of_meshes(population, scene.light)
     else:
         stand, seen = _trees(scene.population, view, look)
         if stand is None or seen:
@@ -197,6 +196,13 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
         first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
+
+
+@lru_cache(maxsize=2)
+def _boxes_of_meshes(population: Population, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
+    """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
+    assert population.solids is not None
+    return _boxes(light.from_earth(population.solids.caster_vertices_earth_m), population.solids.caster_triangles)
 
 
 @compiled
