@@ -131,7 +131,7 @@ async def plan_wishes(
         ),
     ] = "predict",
     max_error: Annotated[
-        float | None, Query(gt=0, le=1, allow_inf_nan=False, description="Share of the cast shadow that may be wrong.")
+        float | None, Query(ge=0, le=1, allow_inf_nan=False, description="Share of the cast shadow that may be wrong.")
     ] = None,
     max_ms: Annotated[
         float | None, Query(gt=0, allow_inf_nan=False, description="Milliseconds that shadows of a block may take.")

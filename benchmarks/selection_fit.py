@@ -45,6 +45,9 @@ START = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
 """The part of what differs that counts (most, half, steepness) of each kind of casters; pixels of a perspective map's
 texels at the picture's own size; the floors of both kinds of maps."""
 
+NARROW = 1e-9
+"""A constant of perspective maps with which they are surely narrower than a uniform one."""
+
 DRAWN_BACK = 0.1
 """How strongly constants are drawn back to where they start, in residuals."""
 
@@ -104,7 +107,7 @@ def cases_of(view: Figures) -> list[Case]:
 
 def fitted(cases: Sequence[Case]) -> ErrorModel:
     """The constants that fit measured rows."""
-    mapped = [case for case in cases if case.algorithms & set(MAPS) and "planar" not in case.algorithms]
+    mapped = [case for case in cases if case.algorithms & set(MAPS) and not case.manners & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
@@ -141,9 +144,11 @@ class _Terms:
                 for kind, casting in kinds_of_step(case.descriptor, case.light, step):
                     for band in casting.bands:
                         follows = isinstance(step.settings, PerspectiveMapSettings)
-                        fixed, seen = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, 1.0))
+                        fixed, narrow = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, NARROW))
                         if fixed > 0.0:
-                            rows.append((number, KINDS.index(kind), band.share / cast, fixed, seen if follows else np.inf))
+                            rows.append(
+                                (number, KINDS.index(kind), band.share / cast, fixed, narrow / NARROW if follows else np.inf)
+                            )
                             differs.append(pooled(band.differs))
         self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
         self._of, self._kind, self._differs = self._of.astype(int), self._kind.astype(int), np.array(differs)

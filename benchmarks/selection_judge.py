@@ -148,16 +148,24 @@ def judged(
     regret, gap = own - 1.0, float(best.mean() - 1.0)
     worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
     return Verdict(
-        len(instances), float(met[can].mean()), float(regret.mean()), float(np.quantile(regret, 0.95)), float(regret[met].mean()),
-        float(np.quantile(regret[met], 0.95)), float(np.mean(dirty)), float(own.mean()), float(best.mean()),
-        float(single_met[can].mean()), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
+        len(instances), _mean(met[can]), _mean(regret), float(np.quantile(regret, 0.95)), _mean(regret[met]),
+        float(np.quantile(regret[met], 0.95)) if met.any() else 0.0, float(np.mean(dirty)), _mean(own), _mean(best),
+        _mean(single_met[can]), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
         [(view, goal, taken[view, goal], float(its)) for its, (view, goal) in worst],
     )  # fmt: skip
+
+
+def _mean(values: np.ndarray) -> float:
+    """The mean; 0 of nothing."""
+    return float(values.mean()) if values.size else 0.0
 
 
 def stand_in(pick: str, view: Figures) -> str | None:
     """The row that a pick comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
     company, *settings = pick.split()
+    swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
+    if company.startswith("sweep") and pick not in view["picks"] and swept is not None:
+        return swept  # relief alone casts here: what else the pick has does nothing
     alone = company.removeprefix("sweep+").removeprefix("shadow_map+")
     for one in (company, alone, company.split("+")[0]):
         for end in range(len(settings), -1, -1):

@@ -57,7 +57,7 @@ class Shadows(Model):
     """What is asked of the shadows; ``auto`` leaves a choice to the selector."""
 
     algorithm: Literal["auto"] | AlgorithmName | dict[str, Any] = "auto"
-    max_error: float = Field(default=0.03, gt=0, le=1)
+    max_error: float = Field(default=0.03, ge=0, le=1)
     max_ms: float | None = Field(default=None, gt=0)
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = "auto"
     cascades: Literal["auto", 1, 2, 3, 4] = "auto"

@@ -105,7 +105,7 @@ def _grazing(altitude_deg: float) -> float:
 
 def can_cast(descriptor: Descriptor) -> bool:
     """Whether anything stands on the ground or the ground has any relief."""
-    return descriptor.relief_m > 0.0 or len(descriptor.casters) > 1
+    return descriptor.relief_m > 0.0 or any(kind != "relief" for kind in descriptor.casters)
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:

@@ -77,7 +77,7 @@ def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
     [
         ("policy=measure", "policy", "at design time"),
         ("policy=guess", "policy", "rules, predict"),
-        ("max_error=0", "max_error", "greater than 0"),
+        ("max_error=-0.01", "max_error", "greater than or equal to 0"),
         ("max_error=1.5", "max_error", "less than or equal to 1"),
         ("max_error=nan", "max_error", "number"),
         ("max_ms=0", "max_ms", "greater than 0"),

@@ -1,0 +1,164 @@
+"""Constants of the error model: those that made errors come back, and one sum is the other."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from selection_fit import KINDS, MAPS, START, Case, _model, _Terms, cases_of, fitted
+from selection_policies import FOLDS, held_out_views, terrains
+
+from selector.error_model import DECIMATED, LEAST, LEAST_INTERIOR, LEAST_SPREAD, MANNERS, Counted, ErrorModel
+from shadows.plan import Cascade, PerspectiveMapSettings, ShadowMapSettings, Step, SweepSettings, VolumeSettings
+from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
+from terrain.level import SUN, CasterKind
+
+CAST = 0.4
+SIZES = (512, 1024, 2048, 4096)
+
+TRUE = ErrorModel(
+    counted={
+        "relief": Counted(most=0.8, half_px=2.0, steepness=1.5),
+        "meshes": Counted(most=1.4, half_px=6.0, steepness=0.9),
+        "forest": Counted(most=0.9, half_px=0.8, steepness=1.1),
+    },
+    perspective=1.7,
+    floor=dict.fromkeys(MANNERS, 0.0) | {"shadow_map": 2e-3, "perspective_shadow_map": 1e-3},
+    interior=dict.fromkeys(MANNERS, 0.0),
+    spread=dict.fromkeys(MANNERS, 0.0),
+    interior_spread=dict.fromkeys(MANNERS, 0.0),
+)
+
+
+def described(kind: CasterKind, far_px: float) -> Descriptor:
+    """A perspective view of 640 x 512 pixels with shadows in two octaves; ``far_px`` is how far what differs reaches."""
+    ladder_px = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
+    bands = tuple(
+        CastBand(
+            near_m=near_m, far_m=2.0 * near_m, share=0.5, cast=CAST, pixel_m=near_m / 400.0, differs=tuple(ladder_px / reach_px)
+        )
+        for near_m, reach_px in ((32.0, far_px), (64.0, 2.0 * far_px))
+    )
+    lights = {SUN: LightFacts(cast_share=CAST, casts={kind: Casting(share=CAST, on_bodies=0.1, bands=bands)})}
+    return Descriptor(
+        view="main", view_kind="perspective", flat_world=True, pixel_m=0.1, pixel=0.0015, rows=512, cols=640, node_m=2.0,
+        casters=(kind,), relief_m=20.0, block_relief_m=20.0, sun_azimuth_deg=140.0, sun_altitude_deg=30.0, highest_sun_deg=30.0,
+        receivers_light_m=(200.0, 100.0, 100.0), lights=lights,
+    )  # fmt: skip
+
+
+def case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> Case:
+    """A row that has the error that ``TRUE`` makes, or another one."""
+    view = {"light": SUN, "error": "wrong_cast"}
+    if error is None:
+        error = Case(view, descriptor, (step,), {}).expected(TRUE).wrong_cast
+    return Case(view, descriptor, (step,), {"wrong_cast": error, "wrong": error * CAST, "interior": inside * error * CAST})
+
+
+def uniform(kind: CasterKind, texel_m: float) -> Step:
+    cascades = (Cascade(far_m=None, texel_m=(texel_m, texel_m), depth_step_m=0.01),)
+    return Step(SUN, (kind,), "shadow_map", ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=cascades))
+
+
+def made() -> list[Case]:
+    """Maps of each kind of casters, from textures far finer than a pixel to far coarser ones."""
+    cases = []
+    for kind in KINDS:
+        for far_px in (80.0, 300.0, 1000.0):
+            descriptor = described(kind, far_px)
+            cases += [case(descriptor, uniform(kind, texel_m)) for texel_m in 0.02 * 2.0 ** np.arange(0.0, 8.0)]
+            warped = (PerspectiveMapSettings(map_size=size, depth_bits=24, filter=3) for size in (128, 256, *SIZES))
+            cases += [case(descriptor, Step(SUN, (kind,), "perspective_shadow_map", its)) for its in warped]
+    return cases
+
+
+def test_errors_that_known_constants_made_give_them_back():
+    found = fitted(made())
+    for kind in get_args(CasterKind):
+        its, true = found.counted[kind], TRUE.counted[kind]
+        assert (its.most, its.half_px, its.steepness) == pytest.approx((true.most, true.half_px, true.steepness), rel=0.1), kind
+    assert found.perspective == pytest.approx(TRUE.perspective, rel=0.05)
+    assert found.floor["shadow_map"] == pytest.approx(2e-3, rel=0.1)
+    assert found.floor["perspective_shadow_map"] == pytest.approx(1e-3, rel=0.1)
+    assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == LEAST_SPREAD  # nothing scatters
+    again = [(one.expected(found).wrong_cast, one.error) for one in made()]
+    assert np.allclose(*np.transpose(again), rtol=0.02, atol=LEAST / 10.0)
+    assert np.ptp([error for _, error in again]) > 0.3  # from fine to coarse, else nothing would be told
+
+
+def test_what_nothing_was_measured_of_stays_where_it_starts():
+    found = fitted([one for one in made() if "meshes" in one.descriptor.casters])
+    of_forest = found.counted["forest"]
+    assert (of_forest.most, of_forest.half_px, of_forest.steepness) == pytest.approx(START[6:9], rel=1e-3)
+    assert found.counted["meshes"].half_px == pytest.approx(6.0, rel=0.1)
+
+
+def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
+    """Errors of volumes about 2 % whose logarithms scatter with a logistic distribution of scale 0.3, a quarter of each inside; of
+    a sweep about 0.4 %, always the same.
+    """
+    chances = (np.arange(200) + 0.5) / 200.0
+    errors = (0.02 + LEAST) * (chances / (1.0 - chances)) ** 0.3 - LEAST
+    descriptor, bare = described("meshes", 100.0), described("relief", 100.0)
+    volumes = Step(SUN, ("meshes",), "shadow_volume", VolumeSettings())
+    swept = Step(SUN, ("relief",), "sweep", SweepSettings())
+    rows = [case(descriptor, volumes, float(error), 0.25) for error in errors]
+    rows += [case(bare, swept, 0.004, 0.1) for _ in range(5)]
+    found = fitted([*made(), *rows])
+    assert found.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
+    assert found.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
+    assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == LEAST_SPREAD
+    assert found.floor["hybrid"] == found.floor[DECIMATED] == 0.0  # of which there is no row
+    its = 0.004 * CAST
+    assert found.interior["sweep"] == pytest.approx((0.1 * its + LEAST_INTERIOR) / (its + LEAST_INTERIOR))
+    assert found.interior["hybrid"] == 0.0
+    # What lies inside scatters as errors do, what is expected does not.
+    assert found.interior["shadow_volume"] == pytest.approx(0.25, rel=0.05)
+    assert found.interior_spread["shadow_volume"] == pytest.approx(0.3, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "perspective",
+    [
+        START[-3],
+        3.0,
+        0.4,
+    ],
+)
+def test_the_sum_taken_apart_is_that_of_the_error_model(kept, perspective):
+    """On rows of views of every kind, for constants anywhere about where the fit starts."""
+    views, _ = kept
+    some = [*{view["family"]: view for view in views}.values(), *views[::10]]
+    cases = [one for view in some for one in cases_of(view) if one.algorithms & set(MAPS) and "planar" not in one.algorithms]
+    assert {kind for one in cases for step in one.steps for kind in step.kinds} == set(KINDS)
+    assert {one.descriptor.view_kind for one in cases} == {"map", "perspective"} and {one.light for one in cases} > {SUN}
+    terms, random = _Terms(cases), np.random.default_rng(0)
+    for _ in range(3):
+        constants = np.array(START) * np.exp(random.normal(0.0, 1.0, len(START)))
+        constants[-3] = perspective
+        expected = np.array([one.expected(_model(constants)).wrong_cast for one in cases])
+        assert np.allclose(terms.expected(constants), expected, rtol=1e-9, atol=1e-12)
+        assert np.ptp(expected) > 0.05
+
+
+def test_views_without_cast_shadow_tell_nothing_of_its_errors(kept):
+    views, _ = kept
+    without = [view for view in views if view["error"] == "wrong"]
+    assert without and not any(cases_of(view) for view in without)
+    first = next(view for view in views if view["error"] == "wrong_cast")
+    assert {one.error for one in cases_of(first)} <= {row["wrong_cast"] for row in first["rows"].values()}
+    assert len(cases_of(first)) == len({name for pick, name in first["picks"].items() if not pick.startswith("rules ")})
+
+
+def test_parts_that_are_judged_have_nothing_of_those_that_are_fitted(kept):
+    views: list[dict[str, Any]] = kept[0]
+    held_out, apart = held_out_views(views), terrains(views)
+    for parts in (held_out, apart):
+        names = [view["name"] for part in parts for view in part]
+        assert sorted(names) == sorted(view["name"] for view in views) and len(set(names)) == len(names)
+    assert len(held_out) == FOLDS and all(len({view["terrain"] for view in part}) == 1 for part in apart)
+    places = [{view["terrain"] for view in part} for part in apart]
+    assert sum(map(len, places)) == len(set.union(*places))  # no terrain in two parts
+    many = {name for name in set.union(*places) if sum(view["terrain"] == name for view in views) >= FOLDS}
+    assert many and all(many <= {view["terrain"] for view in part} for part in held_out)

@@ -1,0 +1,42 @@
+"""The page says what was measured, and the package goes by what was fitted to it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from selection_fit import cases_of, fitted
+from selection_page import END, START, page, with_tables
+from selection_table import read_table
+
+from selector.error_model import ErrorModel
+from selector.error_model import fitted as of_the_package
+
+PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
+
+
+def test_tables_go_between_their_marks_and_nothing_else_changes():
+    text = f"before\n{START}old\n{END}after\n"
+    assert with_tables(text, "new\n") == f"before\n{START}new\n{END}after\n"
+
+
+@pytest.mark.long
+def test_the_page_has_the_tables_of_what_was_measured():
+    """`python benchmarks/selection.py judge --write` mends it."""
+    text = PAGE.read_text(encoding="utf-8")
+    assert with_tables(text, page(*read_table())) == text
+
+
+@pytest.mark.long
+def test_the_constants_are_those_that_fit_what_was_measured():
+    """`python benchmarks/selection.py fit` mends it."""
+    views, _ = read_table()
+    again, kept = (json.loads(model.model_dump_json()) for model in (_fitted(views), of_the_package()))
+    assert _numbers(again) == pytest.approx(_numbers(kept), rel=1e-2, abs=1e-6)
+
+
+def _fitted(views) -> ErrorModel:
+    return fitted([case for view in views for case in cases_of(view)])
+
+
+def _numbers(value) -> list[float]:
+    return [number for each in value.values() for number in _numbers(each)] if isinstance(value, dict) else [value]

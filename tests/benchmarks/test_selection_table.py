@@ -1,0 +1,123 @@
+"""The table of what was measured: what is written is read back, and what is kept is what it says."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from selection_table import COLUMNS, DIGITS, TABLE, read_table, write_table
+
+from selector.device_profile import DeviceProfile
+from selector.picks import Asked
+from selector.portfolio import MOST, portfolio
+from selector.rules import planner_of
+from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
+from terrain.level import SUN, Shadows
+
+DEVICE = DeviceProfile(
+    renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.25,
+    rates_ns={"planar": {"blocks": 0.1 + 0.2}},
+)  # fmt: skip
+
+THIRDS = tuple(k / 31.0 for k in range(8))
+
+
+def described() -> Descriptor:
+    """A map view under the sun with numbers that take more digits than are kept."""
+    band = CastBand(near_m=0.0, share=1.0, cast=1.0 / 3.0, pixel_m=4.0 / 7.0, differs=THIRDS)
+    lights = {SUN: LightFacts(cast_share=1.0 / 3.0, casts={"relief": Casting(share=1.0 / 3.0, bands=(band,))})}
+    return Descriptor(
+        view="map", view_kind="map", flat_world=False, pixel_m=4.0 / 7.0, node_m=30.0 / 7.0, casters=("relief",),
+        relief_m=200.0 / 3.0, block_relief_m=20.0, sun_azimuth_deg=140.0 / 3.0, sun_altitude_deg=30.0, highest_sun_deg=30.0,
+        receivers_light_m=(200.0 / 3.0, 100.0, 1e5 / 7.0), lights=lights, facts={"snow": {"lies": False, "on": True, "why": None}},
+    )  # fmt: skip
+
+
+def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
+    rows = {
+        f"shadow_map-{number}": dict(zip(COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
+        for number in range(count)
+    }
+    picks = {f"shadow_map {number}": row for number, row in enumerate(rows)} | {"rules 0.03": "shadow_map-0"}
+    return {
+        "name": name, "terrain": "made", "light": SUN, "error": "wrong_cast", "noise_floor": 1e-4, "plan_ms": 20.25, "rows": rows,
+        "picks": picks, "measured": {"3 %": "shadow_map-1"}, "descriptor": described().model_dump(mode="json"),
+    }  # fmt: skip
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path, view = tmp_path / "table.jsonl", viewed()
+    write_table([view], DEVICE, path)
+    (read,), device = read_table(path)
+    assert device == DEVICE
+    assert {key: read[key] for key in read if key != "descriptor"} == {key: view[key] for key in view if key != "descriptor"}
+    given, back = view["descriptor"], Descriptor.model_validate(read["descriptor"]).model_dump(mode="json")
+    assert list(leaves(back)) == pytest.approx(list(leaves(given)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0)
+    assert list(leaves(back)) != list(leaves(given))  # thirds are cut off
+    assert dict(words(back)) == dict(words(given))
+
+
+def test_a_pick_of_which_there_is_no_row_and_a_row_of_one_plan_alone_are_left_out(tmp_path):
+    path, view = tmp_path / "table.jsonl", viewed()
+    unmeasured = view | {"picks": view["picks"] | {"planar": "planar"}}
+    write_table([unmeasured, viewed("another", 1), viewed("third", 2)], DEVICE, path)
+    first, third = read_table(path)[0]
+    assert first["picks"] == view["picks"] and third["name"] == "third"
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 4  # what is not read is kept all the same
+
+
+def test_what_is_kept_is_written_as_it_was_read(tmp_path, kept):
+    views, device = kept
+    write_table(views, device, tmp_path / "table.jsonl")
+    assert read_table(tmp_path / "table.jsonl") == (views, device)
+    assert set((tmp_path / "table.jsonl").read_text(encoding="utf-8").splitlines()) <= set(
+        TABLE.read_text(encoding="utf-8").splitlines()
+    )
+
+
+def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
+    device, *lines = map(json.loads, TABLE.read_text(encoding="utf-8").splitlines())
+    assert DeviceProfile.model_validate(device) == kept[1]
+    assert len({line["name"] for line in lines}) == len(lines)
+    for line in lines:
+        descriptor = Descriptor.model_validate(line["descriptor"])
+        assert line["light"] in descriptor.lights and line["renderer"] == device["renderer"], line["name"]
+        assert line["error"] in ("wrong_cast", "wrong") and line["noise_floor"] >= 0.0 and line["plan_ms"] > 0.0
+        for row in line["rows"].values():
+            its = dict(zip(COLUMNS, row, strict=True))
+            assert its["bytes"] >= 0 and (its["ms"] > 0.0) == bool(its["algorithms"]), line["name"]
+            assert 0.0 <= its["interior"] <= its["wrong"] <= its["wrong_cast"] <= 1.0, line["name"]
+            assert 0.0 <= its["coverage"] <= 1.0, line["name"]
+        assert all(0 <= number < len(line["rows"]) for number in line["picks"].values()), line["name"]
+
+
+def test_enough_views_are_kept_with_every_pick_and_no_more_than_there_may_be(kept):
+    views, _ = kept
+    assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
+    picks = {view["name"]: {pick for pick in view["picks"] if not pick.startswith("rules ")} for view in views}
+    assert max(map(len, picks.values())) <= MOST == 40
+    for view in views:
+        descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
+        casting = planner_of(descriptor, Asked(Shadows(), tuple(descriptor.lights))).casting(light)
+        assert picks[view["name"]] <= {pick.name for pick in portfolio(descriptor, light, casting)}, view["name"]
+    assert all(any(pick.startswith("rules ") for pick in view["picks"]) for view in views)
+
+
+def leaves(value: Any):
+    """The numbers of nested lists and dictionaries, in order."""
+    if isinstance(value, dict | list | tuple):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from leaves(each)
+    elif isinstance(value, float):
+        yield value
+
+
+def words(value: Any, where: str = ""):
+    """What is no number, by where it stands."""
+    if isinstance(value, dict | list | tuple):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from words(each, f"{where}.{key}")
+    elif not isinstance(value, float):
+        yield where, value

@@ -1,0 +1,301 @@
+"""Expected errors: texels from settings, sums and chances that can be worked out by hand, then what holds for any."""
+
+from __future__ import annotations
+
+from math import exp, log, radians, tan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from selector.error_model import (
+    DECIMATED,
+    HALF_A_HIT,
+    LEAST,
+    LEAST_INTERIOR,
+    LEAST_SPREAD,
+    MANNERS,
+    UNKNOWN,
+    Counted,
+    ErrorModel,
+    Errors,
+    expected_errors,
+    fitted,
+    kinds_of_step,
+    manner_of,
+    pooled,
+    texel_px_of,
+)
+from selector.winning import MOST_INTERIOR
+from shadows.plan import (
+    Cascade,
+    HybridSettings,
+    LampMapSettings,
+    PerspectiveMapSettings,
+    ShadowMapSettings,
+    Step,
+    SweepSettings,
+    VolumeSettings,
+)
+from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
+from terrain.ground_mesh import WHOLE_TRIANGLES
+from terrain.level import SUN
+
+PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
+"""Shadows with an edge every few hundred pixels: what differs grows as the texel does."""
+
+MODEL = ErrorModel(
+    counted={
+        "relief": Counted(most=1.0, half_px=4.0, steepness=1.0),
+        "meshes": Counted(most=2.0, half_px=4.0, steepness=2.0),
+        "forest": Counted(most=0.5, half_px=1.0, steepness=1.0),
+    },
+    perspective=2.0,
+    floor={name: 0.001 * number for number, name in enumerate(MANNERS)},
+    interior=dict.fromkeys(MANNERS, 0.25),
+    spread={name: 0.1 * (1 + number) for number, name in enumerate(MANNERS)},
+    interior_spread=dict.fromkeys(MANNERS, 0.5),
+)
+
+
+def band(near_m: float = 32.0, share: float = 1.0, pixel_m: float = 0.1, light_m: float | None = None, **more) -> CastBand:
+    differs = more.pop("differs", PROPORTIONAL)
+    return CastBand(
+        near_m=near_m, far_m=2.0 * near_m, share=share, cast=0.2, pixel_m=pixel_m, light_m=light_m, differs=differs
+    )  # fmt: skip
+
+
+def described(**changes) -> Descriptor:
+    """A perspective view of 640 x 360 pixels (a side of 480 in the mean), under a sun whose map would cover 400 m by 100 m."""
+    casts = {"meshes": Casting(share=0.2, on_bodies=0.05, bands=(band(share=0.75), band(64.0, share=0.25, pixel_m=0.2)))}
+    given = {
+        "view": "main", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": 0.0015, "rows": 360, "cols": 640,
+        "node_m": 2.0, "casters": ("relief", "meshes", "forest"), "relief_m": 20.0, "block_relief_m": 20.0,
+        "sun_azimuth_deg": 140.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0, "receivers_light_m": (400.0, 100.0, 100.0),
+        "lights": {SUN: LightFacts(cast_share=0.2, casts=casts)},
+    }  # fmt: skip
+    return Descriptor(**(given | changes))
+
+
+def lit_by(kind: str, **lamp) -> Descriptor:
+    """The view under a lamp, which is all that the tests of lamps go by."""
+    facts = LampFacts(name="lamp", kind=kind, reference_m=50.0, **lamp)
+    return described(lamps=(facts,), lights={"lamp": LightFacts(cast_share=0.2)})
+
+
+def cascades(*texels_m: tuple[float, float], far_m: float = 64.0) -> ShadowMapSettings:
+    ends = [*(far_m * 2**k for k in range(len(texels_m) - 1)), None]
+    its = tuple(Cascade(far_m=end, texel_m=texel_m, depth_step_m=0.01) for end, texel_m in zip(ends, texels_m, strict=True))
+    return ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=its)
+
+
+def lamp_map(size: int) -> LampMapSettings:
+    return LampMapSettings(map_size=size, depth_bits=32, filter=3)
+
+
+def perspective_map(size: int) -> PerspectiveMapSettings:
+    return PerspectiveMapSettings(map_size=size, depth_bits=24, filter=3)
+
+
+def step(name: str, settings=None, light: str = SUN, kinds=("meshes",)) -> Step:
+    return Step(light, kinds, name, settings)
+
+
+def test_a_suns_texel_is_that_of_the_cascade_that_a_band_lies_in():
+    """Texels of 0.1 m by 0.4 m are 0.2 m in the geometric mean: two pixels of 0.1 m; the next cascade's ten pixels of 0.2 m."""
+    drawn = step("shadow_map", cascades((0.1, 0.4), (2.0, 2.0), (6.4, 6.4)))
+    near, next_one, last = band(32.0), band(64.0, pixel_m=0.2), band(256.0, pixel_m=0.8)
+    found = [texel_px_of(described(), SUN, drawn, each, 2.0) for each in (near, next_one, last)]
+    assert found == pytest.approx([2.0, 10.0, 8.0])
+    whole = step("shadow_map", cascades((0.1, 0.4)))
+    assert texel_px_of(described(), SUN, whole, last, 2.0) == pytest.approx(0.25)
+
+
+def test_a_spots_texel_is_its_cones_width_over_the_maps_size():
+    spot = lit_by("spot", cutoff_deg=30.0)
+    drawn = step("shadow_map", lamp_map(512), "lamp")
+    across_m = 2.0 * 40.0 * tan(radians(30.0))
+    found_px = texel_px_of(spot, "lamp", drawn, band(light_m=40.0), 2.0)
+    assert found_px == pytest.approx(across_m / 512 / 0.1)
+    # Without a distance that of the lamp itself; a map of twice the texels has them half as wide.
+    assert texel_px_of(spot, "lamp", drawn, band(), 2.0) == pytest.approx(found_px * 50.0 / 40.0)
+    assert texel_px_of(spot, "lamp", step("shadow_map", lamp_map(1024), "lamp"), band(light_m=40.0), 2.0) == pytest.approx(
+        found_px / 2.0
+    )
+    # Each of an omni light's six maps has a right angle.
+    omni = lit_by("omni", cutoff_deg=180.0)
+    assert texel_px_of(omni, "lamp", drawn, band(light_m=40.0), 2.0) == pytest.approx(80.0 / 512 / 0.1)
+
+
+def test_a_perspective_maps_texels_follow_the_picture_and_are_never_wider_than_a_uniform_maps():
+    """Of 480 pixels a side twice as many are 960; a uniform map would be 200 m wide, 2000 pixels near and 200 far away."""
+    drawn = step("perspective_shadow_map", perspective_map(512))
+    near, far = band(pixel_m=0.1), band(256.0, pixel_m=1.0)
+    assert texel_px_of(described(), SUN, drawn, near, 2.0) == pytest.approx(960.0 / 512)
+    assert texel_px_of(described(), SUN, drawn, far, 2.0) == pytest.approx(200.0 / 512)
+    assert texel_px_of(described(), SUN, drawn, near, 1e6) == pytest.approx(2000.0 / 512)
+
+
+@pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
+def test_what_is_exact_has_its_floor_and_no_more(name):
+    uniform = cascades((0.5, 0.5))
+    settings = {"shadow_volume": VolumeSettings(), "sweep": SweepSettings(), "hybrid": HybridSettings(map=uniform)}[name]
+    errors = expected_errors(described(), SUN, [step(name, settings)], MODEL)
+    floor = MODEL.floor[name]
+    assert floor > 0.0 and errors.wrong_cast == pytest.approx(floor) and errors.wrong == pytest.approx(0.2 * floor)
+    assert errors.interior == pytest.approx(0.25 * errors.wrong)
+    assert (errors.spread, errors.interior_spread) == pytest.approx((MODEL.spread[name], 0.5))
+
+
+def test_planar_shadows_are_wrong_on_bodies():
+    """A quarter of the cast shadow lies on bodies; where that is not known all of it may, where none was hit half a probe's."""
+    floor = MODEL.floor["planar"]
+
+    def wrong_cast(on_bodies: float | None) -> float:
+        casts = {"meshes": Casting(share=0.2, on_bodies=on_bodies)}
+        descriptor = described(lights={SUN: LightFacts(cast_share=0.2, casts=casts)})
+        return expected_errors(descriptor, SUN, [step("planar")], MODEL).wrong_cast
+
+    assert wrong_cast(0.05) == pytest.approx(0.25 + floor)
+    assert wrong_cast(None) == pytest.approx(1.0)
+    assert wrong_cast(0.0) == pytest.approx(HALF_A_HIT / 0.2 + floor)
+
+
+def test_a_maps_error_is_what_differs_and_counts_by_bands_over_the_cast_shadow():
+    """Texels of 0.4 m are 4 and 2 pixels: 4 / 320 and 2 / 320 differ, of which 2 / (1 + (4 / 4) ** 2) = 1 and 2 / (1 + 4) = 0.4
+    count.
+    """
+    drawn = step("shadow_map", cascades((0.4, 0.4)))
+    by_hand = 0.75 * (4.0 / 320.0) * 1.0 + 0.25 * (2.0 / 320.0) * 0.4
+    errors = expected_errors(described(), SUN, [drawn], MODEL)
+    assert errors.wrong_cast == pytest.approx(by_hand / 0.2 + MODEL.floor["shadow_map"])
+    assert errors.wrong == pytest.approx(0.2 * errors.wrong_cast)
+
+
+@pytest.mark.parametrize(
+    ("texel_px", "differs"),
+    [
+        (4.0, 4.0 / 320.0),
+        (2.0 * 2.0**0.5, 3.0 / 320.0),  # half an octave above 2 pixels: half of what 2 and 4 have
+        (0.1, 0.1 / 320.0),  # in proportion below the least
+        (100.0, 32.0 / 320.0),  # and no more than is known above the largest
+    ],
+)
+def test_between_texels_of_the_ladder_and_beyond_them(texel_px, differs):
+    model = MODEL.model_copy(update={"counted": dict.fromkeys(MODEL.counted, Counted(most=1.0, half_px=1e-6, steepness=1.0))})
+    alone = {"meshes": Casting(share=0.2, bands=(band(),))}
+    view = described(lights={SUN: LightFacts(cast_share=0.2, casts=alone)})
+    drawn = step("shadow_map", cascades((0.1 * texel_px, 0.1 * texel_px)))
+    found = expected_errors(view, SUN, [drawn], model).wrong - 0.2 * model.floor["shadow_map"]
+    assert found == pytest.approx(differs, rel=1e-4)
+
+
+def test_kinds_of_casters_count_in_ways_of_their_own():
+    casts = {kind: Casting(share=0.2, bands=(band(),)) for kind in ("relief", "meshes", "forest")}
+    descriptor = described(lights={SUN: LightFacts(cast_share=0.2, casts=casts)})
+    drawn = cascades((0.4, 0.4))
+
+    def wrong(*kinds: str) -> float:
+        its = expected_errors(descriptor, SUN, [step("shadow_map", drawn, kinds=kinds)], MODEL).wrong
+        return its - 0.2 * MODEL.floor["shadow_map"]
+
+    differs = 4.0 / 320.0
+    assert (wrong("relief"), wrong("meshes")) == pytest.approx((differs * 0.5, differs * 1.0))
+    assert wrong("forest") == pytest.approx(differs * 0.5 * 4.0 / 5.0)
+    assert wrong("relief", "meshes", "forest") == pytest.approx(wrong("relief") + wrong("meshes") + wrong("forest"))
+
+
+def test_steps_add_up_and_scatter_by_what_each_adds():
+    swept, drawn = step("sweep", SweepSettings(), kinds=("relief",)), step("shadow_map", cascades((0.4, 0.4)))
+    one, other, both = (expected_errors(described(), SUN, its, MODEL) for its in ([swept], [drawn], [swept, drawn]))
+    assert both.wrong == pytest.approx(one.wrong + other.wrong)
+    assert both.wrong_cast == pytest.approx(one.wrong_cast + other.wrong_cast)
+    assert both.spread == pytest.approx((one.wrong * one.spread + other.wrong * other.spread) / both.wrong)
+    assert min(one.spread, other.spread) < both.spread < max(one.spread, other.spread)
+
+
+def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_light_is_taken_to_cast():
+    drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("meshes", "forest"))
+    assert [kind for kind, _ in kinds_of_step(described(), SUN, drawn)] == ["meshes"]
+    unknown = described(lights={})
+    assert kinds_of_step(unknown, SUN, drawn) == [("meshes", UNKNOWN), ("forest", UNKNOWN)]
+    assert expected_errors(unknown, SUN, [drawn], MODEL).wrong_cast > MODEL.floor["shadow_map"]
+    assert expected_errors(described(), SUN, [], MODEL) == Errors(0.0, 0.0, 0.0, LEAST_SPREAD, LEAST_SPREAD)
+
+
+def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
+    swept = step("sweep", SweepSettings(), kinds=("relief",))
+
+    def on_ground(nodes: int | None) -> Descriptor:
+        return described(stands=(CasterFacts(kind="relief", triangles=1000, nodes=nodes),))
+
+    fine, coarse = on_ground(WHOLE_TRIANGLES // 2), on_ground(WHOLE_TRIANGLES // 2 + 1)
+    assert [manner_of(each, swept) for each in (fine, coarse, on_ground(None))] == ["sweep", DECIMATED, "sweep"]
+    assert expected_errors(fine, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor["sweep"])
+    assert expected_errors(coarse, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
+    drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("relief",))
+    assert manner_of(coarse, drawn) == "shadow_map"  # which draws the ground that is shown
+    assert fitted().floor[DECIMATED] > 100.0 * fitted().floor["sweep"]
+
+
+def test_proportional_ladders_stay_as_they_are_and_lone_hits_are_spread():
+    assert pooled(PROPORTIONAL) == pytest.approx(PROPORTIONAL)
+    one_hit = pooled((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
+    # Texels of 0.5, 1 and 2 pixels are 3.5 wide together, in which 0.007 was seen: a five-hundredth a pixel.
+    assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=len(TEXEL_LADDER_PX), max_size=len(TEXEL_LADDER_PX)))
+def test_pooling_keeps_shares_between_those_that_it_joins(differs):
+    found = pooled(tuple(differs))
+    assert all(0.0 <= each <= 1.0 for each in found) and found[-1] == pytest.approx(differs[-1])
+    a_pixel = [share / px for share, px in zip(differs, TEXEL_LADDER_PX, strict=True)]
+    for k, (share, px) in enumerate(zip(found, TEXEL_LADDER_PX, strict=True)):
+        low, high = min(a_pixel[k : k + 3]), max(a_pixel[k : k + 3])
+        assert min(low * px, 1.0) * (1 - 1e-9) <= share <= high * px * (1 + 1e-9)
+
+
+@given(st.floats(0.01, 100.0), st.floats(1.0, 4.0))
+def test_larger_texels_are_never_expected_to_be_better(texel_m, times):
+    few, many = (
+        expected_errors(described(), SUN, [step("shadow_map", cascades((side_m, side_m)))], MODEL).wrong_cast
+        for side_m in (texel_m, texel_m * times)
+    )
+    assert 0.0 <= few <= many * (1 + 1e-12) and many <= 1.0
+
+
+def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> Errors:
+    return Errors(0.2 * wrong_cast, wrong_cast, interior, spread, 0.4)
+
+
+def test_chances_are_even_at_what_is_expected_and_sure_far_away():
+    its = errors(0.02)
+    assert its.chance_over(0.02) == pytest.approx(0.5)
+    assert its.chance_over(1.0) < 1e-3 and its.chance_over(1e-6) > 0.99
+    # Three times what is expected, with a thousandth added to both: odds of (21 / 61) ** (1 / 0.5).
+    odds = ((0.02 + LEAST) / (0.06 + LEAST)) ** 2
+    assert its.chance_over(0.06) == pytest.approx(odds / (1.0 + odds))
+    assert errors(0.9, spread=LEAST_SPREAD).chance_over(1e-9) <= 1.0  # and no overflow
+
+
+def test_what_is_wrong_inside_makes_a_target_missed_however_much_is_allowed():
+    assert errors(0.001, interior=MOST_INTERIOR).chance_over(1.0) == pytest.approx(0.5)
+    over = errors(0.001, interior=10.0 * MOST_INTERIOR).chance_over(1.0)
+    ratio = (10.0 * MOST_INTERIOR + LEAST_INTERIOR) / (MOST_INTERIOR + LEAST_INTERIOR)
+    assert over == pytest.approx(1.0 / (1.0 + exp(-log(ratio) / 0.4)))
+
+
+@given(st.floats(0.0, 1.0), st.floats(1e-4, 1.0), st.floats(1.0, 10.0), st.floats(LEAST_SPREAD, 2.0), st.floats(0.0, 0.01))
+def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(expected, allowed, times, spread, interior):
+    its = errors(expected, interior, spread)
+    assert 0.0 <= its.chance_over(allowed * times) <= its.chance_over(allowed) <= 1.0
+    assert errors(min(expected * times, 1.0), interior, spread).chance_over(allowed) >= its.chance_over(allowed)
+    likely = expected <= allowed and interior <= MOST_INTERIOR
+    assert (its.chance_over(allowed) <= 0.5) == likely or abs(its.chance_over(allowed) - 0.5) < 1e-9
+
+
+def test_the_constants_that_come_with_the_package_are_those_of_every_manner():
+    model = fitted()
+    for its in (model.floor, model.interior, model.spread, model.interior_spread):
+        assert set(its) == set(MANNERS) and min(its.values()) >= 0.0
+    assert min(model.spread.values()) >= LEAST_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}

@@ -1,0 +1,331 @@
+"""What `predict` takes: of views made by hand under devices made by hand, and of those that are kept with their measurements."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from selector.device_profile import DeviceProfile
+from selector.error_model import MANNERS, Counted, ErrorModel
+from selector.picks import Asked
+from selector.predict import Option, options_of, predicted_plan
+from selector.rules import Planner, planner_of
+from selector.words import duration, percent
+from shadows.plan import Plan
+from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
+from terrain.errors import InputError, UnsupportedError
+from terrain.level import SUN, Shadows
+
+TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection.jsonl"
+
+ERRORS = ErrorModel(
+    counted={kind: Counted(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},
+    perspective=2.0,
+    floor=dict.fromkeys(MANNERS, 1e-4),
+    interior=dict.fromkeys(MANNERS, 0.0),
+    spread=dict.fromkeys(MANNERS, 0.05),
+    interior_spread=dict.fromkeys(MANNERS, 0.05),
+)
+"""Errors about which little is left to chance."""
+
+RATES_NS: dict[str, dict[str, float]] = {
+    "shadow_map, perspective": {"blocks": 5e6, "texels": 1.0},
+    "perspective_shadow_map, sun": {"blocks": 50e6, "texels": 1.0},
+    "shadow_map, spot": {"blocks": 5e6, "texels": 1.0},
+    "perspective_shadow_map, spot": {"blocks": 50e6, "texels": 1.0},
+    "silhouettes, perspective": {"blocks": 1e6},
+    "counting, perspective": {"blocks": 1e6, "faces drawn": 20e3, "faces beside marks": 20e3},
+    "conservative map, perspective": {"blocks": 20e6},
+    "mask": {"blocks": 10e6},
+    "planar": {"blocks": 2e6},
+}
+"""A device on which a map of 4096 texels a side takes some 22 ms, volumes of 1200 faces some 26 ms, and planar shadows 2 ms."""
+
+
+def casting(cast: float = 0.2) -> LightFacts:
+    """Shadows with an edge every hundred pixels or so, a quarter of them on bodies."""
+    differs = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
+    bands = (CastBand(near_m=32.0, far_m=64.0, share=1.0, cast=cast, pixel_m=0.1, light_m=50.0, differs=differs),)
+    casts = {"meshes": Casting(share=cast, on_bodies=cast / 4.0, bands=bands)}
+    return LightFacts(cast_share=cast, silhouette_edges=200, volume_layers=1.0, casts=casts)
+
+
+def described(**changes) -> Descriptor:
+    """Bodies on level ground, seen from nearby under the sun: 640 x 512 pixels of 0.1 m."""
+    bodies = CasterFacts(kind="meshes", count=10, triangles=2000, closed_share=1.0, height_m=4.0, width_m=5.0)
+    given = {
+        "view": "main", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": 0.0015, "rows": 512, "cols": 640,
+        "node_m": 2.0, "casters": ("relief", "meshes"), "stands": (bodies,), "relief_m": 0.0, "block_relief_m": 4.0,
+        "tallest_m": 4.0, "sun_azimuth_deg": 140.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0,
+        "receivers_light_m": (100.0, 100.0, 100.0), "lights": {SUN: casting()},
+    }  # fmt: skip
+    return Descriptor(**(given | changes))
+
+
+def device(scale: Callable[[str, str], float] = lambda part, name: 1.0, rates_ns: dict = RATES_NS) -> DeviceProfile:
+    """A device whose rates are those given, ``scale`` times by part of the work and by what is counted."""
+    rates_ns = {part: {name: ns * scale(part, name) for name, ns in its.items()} for part, its in rates_ns.items()}
+    return DeviceProfile(
+        renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.0,
+        rates_ns=rates_ns,
+    )  # fmt: skip
+
+
+def dear_texels(part: str, name: str) -> float:
+    return 50.0 if name.startswith("texels") else 1.0
+
+
+def cheap_faces(part: str, name: str) -> float:
+    return 0.01 if name.startswith("faces") else 1.0
+
+
+def asked(descriptor: Descriptor, **shadows) -> Asked:
+    return Asked(Shadows(**shadows), tuple(descriptor.lights))
+
+
+def planned(
+    descriptor: Descriptor,
+    profile: DeviceProfile | None = None,
+    overrides: dict[str, Any] | None = None,
+    errors: ErrorModel | None = ERRORS,
+    **shadows,
+) -> Plan:
+    return predicted_plan(descriptor, asked(descriptor, **shadows), overrides, profile or device(), errors)
+
+
+def name_of(plan: Plan, light: str = SUN) -> str:
+    """What a plan has for bodies, by name: the algorithm, and its map's texels a side."""
+    size = getattr(plan.settings.get(light, {}).get("meshes"), "map_size", None)
+    return plan.algorithm[light]["meshes"] + ("" if size is None else f" {size}")
+
+
+def option_of(plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERRORS) -> Option:
+    """The option that a plan took under a light."""
+    steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
+    return next(one for one in options_of(planner, light, planner.casting(light), profile, errors) if one.steps == steps)
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[str, dict[str, Any]]:
+    """Views that were measured, by name."""
+    _, *lines = TABLE.read_text(encoding="utf-8").splitlines()
+    return {view["name"]: view for view in map(json.loads, lines)}
+
+
+@pytest.fixture(scope="module")
+def own() -> DeviceProfile:
+    """The device that they were measured on."""
+    return DeviceProfile.model_validate_json(TABLE.read_text(encoding="utf-8").splitlines()[0])
+
+
+def of(record: dict[str, Any], **changes) -> Descriptor:
+    return Descriptor.model_validate({**record["descriptor"], **changes})
+
+
+def test_the_coarsest_map_that_is_right_is_taken_and_planar_shadows_are_not():
+    """A texel of a map of 1024 is a pixel wide: 1 / 320 differ, half of it counts, over a fifth in cast shadow that is 0.8 %.
+    Planar shadows, 25 % wrong, are the quickest by far.
+    """
+    assert name_of(planned(described(), max_error=0.5)) == "planar"
+    plan = planned(described(), max_error=0.02)
+    assert name_of(plan) == "shadow_map 1024"
+    assert plan.predicted.wrong_cast == pytest.approx(0.5 / 320.0 / 0.2 + 1e-4, rel=0.05)
+    assert plan.target.met and plan.policy == "predict"
+    # Of 1 % the same map is 98 % sure: the rest costs more than the 3 ms that a map of 2048 takes longer.
+    plan = planned(described(), max_error=0.01)
+    assert name_of(plan) == "shadow_map 2048" and plan.predicted.ms - planned(described(), max_error=0.02).predicted.ms > 3.0
+    assert name_of(planned(described(), max_error=0.005)) == "shadow_map 2048"
+
+
+def test_a_changed_calibration_changes_picks():
+    """For 0.15 % it takes a map of 4096 texels a side, in some 22 ms; of volumes with 1000 caps and 200 sides the counting alone
+    takes more.
+    """
+    view = described()
+    assert name_of(planned(view, max_error=0.0015)) == "shadow_map 4096"
+    assert name_of(planned(view, device(dear_texels), max_error=0.0015)) == "shadow_volume"
+    assert name_of(planned(view, device(cheap_faces), max_error=0.0015)) == "shadow_volume"
+    # Where a coarse map will do, it takes more than dear texels to have another one.
+    assert name_of(planned(view, max_error=0.04)) == "shadow_map 512"
+    assert name_of(planned(view, device(dear_texels), max_error=0.04)) == "shadow_map 512"
+    slow_maps = device(lambda part, name: 50.0 if part.startswith("shadow_map") else 100.0 if part.startswith("counting") else 1.0)
+    assert name_of(planned(view, slow_maps, max_error=0.04)) == "perspective_shadow_map 512"
+
+
+def test_a_changed_calibration_changes_what_is_taken_of_a_view_that_was_measured(kept, own):
+    view = kept["boxgrid, spot, main"]
+
+    def taken(scale: Callable[[str, str], float]) -> str:
+        return planned(of(view), device(scale, own.rates_ns), errors=None, max_error=0.01).algorithm["lamp"]["meshes"]
+
+    assert taken(lambda part, name: 1.0) == "perspective_shadow_map"
+    assert taken(dear_texels) == "shadow_volume"
+    assert taken(cheap_faces) == "shadow_volume"
+
+
+def test_rates_alone_have_no_unit_that_picks_go_by(kept, own):
+    """On a device that is thirty times as slow in everything the same is taken, in thirty times the time."""
+    slow = device(lambda part, name: 30.0, own.rates_ns)
+    for name in ("rocks, sun, main", "village, map, 9", "goteborg, eye, 22"):
+        descriptor = of(kept[name])
+        quick_plan, slow_plan = (planned(descriptor, profile, errors=None, max_error=0.01) for profile in (own, slow))
+        assert (slow_plan.algorithm, slow_plan.settings) == (quick_plan.algorithm, quick_plan.settings), name
+        assert slow_plan.predicted.ms == pytest.approx(30.0 * quick_plan.predicted.ms)
+
+
+@pytest.mark.parametrize("who", ["the request", "the level"])
+def test_what_is_asked_for_goes_before_what_is_expected(who):
+    view = described()
+
+    def plan(**keys) -> Plan:
+        return planned(view, overrides=keys) if who == "the request" else planned(view, **keys)
+
+    volumes = plan(algorithm="shadow_volume")
+    assert name_of(volumes) == "shadow_volume"
+    assert next(one.reason for one in volumes.reasons if one.name == "sun/meshes: shadow_volume") == f"asked for by {who}"
+    sized = plan(algorithm="shadow_map", map_size=777, filter=5)
+    assert (sized.settings[SUN]["meshes"].map_size, sized.settings[SUN]["meshes"].filter) == (777, 5)
+    assert next(one.reason for one in sized.reasons if one.name == "map_size 777") == f"asked for by {who}"
+    free = plan(map_size=777)  # the size alone: what has it, and what it costs, is still weighed
+    assert name_of(free) == "shadow_map 777"
+    exact = plan(max_error=0.001, map_size=64)
+    assert name_of(exact) == "shadow_volume" and exact.target.max_error == 0.001
+
+
+def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
+    village = of(kept["village, map, 9"])
+    plan = planned(village, own, {"algorithm": {"meshes": "shadow_volume"}}, None, max_error=0.03)
+    assert plan.algorithm[SUN]["meshes"] == "shadow_volume" and plan.algorithm[SUN]["relief"] != "none"
+    said = {one.name: one.reason for one in plan.reasons}
+    assert said["sun/meshes: shadow_volume"] == "asked for by the request"
+    assert "expected" in said[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
+    with pytest.raises(UnsupportedError, match="a volume is made of edges"):
+        planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
+
+
+def test_a_device_that_knows_nothing_of_some_work_is_refused():
+    with pytest.raises(InputError, match="no rates for mask"):
+        planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
+
+
+@pytest.mark.parametrize("max_error", [0.0, 1e-6])
+def test_an_impossible_target_gives_the_nearest_plan_and_says_by_how_much_it_misses(max_error):
+    """No error, or a millionth, within 1 ms: everything takes longer. Planar shadows are 25 % wrong in 2 ms, volumes nearly
+    right in 26 ms: what lies between is nearest.
+    """
+    view = described()
+    plan = planned(view, max_error=max_error, max_ms=1.0)
+    assert plan.target.met is False and name_of(plan) == "shadow_map 1024"
+    (missed,) = (one.reason for one in plan.reasons if one.name == "sun: target missed")
+    its = plan.predicted
+    over = its.wrong_cast - max_error
+    error = f"an error of {percent(its.wrong_cast)}, {percent(over)} more than {percent(max_error)}"
+    assert missed == f"expected: {error}; {duration(its.ms)}, {duration(its.ms - 1.0)} more than 1.0 ms"
+    # No other option comes nearer: the larger of both overshoots, each as a share of what is allowed.
+    planner = planner_of(view, asked(view))
+
+    def overshoot(ms: float, error: float) -> float:
+        return max((error - max_error) / 1e-3, ms - 1.0)  # of errors no less than a thousandth counts as allowed
+
+    options = options_of(planner, SUN, ["meshes"], device(), ERRORS)
+    least = min(overshoot(one.ms, one.errors.wrong_cast) for one in options)
+    assert overshoot(its.ms, its.wrong_cast) == pytest.approx(least)
+    assert "comes nearest" in next(one.reason for one in plan.reasons if one.name.startswith("sun/meshes"))
+
+
+def test_with_time_alone_to_go_by_the_most_accurate_in_time_is_taken():
+    """Of maps alone: 4096 texels take some 22 ms, 2048 some 9, 1024 some 6; errors of a millionth are met by none."""
+    view = described()
+    fine, middle = (planned(view, max_error=1e-6, max_ms=ms, algorithm="shadow_map") for ms in (60.0, 20.0))
+    assert name_of(fine) == "shadow_map 4096" and 20.0 < fine.predicted.ms < 60.0
+    assert name_of(middle) == "shadow_map 2048" and middle.predicted.ms < 20.0
+    for plan in (fine, middle):
+        (missed,) = (one.reason for one in plan.reasons if one.name == "sun: target missed")
+        assert not plan.target.met and missed.startswith("expected: an error of ") and "ms" not in missed
+
+
+def test_impossible_targets_of_views_that_were_measured_have_plans_too(kept, own):
+    for view in [*kept.values()][::6]:
+        descriptor = of(view)
+        plan = planned(descriptor, own, errors=None, max_error=0.0, max_ms=1e-3)
+        if not plan.steps or {step.algorithm for step in plan.steps} == {"none"}:
+            continue
+        assert plan.target.met is False, view["name"]
+        assert any(one.name == f"{view['light']}: target missed" and " more than " in one.reason for one in plan.reasons)
+
+
+def test_nothing_is_never_taken_while_something_casts(kept, own):
+    casts = 0
+    for view in kept.values():
+        descriptor = of(view)
+        casting_kinds = planner_of(descriptor, asked(descriptor)).casting(view["light"])
+        for max_error, max_ms in ((1.0, None), (1e-6, 1e-3)):
+            plan = planned(descriptor, own, errors=None, max_error=max_error, max_ms=max_ms)
+            taken = plan.algorithm[view["light"]]
+            assert {kind for kind, name in taken.items() if name != "none"} == set(casting_kinds), view["name"]
+            casts += bool(casting_kinds)
+    assert casts > len(kept)  # nearly all of them
+
+
+def test_what_a_view_is_called_says_nothing(kept, own):
+    for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "quebec, eye, 14"):
+        one, other = (planned(of(kept[name], view=view), own, errors=None, max_error=0.01) for view in ("main", "somewhere else"))
+        assert other.view == "somewhere else"
+        assert other.model_copy(update={"view": one.view}) == one
+
+
+def test_what_a_lamp_is_called_says_nothing(kept, own):
+    text = json.dumps(kept["boxgrid, spot, main"]["descriptor"])
+    assert '"lamp"' in text
+    one, other = (
+        planned(Descriptor.model_validate_json(each), own, errors=None, max_error=0.01)
+        for each in (text, text.replace('"lamp"', '"zenith"'))
+    )
+    assert (other.algorithm["zenith"], other.settings["zenith"]) == (one.algorithm["lamp"], one.settings["lamp"])
+    assert other.predicted == one.predicted
+
+
+def test_what_is_predicted_of_a_plan_is_what_is_expected_of_the_option_that_is_taken(kept, own):
+    for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "goteborg, eye, 22", "zion, map, 20"):
+        view, light = of(kept[name]), kept[name]["light"]
+        plan = planned(view, own, errors=None, max_error=0.01)
+        taken = option_of(plan, planner_of(view, asked(view, max_error=0.01)), light, own, None)
+        expected = (taken.ms, taken.errors.wrong, taken.errors.wrong_cast)
+        assert (plan.predicted.ms, plan.predicted.wrong, plan.predicted.wrong_cast) == pytest.approx(expected), name
+        why = next(one.reason for one in plan.reasons if one.name.startswith(f"{light}/") and "none" not in one.name)
+        assert f"{percent(taken.errors.wrong_cast)} of the cast shadow wrong in {duration(taken.ms)} expected" in why, name
+
+
+def test_lights_are_chosen_for_by_themselves_and_times_add_up():
+    """A lamp whose shadows are hardly seen beside a sun: both are given what the target takes, and share the time."""
+    lamp = LampFacts(name="lamp", kind="spot", cutoff_deg=45.0, reference_m=50.0)
+    view = described(lamps=(lamp,), lights={SUN: casting(), "lamp": casting(0.05)})
+    wishes = Asked(Shadows(max_error=0.01), (SUN, "lamp"))
+    plan = predicted_plan(view, wishes, None, device(), ERRORS)
+    planner = planner_of(view, wishes)
+    both = [option_of(plan, planner, light, device()) for light in (SUN, "lamp")]
+    assert plan.predicted.ms == pytest.approx(sum(one.ms for one in both)) and min(one.ms for one in both) > 0.0
+    assert plan.predicted.wrong_cast == pytest.approx(max(one.errors.wrong_cast for one in both))
+    assert plan.predicted.wrong == pytest.approx(max(one.errors.wrong for one in both))
+    late = predicted_plan(view, Asked(Shadows(max_error=0.01, max_ms=1e-3), (SUN, "lamp")), None, device(), ERRORS)
+    assert {one.name for one in late.reasons if one.name.endswith("target missed")} == {"sun: target missed", "lamp: target missed"}
+
+
+def test_why_others_are_left_out_is_what_was_expected_of_them():
+    plan = planned(described(), max_error=0.01)
+    said = {one.name: one.reason for one in plan.rejected}
+    assert said["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
+    assert "ms expected of shadow_volume" in said["shadow_volume"] and "ms of what is taken" in said["shadow_volume"]
+    assert "shadow_map" not in said and said["truth"]
+
+
+def test_night_takes_nothing_and_misses_nothing():
+    night = described(sun_altitude_deg=-20.0, highest_sun_deg=-20.0)
+    plan = planned(night, max_error=1e-6, max_ms=1e-3)
+    assert name_of(plan) == "none" and plan.target.met is True
+    assert (plan.predicted.ms, plan.predicted.wrong_cast) == (0.0, 0.0)
