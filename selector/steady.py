@@ -3,13 +3,16 @@
 Settings that follow from the view (the ranges of cascades, the sides of texels, depth steps, effects) are always those of the
 present view. Algorithms, map sizes and numbers of cascades are kept as long as they serve. A new choice is taken
 
-- at once, where the old one cannot serve: other kinds of casters or lights cast shadows, the view or what is asked is of another
-  kind, an algorithm refuses the view; and where the target is missed by more than ``AT_ONCE``;
+- at once, where the old one cannot serve: a kind of casters throws shadows that nothing was picked for, the view or what is asked
+  is of another kind, an algorithm refuses the view; and where the target is missed by more than ``AT_ONCE``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``GAIN`` of the time, or ``MISSED`` of the target. What is then
-  left must be worse by as much again before there is a way back, so that a camera at a border does not flip.
+  left must be worse by as much again before there is a way back, so that a camera at a border does not flip; and as what is
+  expected is uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
 
-Two plans that both keep to an error of a few per cent of the cast shadow differ in some tenths of a per cent of the pixels. So a
-switch takes as many frames as keep each below ``MOST_CHANGED``: the old plan is drawn too, and ``handed_over`` mixes the two.
+Two plans that both keep to an error of a few per cent of the cast shadow differ in up to some per cent of the pixels: most of
+them lie on edges, where errors do not count. So the old plan is drawn, too, as long as it takes to keep each frame below
+``MOST_CHANGED``, and ``handed_over`` mixes the two. How long that is can only be expected beforehand, and far too short;
+``Director.share`` tells it from the two pictures.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import numpy as np
 from selector.picks import Pick, PolicyName, Wishes
 from selector.rules import choose
 from selector.select import select
+from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
 from terrain.descriptor import Descriptor
 from terrain.errors import UnsupportedError
@@ -46,8 +50,8 @@ AT_ONCE = 0.5
 MOST_CHANGED = 0.002
 """Share of the pixels that a switch may change from one frame to the next."""
 
-LONGEST = 30
-"""Frames that a switch takes at most."""
+SHORTEST, LONGEST = 2, 30
+"""Frames that a switch is expected to take, at least and at most: the first has two pictures to go by."""
 
 Plans = Callable[[Descriptor, Wishes, dict[str, Any] | None], Plan]
 """A policy: ``selector.select.select``, or what behaves like it."""
@@ -63,17 +67,19 @@ class Handover:
 
 @dataclass(frozen=True)
 class Standing:
-    """What stands after a plan: the plan, its picks by light, what was asked, how many plans in a row another was better, and a
-    switch's old picks with the number of its frames and of those that are done.
+    """What stands after a plan: the plan, its picks by light, what was asked; how many better plans in a row a switch takes, and
+    how many there were; the picks that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
+    how much it grows with the next.
     """
 
     plan: Plan
     picks: Mapping[str, Pick]
     asked: tuple[object, ...]
+    patience: int
     better_for: int = 0
     left: Mapping[str, Pick] | None = None
-    frames: int = 1
-    done: int = 1
+    shown: float = 0.0
+    step: float = 0.0
     handover: Handover | None = None
 
 
@@ -85,10 +91,11 @@ class Director:
     >>> director = Director(device=load_profile(renderer, version))             # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
     ...     plan = director.plan(describe(scene, view, "flight"), level)
-    ...     color = render_frame(scene, view, plan).color
+    ...     frame = render_frame(scene, view, plan)
+    ...     color = frame.color
     ...     if director.handover is not None:
-    ...         before = render_frame(scene, view, director.handover.plan).color
-    ...         color = handed_over(before, color, director.handover.share)
+    ...         before = render_frame(scene, view, director.handover.plan)
+    ...         color = handed_over(before.color, color, director.share(before.visibilities, frame.visibilities))
     """
 
     def __init__(self, policy: PolicyName = "predict", device: DeviceProfile | None = None, plans: Plans | None = None) -> None:
@@ -99,6 +106,18 @@ class Director:
         """The next frame's plan. Raises as ``selector.select.select`` does."""
         self._standing = following(self._standing, descriptor, wishes, overrides, self._plans)
         return self._standing.plan
+
+    def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
+        """The share of the pixels to show the new plan in this frame of a switch, for its pictures by the plan that is left and by
+        the new one (``Frame.visibilities``): then no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch
+        lasts until this has been 1. Called once a frame; 1 where no switch is under way.
+        """
+        standing = self._standing
+        if standing is None or standing.handover is None:
+            return 1.0
+        share = next_share(before, after, standing.shown)
+        self._standing = replace(standing, step=0.0, handover=replace(standing.handover, share=share))
+        return share
 
     @property
     def handover(self) -> Handover | None:
@@ -113,31 +132,52 @@ def following(
     fresh = plans(descriptor, wishes, overrides)
     asked = (descriptor.view_kind, wishes.shadows, wishes.effects, overrides or {})
     picks = picks_of(fresh)
-    taken = Standing(fresh.model_copy(update={"settings": choose(descriptor, wishes, overrides, picks).settings}), picks, asked)
-    if standing is None or standing.asked != asked or casting(standing.plan) != casting(fresh):
+    fresh = fresh.model_copy(update={"settings": choose(descriptor, wishes, overrides, picks).settings})
+    taken = Standing(fresh, picks, asked, PATIENCE)
+    if standing is None or standing.asked != asked:
         return taken
-    kept, alike = taken.plan, _choices(picks) == _choices(standing.picks)
-    if not alike:
-        try:
-            kept = _again(standing.picks, descriptor, wishes, overrides, plans)
-        except UnsupportedError:
-            return taken
-    if standing.done < standing.frames and standing.left is not None:
-        try:
-            left = choose(descriptor, wishes, overrides, standing.left)
-        except UnsupportedError:  # what is left no longer serves: the switch ends here
-            return replace(standing, plan=kept, left=None, frames=1, done=1, handover=None)
-        done = standing.done + 1
-        handover = Handover(left, done / standing.frames) if done < standing.frames else None
-        return replace(standing, plan=kept, done=done, handover=handover)
-    standing = replace(standing, plan=kept, left=None, frames=1, done=1, handover=None)
-    if alike or not better(fresh, kept):
+    try:
+        kept = choose(descriptor, wishes, overrides, standing.picks)
+        alike = _choices(picks_of(kept)) == _choices(picks)
+        kept = fresh if alike else _judged(kept, descriptor, wishes, overrides, plans)
+    except UnsupportedError:
+        return taken
+    standing = replace(standing, plan=kept)
+    if standing.handover is not None and standing.left is not None:
+        return _going_on(standing, standing.handover, standing.left, descriptor, wishes, overrides)
+    if alike:
+        return replace(standing, picks=_joined(standing.picks, picks), better_for=0)
+    cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
+    unpicked = cast - {(light, kind) for light, pick in standing.picks.items() for kind in pick.algorithm}
+    if not unpicked and not better(fresh, kept):
         return replace(standing, better_for=0)
-    if standing.better_for + 1 < PATIENCE and _miss(kept) - _miss(fresh) <= AT_ONCE:
+    if not unpicked and standing.better_for + 1 < standing.patience and _miss(kept) - _miss(fresh) <= AT_ONCE:
         return replace(standing, better_for=standing.better_for + 1)
-    frames = frames_of_switch(kept, fresh)
-    handover = Handover(kept, 1.0 / frames) if frames > 1 else None
-    return replace(taken, left=standing.picks, frames=frames, done=1, handover=handover)
+    taken = taken if unpicked else replace(taken, patience=2 * standing.patience)
+    if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
+        return taken
+    step = 1.0 / max(frames_of_switch(kept, fresh), SHORTEST)
+    return replace(taken, left=standing.picks, step=step, handover=Handover(kept, step))
+
+
+def _going_on(
+    standing: Standing,
+    handover: Handover,
+    left: Mapping[str, Pick],
+    descriptor: Descriptor,
+    wishes: Wishes,
+    overrides: dict[str, Any] | None,
+) -> Standing:
+    """What stands in the next frame of a switch, or at its end."""
+    ended = replace(standing, left=None, handover=None)
+    share = handover.share + standing.step
+    if share > 1.0 - 1e-9:
+        return ended
+    try:
+        plan = choose(descriptor, wishes, overrides, left)
+    except UnsupportedError:  # what is left no longer serves
+        return ended
+    return replace(standing, shown=handover.share, handover=Handover(plan, share))
 
 
 def better(fresh: Plan, kept: Plan) -> bool:
@@ -150,9 +190,24 @@ def better(fresh: Plan, kept: Plan) -> bool:
 
 
 def frames_of_switch(kept: Plan, fresh: Plan) -> int:
-    """The frames that a switch takes. Pixels that two plans differ in are wrong in one of them."""
+    """The frames that a switch is expected to take. Pixels that two plans differ in are wrong in one of them; how many differ where
+    nothing counts as wrong, on edges, is not foreseen.
+    """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept, fresh)]
     return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, LONGEST))
+
+
+def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], shown: float) -> float:
+    """The share of the pixels to show ``after`` when it was ``shown`` a frame ago, for the visibilities (rows, cols) of each light
+    in the two pictures of a view, NaN where there is no surface: the largest with which no more than ``MOST_CHANGED`` of the
+    surface's pixels (one, if that is less) change from shadow to light or back.
+    """
+    differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
+    there = np.logical_or.reduce([~np.isnan(each) for each in after.values()])
+    order = _order(*differ.shape)
+    waiting = np.sort(order[differ & (order >= shown)])
+    most = max(int(MOST_CHANGED * there.sum()), 1)
+    return float(waiting[most]) if most < len(waiting) else 1.0
 
 
 def handed_over(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
@@ -161,9 +216,14 @@ def handed_over(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarr
 
     The order of the pixels is that of the R2 sequence (M. Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
     """
-    row, col = np.ogrid[: before.shape[0], : before.shape[1]]
-    order = (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
+    order = _order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
+
+
+def _order(rows: int, cols: int) -> np.ndarray:
+    """From which share on a pixel shows what is new, (rows, cols) in [0, 1)."""
+    row, col = np.ogrid[:rows, :cols]
+    return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
 
 
 def casting(plan: Plan) -> dict[str, frozenset[str]]:
@@ -191,15 +251,23 @@ def picks_of(plan: Plan) -> dict[str, Pick]:
     return picks
 
 
-def _again(
-    picks: Mapping[str, Pick], descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, plans: Plans
-) -> Plan:
-    """The plan of picks for a view, with what the policy expects of it."""
-    plan = choose(descriptor, wishes, overrides, picks)
-    judged = plans(descriptor, wishes, {**(overrides or {}), **_as_overrides(picks)})
-    reasons = [*plan.reasons, *(one for one in judged.reasons if one.name.startswith("target"))]
+def _judged(kept: Plan, descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, plans: Plans) -> Plan:
+    """A plan of picks with what the policy expects of it."""
+    judged = plans(descriptor, wishes, {**(overrides or {}), **_as_overrides(picks_of(kept))})
+    reasons = [*kept.reasons, *(one for one in judged.reasons if one.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
-    return plan.model_copy(update=expected)
+    return kept.model_copy(update=expected)
+
+
+def _joined(picks: Mapping[str, Pick], more: Mapping[str, Pick]) -> dict[str, Pick]:
+    """Picks that choose alike for what casts now as one, so that what has ceased to cast is still picked for when it is back."""
+    before = {light: picks.get(light, pick) for light, pick in more.items()}
+    return {
+        light: replace(
+            pick, algorithm={**before[light].algorithm, **pick.algorithm}, settings={**before[light].settings, **pick.settings}
+        )
+        for light, pick in more.items()
+    }  # fmt: skip
 
 
 def _as_overrides(picks: Mapping[str, Pick]) -> dict[str, Any]:
@@ -223,6 +291,6 @@ def _miss(plan: Plan) -> float:
     if plan.predicted is None:
         return 0.0
     target = plan.target
-    over = [plan.predicted.wrong_cast / target.max_error - 1.0]
+    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MOST_INTERIOR)]
     over += [] if target.max_ms is None else [plan.predicted.ms / target.max_ms - 1.0]
     return max(2.0 * MISSED if target.met is False and max(over) <= 0.0 else 0.0, *over)

@@ -18,6 +18,7 @@ from selector.steady import (
     PATIENCE,
     Director,
     Plans,
+    better,
     casting,
     frames_of_switch,
     handed_over,
@@ -119,6 +120,16 @@ def test_a_badly_missed_target_does_not_wait(descriptor, level):
     assert algorithms([director.plan(descriptor, level) for _ in range(2 * PATIENCE)]) == ["shadow_map"] * (2 * PATIENCE)
     table.rows["shadow_map"] = (10.0, 0.09)
     assert algorithms([director.plan(descriptor, level)]) == ["shadow_volume"]
+
+
+def test_no_error_at_all_may_be_asked_for(descriptor, level):
+    """By how much a target of 0 is missed is told in thousandths."""
+    table = Table(shadow_map=(20.0, 0.002), shadow_volume=(30.0, 0.001))
+    asked = {"max_error": 0.0}
+    exact = table(descriptor, level, asked | {"algorithm": {"sun": {"meshes": "shadow_volume"}}})
+    rough = table(descriptor, level, asked | {"algorithm": {"sun": {"meshes": "shadow_map"}}})
+    assert exact.target.max_error == 0.0
+    assert better(exact, rough) and not better(rough, exact)
 
 
 def test_what_is_asked_for_is_taken_at_once(descriptor, level):
