@@ -20,7 +20,7 @@ The constants are fitted to measured views by `benchmarks/selection.py`.
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -132,7 +132,7 @@ def fitted() -> ErrorModel:
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> Errors:
     """What the steps of a light are expected to get wrong together."""
     model = model or fitted()
-    return errors_together(descriptor, light, {step: wrong_of_step(descriptor, light, step, model) for step in steps}, model)
+    return errors_together(descriptor, light, [(step, wrong_of_step(descriptor, light, step, model)) for step in steps], model)
 
 
 def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
@@ -141,10 +141,10 @@ def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorMo
     return floor + sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
 
 
-def errors_together(descriptor: Descriptor, light: str, wrong_of: Mapping[Step, float], model: ErrorModel) -> Errors:
-    """The errors of steps that get such shares wrong."""
+def errors_together(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel) -> Errors:
+    """The errors of steps, each with the share that it gets wrong."""
     wrong = interior = spread = interior_spread = 0.0
-    for step, its in wrong_of.items():
+    for step, its in wrong_of:
         manner = manner_of(descriptor, step)
         inside = its * model.interior[manner]
         wrong, spread = wrong + its, spread + its * model.spread[manner]

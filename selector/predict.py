@@ -88,18 +88,20 @@ def options_of(
 ) -> list[Option]:
     """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
     descriptor, model = planner.descriptor, errors or fitted()
-    found: dict[tuple[Step, ...], Option] = {}
-    known: dict[Step, tuple[float, float]] = {}  # many picks share steps
+    found: dict[tuple[object, ...], Option] = {}
+    known: dict[object, tuple[float, float]] = {}
     for pick in portfolio(descriptor, light, kinds):
         steps = planner.steps(light, pick)
-        if steps in found:
+        # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
+        keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
+        if keys in found:
             continue
-        for step in steps:
-            if step not in known:
+        for key, step in zip(keys, steps, strict=True):
+            if key not in known:
                 ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
-                known[step] = ms, wrong_of_step(descriptor, light, step, model)
-        together = errors_together(descriptor, light, {step: known[step][1] for step in steps}, model)
-        found[steps] = Option(pick, steps, sum(known[step][0] for step in steps), together)
+                known[key] = ms, wrong_of_step(descriptor, light, step, model)
+        wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
+        found[keys] = Option(pick, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model))
     return list(found.values())
 
 

@@ -73,6 +73,8 @@ class Planner:
     choice: Choice
     forced: frozenset[EffectName]
     _kept: dict[tuple[object, ...], tuple[Settings | None, list[Reasoned]]] = field(default_factory=dict)
+    _companies: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
+    _alike: dict[Settings | None, Settings | None] = field(default_factory=dict)
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
@@ -80,8 +82,10 @@ class Planner:
 
     def steps(self, light: str, pick: Pick) -> tuple[Step, ...]:
         """What a pick comes to under its light. Raises as ``choose`` does."""
-        taken = self._taken(light, pick)
-        algorithm = {one.kind: one.name for one in taken if one.name != "none"}
+        company = (light, *pick.algorithm.items())
+        if company not in self._companies:
+            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != "none"}
+        algorithm = self._companies[company]
         of_name = {name: self._resolved(light, name, pick)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
         return tuple(steps_of({light: algorithm}, {light: settings}))
@@ -141,7 +145,8 @@ class Planner:
         key = (light, name, *picked.items())
         if key not in self._kept:
             sharp = self._missing.get("soft_edges")
-            self._kept[key] = _resolved(name, self.descriptor, light, self.asked.model_copy(update=picked), sharp)
+            settings, reasons = _resolved(name, self.descriptor, light, self.asked.model_copy(update=picked), sharp)
+            self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
         return self._kept[key]
 
     def _settings(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
-from math import erfc, log, pi, sqrt
+from math import cos, erfc, log, pi, radians, sin, sqrt
 
 import numpy as np
 
@@ -125,8 +125,8 @@ class Task:
         its = self.stand("forest")
         if its is None or its.height_m is None or its.width_m is None:
             return 0.0
-        rise = np.radians(self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else np.radians(45.0)
-        return float(its.width_m * (its.height_m * np.cos(rise) + its.width_m * np.sin(rise)))
+        rise = radians((self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else 45.0)
+        return its.width_m * (its.height_m * cos(rise) + its.width_m * sin(rise))
 
     def trees_within(self, light_m2: float) -> float:
         """How many trees are drawn for an area across the light."""
