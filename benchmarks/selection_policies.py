@@ -67,7 +67,7 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
             single[key] = stand_in(best, one.view) or max(one.rows, key=one.losses().__getitem__)
             taken["rules"][key] = one.view["picks"][f"rules {one.goal.max_error:g}"]
             taken["predict"][key] = predicted(one, device, model)
-            if "measured" in one.view:
+            if one.goal.name in one.view.get("measured", {}):
                 taken["measure"][key] = one.view["measured"][one.goal.name]
     return Split(name, {policy: its for policy, its in taken.items() if its}, single, bests)
 
