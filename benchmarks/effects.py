@@ -44,14 +44,13 @@ from api.catalogue import bundled_levels, find_level
 from selector.rules import choose
 from shadows.attached import attached
 from shadows.render import SHADING_PASS, bands_of, forget_kept, render_frame
-from terrain.antialias import Sampled, sampled
+from terrain.antialias import picture_of
 from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.effects import EFFECTS
 from terrain.gl import device
 from terrain.grid import MapView, blocks_of
 from terrain.level import EffectName, load_level
-from terrain.picture import geometry_of
 from terrain.scene import Scene, build_scene
 from terrain.shading import encoded, shade, sky
 
@@ -224,7 +223,7 @@ def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray
 
 def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
     above = isinstance(view, MapView)
-    picture = Sampled(geometry_of(scene, view), view.rows) if above else sampled(scene, view)
+    picture = picture_of(scene, view)
     buffer, own = picture.buffer, picture.own
     visibility = 1.0 - attached(buffer, scene).astype(np.float32)
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own.height_m]

@@ -13,21 +13,19 @@ from selection_judge import GOALS, instances_of
 from selection_views import Instance
 
 from selector.candidates import name_of
-from selector.compare import NO_CAST, compare, run_steps
+from selector.compare import NO_CAST, compare, drawn_on, run_steps
 from selector.device_profile import load_profile
-from selector.measuring import Wanted, measured_rows, timed_at_full_size, winners
+from selector.measuring import Wanted, confirmed, measured_rows, winners
 from selector.portfolio import portfolio
 from selector.rules import choose, planner_of
 from selector.select import select
 from shadows.plan import Plan
-from shadows.render import FILLS, bands_of
+from shadows.render import FILLS
 from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import UnsupportedError
 from terrain.gl import device
-from terrain.grid import MapView, blocks_of
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.grid import MapView
 from terrain.scene import Scene
 
 RUNS = 3
@@ -78,10 +76,7 @@ def timed(instance: Instance, data: Path, record: Figures) -> Figures:
 
 
 def chosen(instance: Instance, data: Path, record: Figures) -> Figures:
-    """The record with what the policy ``measure`` takes for each goal, by row; its candidates are drawn once for all of them.
-
-    A limit of time is no goal here: the policy times whole frames, with the samples of edges, and rows are timed without them.
-    """
+    """The record with what the policy ``measure`` takes for each goal, by row; what was drawn for one of them serves the others."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light, start = record["light"], time.perf_counter()
@@ -89,12 +84,10 @@ def chosen(instance: Instance, data: Path, record: Figures) -> Figures:
         rows_s = time.perf_counter() - start
         taken, took_s = {}, {}
         for one in instances_of([record]):
-            if one.max_ms is not None:
-                continue
-            start, wanted = time.perf_counter(), Wanted(one.goal.max_error)
-            timed = timed_at_full_size(scene, view, rows, wanted)
-            winner = winners(timed, wanted)[light].winner
-            plan = next(trial.candidate.plan for trial in timed[light].trials if trial.figures == winner)
+            start, wanted = time.perf_counter(), Wanted(one.goal.max_error, one.max_ms)
+            rows = confirmed(rows, wanted)
+            winner = winners(rows, wanted)[light].winner
+            plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
             taken[one.goal.name] = name_of(plan, light)
             took_s[one.goal.name] = _rounded(rows_s + time.perf_counter() - start)
     return record | {"measured": taken, "measured_s": took_s}
@@ -104,9 +97,7 @@ def _timed(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> dict[str, Figures]:
     """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
-    blocks = [block for block, _, _ in (blocks_of(view) if isinstance(view, MapView) else bands_of(view))]
-    buffers = [geometry_of(scene, block) for block in blocks]
-    grounds = [(buffer, casters_of(scene, buffer)) for buffer in buffers]
+    pictures = drawn_on(scene, view)
     steps = {
         name_of(plan, light): [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
         for plan in plans.values()
@@ -114,8 +105,8 @@ def _timed(
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
         for name, its in times.items():
-            its.append(run_steps(scene, grounds, steps[name]).times[0])
-    count = len(blocks) if isinstance(view, MapView) else 1
+            its.append(run_steps(scene, pictures, steps[name]).times[0])
+    count = len(pictures) if isinstance(view, MapView) else 1
     return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
 
 

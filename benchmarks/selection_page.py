@@ -55,11 +55,8 @@ def _what(views: Sequence[Figures]) -> str:
     goals = ", ".join(goal.name for goal in GOALS)
     text = (
         f"\nEach view counts once with each of {len(GOALS)} targets ({goals}): {len(GOALS) * len(views)} instances, measured on\n"
+        f"{views[0]['renderer']}.\n\n"
     )
-    text += (
-        f"{views[0]['renderer']}. `measure` is not judged with a limit of time: it times whole frames, with the further samples\n"
-    )
-    text += "that edges get in perspective, and the table the picture's own pixels alone.\n\n"
     return text + _table(["family", "views", "terrains", "plans measured"], [*rows, whole])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -50,15 +51,16 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class ViewTruth:
-    """A view's truth under a light: in blocks, each with the true shadow shares that coverage is compared by, and in one piece.
-
-    ``error`` is the figure that targets go by.
-    """
+    """A view's truth under a light: in blocks, and in one piece; ``error`` is the figure that targets go by."""
 
     view: View
     grounds: list[Ground]
-    true_shares: list[np.ndarray]
     whole: Truth
+
+    @cached_property
+    def true_shares(self) -> list[np.ndarray]:
+        """The true shadow shares that coverage is compared by, block by block."""
+        return [coverage_truth(one.buffer, one.scene, one.casters, COVERAGE_PX, light=one.light) for one in self.grounds]
 
     @property
     def error(self) -> ErrorName:
@@ -93,20 +95,21 @@ class ViewTruth:
 
 def truth_of_view(scene: Scene, view: View, light: str, samples: int = SAMPLES) -> ViewTruth:
     """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel."""
-    grounds = grounds_of(scene, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
-    shares = [coverage_truth(one.buffer, scene, one.casters, COVERAGE_PX, light=light) for one in grounds]
-    return ViewTruth(view, grounds, shares, joined_truth(view, grounds))
+    return truth_of_parts(scene, view, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
 
 
-def grounds_of(scene: Scene, parts: Sequence[tuple[View, int, int]], light: str, samples: int = SAMPLES) -> list[Ground]:
-    """Parts of a view with their truth; each comes with its first row and column in the view."""
-    return [_ground(scene, light, part, row, col, samples) for part, row, col in parts]
+def truth_of_parts(
+    scene: Scene, view: View, parts: Sequence[tuple[View, int, int]], light: str, samples: int = SAMPLES
+) -> ViewTruth:
+    """The truth of a view from that of parts of it, each with its first row and column in the view."""
+    return joined_truth(view, [_ground(scene, light, part, row, col, samples) for part, row, col in parts])
 
 
-def joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
-    """A view's truth in one piece."""
+def joined_truth(view: View, grounds: list[Ground]) -> ViewTruth:
+    """A view's truth from that of its parts."""
     fields = ("lit", "attached", "decidable", "there")
-    return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
+    whole = Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
+    return ViewTruth(view, grounds, whole)
 
 
 def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarray:

@@ -26,11 +26,11 @@ from selector.work import Counts, work_of
 from shadows.passes import PassLog
 from shadows.plan import Settings, Step, SweepSettings, TruthSettings
 from shadows.render import FILLS, forget_kept
+from terrain.antialias import picture_of
 from terrain.descriptor import Descriptor, describe
 from terrain.geometry import GeometryBuffer
 from terrain.gl import device
 from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
-from terrain.picture import geometry_of
 from terrain.reach import Casters, casters_of
 from terrain.scene import Scene
 
@@ -95,10 +95,10 @@ def _measured(start_s: float, on_step: Progress) -> list[Job]:
 def jobs_of(stage: Stage) -> list[Job]:
     """What is measured on a stage."""
     descriptor = describe(stage.scene, stage.view, stage.name)
-    buffer = geometry_of(stage.scene, stage.view)
-    casters = casters_of(stage.scene, buffer)
+    picture = picture_of(stage.scene, stage.view)
+    casters = casters_of(stage.scene, picture.own)
     return [
-        Job(stage.scene, buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings))
+        Job(stage.scene, picture.buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings))
         for step in _steps(descriptor, stage)
     ]
 

@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from selector.against_truth import SAMPLES, ErrorName, Ground, View, ViewTruth, truth_of_view
+from selector.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from selector.candidates import candidates, name_of
 from shadows import truth as truth_module
 from shadows.metrics import errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step
-from shadows.render import FILLS, forget_kept
+from shadows.render import FILLS, bands_of, forget_kept
+from terrain.antialias import Sampled, picture_of
 from terrain.descriptor import describe
 from terrain.errors import InputError
-from terrain.geometry import GeometryBuffer
+from terrain.grid import MapView, blocks_of
 from terrain.level import SUN
 from terrain.picture import geometry_of
-from terrain.reach import Casters
+from terrain.reach import Casters, casters_of
 from terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
@@ -75,6 +76,9 @@ class Comparison:
 Times = tuple[float, dict[str, float]]
 """Milliseconds of a run, in all and by stage."""
 
+Drawn = tuple[Sampled, Casters]
+"""What is drawn of a view's block, and what casts shadows there."""
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -120,6 +124,7 @@ def compare(
     total = len(plans) + REPEATS + 2
     step = on_step or (lambda done, of: None)
     real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES)
+    pictures = drawn_on(scene, view)
     step(1, total)
     first = real.grounds[0]
     floor = _noise_floor(scene, real)
@@ -135,14 +140,14 @@ def compare(
         if not all_of_them and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
-            trials.append(_trial(scene, real, plan, pixel_m))
+            trials.append(_trial(scene, real, pictures, plan, pixel_m))
             its_s = time.perf_counter() - start - began_s
             took_s |= {each: min(its_s, took_s.get(each, its_s)) for each in names}
         step(done, total)
     for turn in range(REPEATS):
         for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
-                _time_again(scene, real.grounds, trial)
+                trial.later.append(run_steps(scene, pictures, trial.steps).times)
         step(len(plans) + 3 + turn, total)
     rows = [_timed(trial) for trial in trials]
     _mark_pareto(rows, real.error)
@@ -155,9 +160,9 @@ def compare(
 def measure(scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0) -> Row:
     """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
     real = truth_of_view(scene, view, _light(scene, light), FINE_SAMPLES if fine else SAMPLES)
-    trial = _trial(scene, real, plan, describe(scene, view, plan.view).pixel_m)
-    for _ in range(repeats):
-        _time_again(scene, real.grounds, trial)
+    pictures = drawn_on(scene, view)
+    trial = _trial(scene, real, pictures, plan, describe(scene, view, plan.view).pixel_m)
+    trial.later.extend(run_steps(scene, pictures, trial.steps).times for _ in range(repeats))
     return _timed(trial)
 
 
@@ -193,11 +198,11 @@ def _noise_floor(scene: Scene, real: ViewTruth) -> float:
     return errors_of(real.pasted(votes, np.nan), real.whole, 1.0).wrong_cast
 
 
-def _trial(scene: Scene, real: ViewTruth, plan: Plan, pixel_m: float) -> Trial:
+def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[Drawn], plan: Plan, pixel_m: float) -> Trial:
     """A plan's first run, and its figures but for the times."""
     light, truth = real.grounds[0].light, real.whole
     steps = [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
-    run = run_steps(scene, _drawn_on(real.grounds), steps)
+    run = run_steps(scene, pictures, steps)
     for ground, part in zip(real.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
@@ -220,30 +225,31 @@ def _trial(scene: Scene, real: ViewTruth, plan: Plan, pixel_m: float) -> Trial:
     return Trial(steps, row, run.times)
 
 
-def run_steps(scene: Scene, grounds: Sequence[tuple[GeometryBuffer, Casters]], steps: Sequence[Step]) -> Run:
-    """Execute a light's steps on the blocks of a view, nothing kept from before."""
+def drawn_on(scene: Scene, view: View) -> list[Drawn]:
+    """What is drawn of a view block by block, or band by band, as ``render_frame`` does: with samples where something ends."""
+    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    pictures = [picture_of(scene, part) for part, _, _ in parts]
+    return [(picture, casters_of(scene, picture.own)) for picture in pictures]
+
+
+def run_steps(scene: Scene, pictures: Sequence[Drawn], steps: Sequence[Step]) -> Run:
+    """Execute a light's steps on what is drawn of a view, nothing kept from before. Samples take time as in any picture; the
+    visibilities are those of the picture's own pixels.
+    """
     forget_kept()  # every cost that a moving sun has is to be paid
     log, start = PassLog(), time.perf_counter()
     parts = []
-    for buffer, casters in grounds:
-        visibility = np.ones(buffer.there.shape, np.float32)
+    for picture, casters in pictures:
+        visibility = np.ones(picture.buffer.there.shape, np.float32)
         for step in steps:
-            visibility *= FILLS[step.algorithm](buffer, scene, step.light, step.kinds, casters, step.settings, log)
-        parts.append(visibility)
+            visibility *= FILLS[step.algorithm](picture.buffer, scene, step.light, step.kinds, casters, step.settings, log)
+        parts.append(visibility[: picture.rows])
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
     for name, record in log.records.items():
         stage = name.split(": ", 1)[1]
         stages[stage] = stages.get(stage, 0.0) + record.ms
     return Run((ms, stages), parts, log)
-
-
-def _time_again(scene: Scene, grounds: list[Ground], trial: Trial) -> None:
-    trial.later.append(run_steps(scene, _drawn_on(grounds), trial.steps).times)
-
-
-def _drawn_on(grounds: Sequence[Ground]) -> list[tuple[GeometryBuffer, Casters]]:
-    return [(ground.buffer, ground.casters) for ground in grounds]
 
 
 def _timed(trial: Trial) -> Row:

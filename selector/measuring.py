@@ -1,7 +1,7 @@
 """The policy ``measure``: a short list of candidates, drawn on the view with fewer pixels, held against truth; the winner is taken.
 
-Errors are those of the full view's pixels (``selector.thinned``). Times at full size are first drawn out from two thinned views,
-then measured: whoever might win, if what was drawn out were ``UNSURE`` times too long, is timed at full size.
+Errors are those of the full view's pixels (``selector.thinned``), but for chance, and times are drawn out from two thinned views.
+So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from selector.against_truth import ErrorName, View
+from selector.against_truth import View
 from selector.picks import Pick, Wishes
 from selector.portfolio import portfolio
 from selector.rules import choose
-from selector.trials import Candidate, Trial, part_of, probe_of, timed
+from selector.trials import Candidate, Probe, Trial, part_of, probe_of
 from selector.winning import Figures, Verdict, best, overshoot
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned
@@ -25,10 +25,10 @@ from terrain.level import AlgorithmName, CasterKind, Shadows, override
 from terrain.scene import Scene
 
 UNSURE = 1.5
-"""Times that are drawn out from thinned views are right to this factor, mostly."""
+"""Times that are drawn out from thinned views are right to this factor, mostly, and so is the share that is wrong inside."""
 
-MOST_TIMED = 8
-"""Candidates of a light that are timed at full size, at most."""
+MOST_CONFIRMED = 24
+"""Candidates of a light that are drawn on all pixels, at most."""
 
 CLOSE = 1.25
 """Who comes as close as this to the winner's time is timed again, in turns with it."""
@@ -42,14 +42,11 @@ LEAST_MS = 1e-3
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured for a light: the error that counts, the trials, the names of the candidates that were not tried, and on how
-    many pixels errors were taken.
-    """
+    """What was measured for a light: on what, the trials, and the candidates that were not tried."""
 
-    error: ErrorName
+    probe: Probe
     trials: tuple[Trial, ...]
-    not_tried: tuple[str, ...] = ()
-    pixels: int = 0
+    not_tried: tuple[Candidate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,9 +80,9 @@ def measured_plan(
     wanted = Wanted.of(override(wishes.shadows, overrides or {}))
     descriptor = describe(scene, view, name)
     measured = measured_rows(scene, view, name, overrides, wishes=wishes, wanted=wanted, on_step=on_step)
-    measured = timed_at_full_size(scene, view, measured, wanted)
+    measured = confirmed(measured, wanted)
     verdicts = winners(measured, wanted)
-    won = {light: _trial_of(measured[light], verdict) for light, verdict in verdicts.items()}
+    won = {light: _trial_of(measured[light], verdict.winner.name) for light, verdict in verdicts.items()}
     picks = {light: _reasoned(measured[light], trial, verdicts[light].met, wanted) for light, trial in won.items()}
     plan = choose(descriptor, wishes, overrides, picks, _rejected(measured, wanted))
     missed = [f"{light}: {verdict.missed_by}" for light, verdict in verdicts.items() if verdict.missed_by]
@@ -128,10 +125,14 @@ def measured_rows(
                     trials.append(probe.trial(candidate))
                 if on_step is not None:
                     on_step(done, total)
-        tried = {trial.figures.name for trial in trials}
-        left_out = tuple(one.pick.name for one in its if one.pick.name not in tried)
-        rows[light] = Measured(probe.error, tuple(trials), left_out, probe.pixels)
+        rows[light] = Measured(probe, tuple(trials), _without(its, trials))
     return rows
+
+
+def _without(candidates: Sequence[Candidate], trials: Sequence[Trial]) -> tuple[Candidate, ...]:
+    """The candidates that were not tried."""
+    tried = {trial.figures.name for trial in trials}
+    return tuple(one for one in candidates if one.pick.name not in tried)
 
 
 def candidates_of(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None) -> dict[str, list[Candidate]]:
@@ -152,46 +153,57 @@ def winners(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Verdi
     """Who wins for each light. Of the time for all lights each one, the first first, may take what the others can do without."""
     verdicts: dict[str, Verdict] = {}
     for light, rows in measured.items():
-        verdicts[light] = _winner(rows.trials, wanted.max_error, _left_ms(measured, wanted, verdicts))
+        verdicts[light] = _winner(rows.trials, wanted, _left_ms(measured, wanted, verdicts))
     return verdicts
 
 
-def timed_at_full_size(scene: Scene, view: View, measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Measured]:
-    """The same rows with times measured at full size of all that might win."""
-    whole, out, verdicts = part_of(view), dict(measured), dict[str, Verdict]()
+def confirmed(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Measured]:
+    """The same rows, those that lead drawn on all pixels until one of them leads on; who comes near to it is timed again."""
+    out, verdicts = dict(measured), dict[str, Verdict]()
     for light, rows in measured.items():
         max_ms = _left_ms(out, wanted, verdicts)
-        trials = {trial.figures.name: trial for trial in rows.trials}
-        for _ in range(MOST_TIMED):
-            hoped = [trial if trial.timed else _sooner(trial) for trial in trials.values()]
-            leader = trials[_winner(hoped, wanted.max_error, max_ms).winner.name]
-            if leader.timed:
+        for _ in range(MOST_CONFIRMED):
+            leader = _leader(rows, wanted, max_ms)
+            if leader.whole:
                 break
-            trials[leader.figures.name] = timed(scene, whole, leader, 1)
-        winner = _winner(list(trials.values()), wanted.max_error, max_ms).winner
-        for name, trial in trials.items():
-            if trial.timed and winner.ms / CLOSE <= trial.figures.ms <= CLOSE * winner.ms:
-                trials[name] = timed(scene, whole, trial, RUNS)
-        out[light] = replace(rows, trials=tuple(trials.values()))
-        verdicts[light] = _winner(out[light].trials, wanted.max_error, max_ms)
+            rows = _tried_further(_with(rows, rows.probe.whole(leader.candidate)), wanted)
+        winner = _winner(rows.trials, wanted, max_ms).winner
+        for trial in rows.trials:
+            if trial.whole and winner.ms / CLOSE <= trial.figures.ms <= CLOSE * winner.ms:
+                rows = _with(rows, rows.probe.timed(trial, RUNS))
+        out[light] = rows
+        verdicts[light] = _winner(rows.trials, wanted, max_ms)
     return out
 
 
-def _winner(trials: Sequence[Trial], max_error: float, max_ms: float | None) -> Verdict:
-    """Who wins; one that keeps to the error by more than chance goes before one that may have done so by chance."""
-    clear = best([replace(trial.figures, error=_at_most(trial)) for trial in trials], max_error, max_ms)
-    figures = [trial.figures for trial in trials]
-    if not clear.met:
-        return best(figures, max_error, max_ms)
-    return replace(clear, winner=next(one for one in figures if one.name == clear.winner.name))
+def _with(rows: Measured, new: Trial) -> Measured:
+    """Rows with a trial in the place of what was known of its candidate."""
+    return replace(rows, trials=tuple(new if old.figures.name == new.figures.name else old for old in rows.trials))
 
 
-def _at_most(trial: Trial) -> float:
-    return trial.figures.error + trial.spread
+def _tried_further(rows: Measured, wanted: Wanted) -> Measured:
+    """Rows with trials of what had been left out because of a smaller map that turned out to be worse than it had seemed."""
+    trials = list(rows.trials)
+    for candidate in sorted(rows.not_tried, key=_map_size):
+        if not _decided(candidate, trials, wanted):
+            trials.append(rows.probe.trial(candidate))
+    return replace(rows, trials=tuple(trials), not_tried=_without(rows.not_tried, trials))
 
 
-def _sooner(trial: Trial) -> Trial:
-    return replace(trial, figures=replace(trial.figures, ms=trial.figures.ms / UNSURE))
+def _winner(trials: Sequence[Trial], wanted: Wanted, max_ms: float | None) -> Verdict:
+    """Who wins; of those that were drawn on all pixels, if any were."""
+    return best([one.figures for one in trials if one.whole] or [one.figures for one in trials], wanted.max_error, max_ms)
+
+
+def _leader(rows: Measured, wanted: Wanted, max_ms: float | None) -> Trial:
+    """Who would win, if those that were drawn on few pixels turned out as good as they may."""
+    name = best([one.figures if one.whole else _hoped(one) for one in rows.trials], wanted.max_error, max_ms).winner.name
+    return _trial_of(rows, name)
+
+
+def _hoped(trial: Trial) -> Figures:
+    its = trial.figures
+    return replace(its, ms=its.ms / UNSURE, error=max(its.error - trial.spread, 0.0), interior=its.interior / UNSURE)
 
 
 def _left_ms(measured: Mapping[str, Measured], wanted: Wanted, verdicts: Mapping[str, Verdict]) -> float | None:
@@ -207,22 +219,30 @@ def _left_ms(measured: Mapping[str, Measured], wanted: Wanted, verdicts: Mapping
 def _ladders(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
     """Candidates that differ in the size of their maps alone, smallest first, by what they have in common."""
     ladders: dict[tuple[object, ...], list[Candidate]] = {}
-    for candidate in sorted(candidates, key=lambda one: one.pick.settings.get("map_size", 0)):
+    for candidate in sorted(candidates, key=_map_size):
         ladders.setdefault(candidate.ladder, []).append(candidate)
     return list(ladders.values())
+
+
+def _map_size(candidate: Candidate) -> int:
+    return candidate.pick.settings.get("map_size", 0)
+
+
+def _at_most(trial: Trial) -> Figures:
+    return replace(trial.figures, error=trial.figures.error + trial.spread)
 
 
 def _decided(candidate: Candidate, trials: Sequence[Trial], wanted: Wanted) -> bool:
     """Whether smaller maps of the same kind show that a candidate cannot win: errors fall with the size, and times grow."""
     smaller = [trial.figures for trial in trials if trial.candidate.ladder == candidate.ladder]
-    accurate = [one.figures for one in trials if overshoot(replace(one.figures, error=_at_most(one)), wanted.max_error) <= 0.0]
+    accurate = [one.figures for one in trials if overshoot(_at_most(one), wanted.max_error) <= 0.0]
     in_time = [one for one in accurate if wanted.max_ms is None or one.ms <= wanted.max_ms]
     least_ms = min((one.ms for one in in_time), default=np.inf)
     return any(one in accurate or one.ms > UNSURE * least_ms for one in smaller)
 
 
-def _trial_of(rows: Measured, verdict: Verdict) -> Trial:
-    return next(trial for trial in rows.trials if trial.figures == verdict.winner)
+def _trial_of(rows: Measured, name: str) -> Trial:
+    return next(trial for trial in rows.trials if trial.figures.name == name)
 
 
 def _reasoned(rows: Measured, trial: Trial, met: bool, wanted: Wanted) -> Pick:
@@ -241,20 +261,20 @@ def _rejected(measured: Mapping[str, Measured], wanted: Wanted) -> dict[Algorith
     for trial in rows.trials if rows else ():
         for name in {step.algorithm for step in trial.candidate.steps}:
             its.setdefault(name, []).append(trial)
-    bests = {name: _winner(trials, wanted.max_error, wanted.max_ms).winner for name, trials in its.items()}
+    bests = {name: _winner(trials, wanted, wanted.max_ms).winner for name, trials in its.items()}
     return {name: f"measured: {_words(rows, one)} ({one.name})" for name, one in bests.items() if rows}
 
 
 def _words(rows: Measured, figures: Figures) -> str:
-    what = "wrong of the cast shadow" if rows.error == "wrong_cast" else "of coverage wrong"
+    what = "wrong of the cast shadow" if rows.probe.error == "wrong_cast" else "of coverage wrong"
     return f"{percent(figures.error)} {what} in {duration(figures.ms)}"
 
 
 def _said(view: View, rows: Measured) -> str:
     part = part_of(view)
-    on_all = sum(trial.timed for trial in rows.trials)
-    said = f"{len(rows.trials)} candidates held against truth on {rows.pixels} of {part.rows * part.cols} pixels, "
-    said += f"{on_all} timed on all of them"
+    on_all = sum(trial.whole for trial in rows.trials)
+    said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels, "
+    said += f"{on_all} on all of them"
     if rows.not_tried:
         said += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
     return said

@@ -11,6 +11,7 @@ import numpy as np
 
 from selector.serves import kinds_of_lights
 from shadows.registry import LightKind
+from terrain.antialias import samples_per_pixel
 from terrain.descriptor import CasterFacts, Descriptor, LightFacts
 from terrain.ground_mesh import WHOLE_TRIANGLES
 from terrain.level import SUN, CasterKind
@@ -50,16 +51,17 @@ class Task:
 
     @property
     def pixels(self) -> float:
-        return float(self.descriptor.pixels)
+        """Pixels, and the further samples that those get where something ends."""
+        return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
     @property
     def seen(self) -> float:
-        """Pixels that show a surface."""
+        """Pixels and samples that show a surface."""
         return self.pixels * self.descriptor.seen_share
 
     @property
     def facing(self) -> float:
-        """Pixels that show a surface which faces the light."""
+        """Pixels and samples that show a surface which faces the light."""
         return self.seen * self.facts.facing_share
 
     @cached_property

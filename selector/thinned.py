@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.against_truth import View, grounds_of, joined_truth
+from selector.against_truth import View, ViewTruth
 from selector.footprint import texel_footprint_px
 from shadows.metrics import INTERIOR_PX, from_edges_px
 from shadows.plan import Step
-from shadows.render import bands_of
 from shadows.truth import Truth
 from terrain.camera import PerspectiveView
 from terrain.geometry import GeometryBuffer
@@ -74,13 +73,12 @@ def thinned(view: View, every: int) -> View:
     return replace(view, step=view.step * every, **size)
 
 
-def thin_truth(scene: Scene, view: View, light: str, every: int) -> ThinTruth:
-    """The truth of every ``every``-th pixel of a view (of a block, if it is a map) under a light: what it is in the full view."""
-    parts = [(view, 0, 0)] if isinstance(view, MapView) else bands_of(view)
-    whole = joined_truth(view, grounds_of(scene, parts, light))
+def thin_truth(real: ViewTruth, every: int) -> ThinTruth:
+    """The truth of every ``every``-th pixel of a view (of a block, if it is a map): what it is in the full view."""
+    whole, scene = real.whole, real.grounds[0].scene
     edge_px = from_edges_px(~whole.lit & whole.there, whole.there)
     truth = Truth(*(of[::every, ::every] for of in (whole.lit, whole.attached, whole.decidable, whole.there)))
-    return ThinTruth(scene, geometry_of(scene, thinned(view, every)), every, truth, edge_px[::every, ::every])
+    return ThinTruth(scene, geometry_of(scene, thinned(real.view, every)), every, truth, edge_px[::every, ::every])
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> float:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
-from selector.against_truth import FOGGY, ErrorName, View, ViewTruth, joined_truth, truth_of_view
+from selector.against_truth import ErrorName, View, ViewTruth, joined_truth, truth_of_parts, truth_of_view
 from selector.picks import Pick
 from selector.thinned import ThinTruth, thin_truth, thinned
 from selector.winning import Figures
 from shadows.plan import Plan, Step
-from shadows.render import REFRACTION_PASS, Frame, forget_kept, render_frame
-from shadows.truth import Truth
+from shadows.render import REFRACTION_PASS, Frame, bands_of, forget_kept, render_frame
 from terrain.camera import PerspectiveView
 from terrain.effects.haze import hides_beyond_m
-from terrain.geometry import GeometryBuffer
 from terrain.grid import BLOCK_PX, MapView
 from terrain.level import SUN
 from terrain.scene import Scene
@@ -25,8 +22,8 @@ PIXELS = 80_000
 """Pixels that candidates are drawn on, about."""
 
 DRAWN, LONG_MS = 2, 1000.0
-"""Thinned views are drawn so often, if that takes less than this: the least time counts, since what else a machine does, and what
-is made once, only ever adds to it.
+"""Candidates are drawn so often, if that takes less than this: the least time counts, since what else a machine does, and what is
+made once, only ever adds to it.
 """
 
 
@@ -54,7 +51,7 @@ class Candidate:
 class Trial:
     """A candidate, its figures, the share of all pixels that is ``wrong``, and the standard error of its error.
 
-    ``times_ms`` are those measured at full size, of which the median counts, if there are any.
+    ``times_ms`` are those measured on all pixels, of which the median counts; where there are none, figures come from few pixels.
     """
 
     candidate: Candidate
@@ -64,7 +61,8 @@ class Trial:
     times_ms: tuple[float, ...] = ()
 
     @property
-    def timed(self) -> bool:
+    def whole(self) -> bool:
+        """Whether it was drawn on all pixels."""
         return bool(self.times_ms)
 
 
@@ -81,68 +79,53 @@ def shadow_ms(frame: Frame, light: str) -> float:
     return sum(record.ms for record in frame.passes if record.name.startswith(f"{light}/"))
 
 
-class Probe(Protocol):
-    """What candidates are drawn on and held against; ``error`` is the figure that counts."""
-
-    @property
-    def error(self) -> ErrorName: ...
-
-    @property
-    def pixels(self) -> int: ...
-
-    def trial(self, candidate: Candidate) -> Trial: ...
-
-
 @dataclass(frozen=True, eq=False)
-class ThinProbe:
-    """A view with fewer pixels."""
+class Probe:
+    """What a light's candidates are drawn on and held against: a view with its truth, and thinned where it has many pixels."""
 
     scene: Scene
-    view: View
-    truth: ThinTruth
+    real: ViewTruth
     pixel_m: float
-    error: ErrorName = "wrong_cast"
-
-    @property
-    def pixels(self) -> int:
-        return int(self.truth.truth.lit.size)
-
-    def trial(self, candidate: Candidate) -> Trial:
-        """Time at full size goes by two thinned views: what does not go by pixels is the same in both."""
-        few, fewer = (thinned(self.view, times * self.truth.every) for times in (1, 2))
-        frame, ms = _quickest(self.scene, few, candidate)
-        _, less_ms = _quickest(self.scene, fewer, candidate)
-        pixels, least, most = (view.rows * view.cols for view in (few, fewer, self.view))
-        pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
-        found = self.truth.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
-        full_ms = float(ms + pixel_ms * (most - pixels))
-        return Trial(candidate, Figures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread)
-
-
-@dataclass(frozen=True, eq=False)
-class WholeProbe:
-    """A view with all of its pixels: it is small, or its shadows are too fine for any fewer."""
-
-    scene: Scene
-    view: View
-    truth: ViewTruth
-    pixel_m: float
+    thin: ThinTruth | None = None
 
     @property
     def error(self) -> ErrorName:
-        return self.truth.error
+        """The figure that counts."""
+        return self.real.error
 
     @property
     def pixels(self) -> int:
-        return int(self.truth.whole.lit.size)
+        """On how many pixels a candidate is tried."""
+        return int((self.real.whole if self.thin is None else self.thin.truth).lit.size)
 
     def trial(self, candidate: Candidate) -> Trial:
-        frame, ms = _quickest(self.scene, self.view, candidate)
-        parts = self.truth.cut(frame.visibilities[candidate.light])
-        found = self.truth.errors(parts, candidate.steps, self.pixel_m)
-        error = self.truth.coverage(parts) if self.error == "coverage" else found.wrong_cast
-        figures = Figures(candidate.pick.name, ms, error, found.interior)
-        return Trial(candidate, figures, found.wrong, times_ms=(figures.ms,))
+        """A candidate on few pixels. Time on all of them goes by two thinned views: what pixels do not change is alike in both."""
+        if self.thin is None:
+            return self.whole(candidate)
+        view = self.real.view
+        few, fewer = (thinned(view, times * self.thin.every) for times in (1, 2))
+        frame, ms = _quickest(self.scene, few, candidate)
+        _, less_ms = _quickest(self.scene, fewer, candidate)
+        pixels, least, most = (each.rows * each.cols for each in (few, fewer, view))
+        pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
+        found = self.thin.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
+        full_ms = float(ms + pixel_ms * (most - pixels))
+        return Trial(candidate, Figures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread)
+
+    def whole(self, candidate: Candidate) -> Trial:
+        """A candidate on all pixels."""
+        frame, ms = _quickest(self.scene, self.real.view, candidate)
+        parts = self.real.cut(frame.visibilities[candidate.light])
+        found = self.real.errors(parts, candidate.steps, self.pixel_m)
+        error = self.real.coverage(parts) if self.error == "coverage" else found.wrong_cast
+        return Trial(candidate, Figures(candidate.pick.name, ms, error, found.interior), found.wrong, times_ms=(ms,))
+
+    def timed(self, trial: Trial, runs: int) -> Trial:
+        """A trial on all pixels with so many times more: the median counts."""
+        its = trial.candidate
+        drawn = (_drawn(self.scene, self.real.view, its) for _ in range(runs))
+        times_ms = (*trial.times_ms, *(shadow_ms(frame, its.light) for frame in drawn))
+        return replace(trial, times_ms=times_ms, figures=replace(trial.figures, ms=float(np.median(times_ms))))
 
 
 def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -> Probe:
@@ -150,21 +133,24 @@ def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -
     part, sky = part_of(view), scene if REFRACTION_PASS in plan.runs else scene.without_refraction
     every = max(round((part.rows * part.cols / PIXELS) ** 0.5), 1)
     if every > 1:
-        thin = thin_truth(sky, part, light, every)
-        if thin.truth.boundary <= FOGGY:
-            return ThinProbe(scene, part, replace(thin, truth=_unhidden(scene, plan, light, thin.buffer, thin.truth)), pixel_m)
-    whole = truth_of_view(sky, part, light)
-    grounds = [replace(one, truth=_unhidden(scene, plan, light, one.buffer, one.truth)) for one in whole.grounds]
-    return WholeProbe(scene, part, replace(whole, grounds=grounds, whole=joined_truth(part, grounds)), pixel_m)
+        real = truth_of_parts(sky, part, [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part), light)
+        if real.error == "wrong_cast":
+            seen = _unhidden(scene, plan, light, real)
+            return Probe(scene, seen, pixel_m, thin_truth(seen, every))
+    return Probe(scene, _unhidden(scene, plan, light, truth_of_view(sky, part, light)), pixel_m)
 
 
-def _unhidden(scene: Scene, plan: Plan, light: str, buffer: GeometryBuffer, truth: Truth) -> Truth:
+def _unhidden(scene: Scene, plan: Plan, light: str, real: ViewTruth) -> ViewTruth:
     """Truth without the points past which nobody looks for the sun (``shadows.render``): haze hides whether it shines there."""
-    if "haze" not in plan.runs or light != SUN or isinstance(buffer.view, MapView):
-        return truth
-    away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
-    near = away_m < hides_beyond_m(scene)
-    return replace(truth, decidable=truth.decidable & near, there=truth.there & near)
+    if "haze" not in plan.runs or light != SUN or isinstance(real.view, MapView):
+        return real
+    grounds = []
+    for ground in real.grounds:
+        buffer, truth = ground.buffer, ground.truth
+        away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
+        near = away_m < hides_beyond_m(scene)
+        grounds.append(replace(ground, truth=replace(truth, decidable=truth.decidable & near, there=truth.there & near)))
+    return joined_truth(real.view, grounds)
 
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:
@@ -179,10 +165,3 @@ def _quickest(scene: Scene, view: View, candidate: Candidate) -> tuple[Frame, fl
     for _ in range(1, DRAWN if ms < LONG_MS else 1):
         ms = min(ms, shadow_ms(_drawn(scene, view, candidate), candidate.light))
     return frame, ms
-
-
-def timed(scene: Scene, view: View, trial: Trial, runs: int) -> Trial:
-    """A trial with so many times more at full size: the median counts."""
-    its = trial.candidate
-    times_ms = (*trial.times_ms, *(shadow_ms(_drawn(scene, view, its), its.light) for _ in range(runs)))
-    return replace(trial, times_ms=times_ms, figures=replace(trial.figures, ms=float(np.median(times_ms))))

@@ -16,7 +16,7 @@ from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.sweep_rays import ground_of_level
-from terrain.antialias import Sampled, sampled
+from terrain.antialias import Sampled, picture_of
 from terrain.camera import PerspectiveView
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, Block, Stage
@@ -26,7 +26,6 @@ from terrain.geometry import GeometryBuffer
 from terrain.gl import device, is_open
 from terrain.grid import MapView, blocks_of
 from terrain.level import SUN, EffectName
-from terrain.picture import geometry_of
 from terrain.reach import Casters, Reach, casters_of, reach_of
 from terrain.scene import Scene
 from terrain.shading import albedo_of, encoded, open_sky, shade, sky
@@ -204,7 +203,7 @@ def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
     with log.run(GEOMETRY_PASS):
-        picture = Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
+        picture = picture_of(scene, view)
         buffer, own = picture.buffer, picture.own
         reach = reach_of(scene, own) if CASTERS_PASS not in plan.runs else None
     if reach is None:

@@ -13,7 +13,9 @@ from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.facets import face_normals
 from terrain.geometry import GeometryBuffer
-from terrain.picture import Visible, buffer_of
+from terrain.grid import MapView
+from terrain.picture import Visible, buffer_of, geometry_of
+from terrain.population import Population
 from terrain.scene import Scene
 from terrain.visible import NEAR_M
 
@@ -31,6 +33,9 @@ BEND = 0.9
 
 JUMP = 0.02
 """Share of the distance by which a neighbour may lie farther away without an edge between them."""
+
+CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+"""A pixel and those beside it, which decide whether something ends in it: rows and columns from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +86,22 @@ def finer_view(view: PerspectiveView) -> PerspectiveView:
     return view.finer(SIDE)
 
 
+def samples_per_pixel(edge_share: float) -> float:
+    """How many further samples a perspective view's pixels get in the mean, where something ends in such a share of them."""
+    return edge_share * len(DIAGONAL if edge_share > DENSE else EVERY)
+
+
+def picture_of(scene: Scene, view: MapView | PerspectiveView) -> Sampled:
+    """The buffer that a view (a block, if it is a map) is drawn from: a map's pixels are not sampled further."""
+    return Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
+
+
 def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
     """A view's buffer with samples wherever something ends in it."""
     frame = view.frame(scene.world)
     visible = Visible(scene, view, frame)
-    solids = scene.population.solids
-    normals = np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
-    row, col = np.nonzero(
-        _edges(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M, BEND, JUMP)
-    )
+    normals = mesh_normals(scene.population)
+    row, col = np.nonzero(ends_between(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
     if not len(row):
         return Sampled(buffer_of(scene, view, visible), view.rows)
     places = np.array(DIAGONAL if len(row) > DENSE * view.rows * view.cols else EVERY)
@@ -103,9 +115,26 @@ def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
     return Sampled(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
 
 
+def mesh_normals(population: Population) -> np.ndarray:
+    """Unit normals (m, 3) float32 of the faces of a population's meshes."""
+    solids = population.solids
+    return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
+
+
+def ends_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
+    """Where something ends: bool (rows, cols), both pixels beside an edge. Of each pixel, the number of its triangle (the first
+    ``ground`` are the ground's, then come the meshes', which have normals (m, 3)), and ``near_m`` over its distance along the axis.
+    """
+    return _edges(number, depth, ground, normals, near_m, BEND, JUMP)
+
+
+def ends_in_crosses(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
+    """The same (n,) of single pixels, the first of ``CROSS`` along the last axis of numbers and distances (n, 5)."""
+    return _crossed(number, away_m, ground, normals, BEND, JUMP)
+
+
 @compiled
 def _edges(number, depth, ground, normals, near, bend, jump):  # type: ignore[no-untyped-def]
-    """Where something ends: bool (rows, cols), both pixels beside an edge."""
     rows, cols = number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
@@ -116,19 +145,37 @@ def _edges(number, depth, ground, normals, near, bend, jump):  # type: ignore[no
                 if a >= rows or b >= cols:
                     continue
                 other = np.int64(number[a, b]) - 1
-                if own == other:
-                    continue
-                ends = _kind(own, ground, len(normals)) != _kind(other, ground, len(normals))
-                if not ends:
-                    here, there = near / depth[i, j], near / depth[a, b]
-                    ends = abs(here - there) > jump * min(here, there)
-                if not ends and ground <= own < ground + len(normals):
-                    n, m = normals[own - ground], normals[other - ground]
-                    ends = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < bend
-                if ends:
+                if _ends(own, other, near / depth[i, j], near / depth[a, b], ground, normals, bend, jump):
                     out[i, j] = True
                     out[a, b] = True
     return out
+
+
+@compiled
+def _crossed(number, away, ground, normals, bend, jump):  # type: ignore[no-untyped-def]
+    out = np.zeros(len(number), np.bool_)
+    for n in range(len(number)):
+        own = np.int64(number[n, 0]) - 1
+        for k in range(1, number.shape[1]):
+            other = np.int64(number[n, k]) - 1
+            if _ends(own, other, away[n, 0], away[n, k], ground, normals, bend, jump):
+                out[n] = True
+    return out
+
+
+@compiled
+def _ends(own, other, here, there, ground, normals, bend, jump):  # type: ignore[no-untyped-def]
+    """Whether something ends between two neighbours: triangles counted from 0 (below: none) at distances along the view's axis."""
+    if own == other:
+        return False
+    if _kind(own, ground, len(normals)) != _kind(other, ground, len(normals)):
+        return True
+    if abs(here - there) > jump * min(here, there):
+        return True
+    if not ground <= own < ground + len(normals):
+        return False
+    n, m = normals[own - ground], normals[other - ground]
+    return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < bend
 
 
 @compiled

@@ -40,7 +40,7 @@ from terrain.light_facts import Seen, facts_of_lights
 from terrain.look import look_at_scene
 from terrain.reach import overview_on_grid
 from terrain.scene import Scene
-from terrain.seen_points import ground_points, points_in_look, points_in_map
+from terrain.seen_points import edge_share, ground_points, points_in_look, points_in_map
 from terrain.surface import step_at_anchor_m
 
 __all__ = [
@@ -67,7 +67,8 @@ class Descriptor(Facts):
 
     ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its
     tangent); ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view,
-    of which ``seen_share`` shows a surface and not the sky.
+    of which ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
+    (``terrain.antialias``; 0 in a map).
     ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights`` what each light does. ``relief_m`` is the
     range of the ground's heights, the slopes are those of the raster's overview, ``moves`` whether anything does by the clock.
     ``receivers_light_m`` is the largest extent of a block's receivers in light space: right, up and along the light, metres;
@@ -88,6 +89,7 @@ class Descriptor(Facts):
     cols: Annotated[int, Field(ge=1)] = BLOCK_PX
     pixels: Annotated[int, Field(ge=1)] = BLOCK_PX**2
     seen_share: Share = 1.0
+    edge_share: Share = 0.0
     node_m: Positive
     casters: tuple[CasterKind, ...]
     stands: tuple[CasterFacts, ...] = ()
@@ -170,7 +172,8 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         seen, rows, cols = Seen(scene, view, points_in_look(look, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
-        rows=rows, cols=cols, stands=stands_of(scene, view, trees), moves=_moves(scene),
+        rows=rows, cols=cols, edge_share=0.0 if look is None else edge_share(look, trees),
+        stands=stands_of(scene, view, trees), moves=_moves(scene),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.population.tallest_m, weather=scene.loaded.level.weather,

@@ -4,6 +4,9 @@ Pixels are few and triangles many, most of them smaller than the way between two
 them to a rasteriser, is left out here. A pixel's ray r meets a triangle a, b, c (all in the camera's axes) where r . (b x c),
 r . (c x a) and r . (a x b) have one sign; no corner need lie before the eye (M. Olano, T. Greer 1997, "Triangle scan conversion
 using 2D homogeneous coordinates").
+
+The same pass looks through the pixels of the view itself that lie beside each of these: whether something ends in a pixel hangs on
+its neighbours in the full picture, not on those of the coarse one.
 """
 
 from __future__ import annotations
@@ -13,9 +16,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from terrain.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
 from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
-from terrain.effects.effect import Look
+from terrain.effects.effect import Crosses, Look
 from terrain.ground_mesh import GroundMesh, ground_mesh
 from terrain.picture import buffer_of, solids_in
 from terrain.scene import Scene
@@ -60,38 +64,57 @@ def look_at_scene(scene: Scene, view: PerspectiveView) -> Look:
 @lru_cache(maxsize=4)
 def _kept(sight: _Sight) -> Look:
     look = _look_every(sight.scene, sight.view, LOOK_PX)
-    return look if len(look.points_frame_m) else _look_every(sight.scene, sight.view, 1)
+    return look if len(look.points_frame_m) else _look_every(sight.scene, sight.view, 1, look.crosses)
 
 
-def _look_every(scene: Scene, view: PerspectiveView, px: int) -> Look:
+def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses | None = None) -> Look:
+    """A look at every pixel is given the coarse one's crosses: its own would take much to keep."""
     coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
     ground, solids = ground_mesh(scene, coarse), solids_in(scene.population, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
     if solids is not None and scene.population.solids is not None:
         meshes.append((solids, scene.population.solids.triangles))
-    seen = Seen(nearest_triangles(coarse, frame, meshes), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
+    number, depth_m = _through(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
+    seen = Seen(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
+    if crosses is None:
+        row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
+        flat, normals = (len(row), len(CROSS)), mesh_normals(scene.population)
+        crosses = Crosses(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
+        ends = ends_in_crosses(crosses.number, crosses.away_m, crosses.ground, crosses.normals)
+    else:
+        depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
+        ends = ends_between(seen.number, depth, crosses.ground, crosses.normals, NEAR_M)
     looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))  # type: ignore[arg-type]
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(frame)
     away_m = np.linalg.norm(points - eye, axis=-1)
-    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel)
+    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel, float(ends.mean()), crosses)
 
 
 def nearest_triangles(view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """The number of the nearest triangle in each pixel (rows, cols) uint32, counted from 1 through meshes of vertices (n, 3) in a
     frame and triangles (m, 3); 0 where there is none.
     """
+    return _through(view, frame, meshes, np.zeros((1, 2)))[0][..., 0]
+
+
+def _through(
+    view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]], beside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The number of the nearest triangle through places beside each pixel, shares of pixels down and to the right (k, 2) from its
+    middle, and the distance along the axis of the view: (rows, cols, k) uint32, and float64, metres, infinite where there is none.
+    """
     eye, camera_from_frame = view.in_frame(frame)
-    number = np.zeros((view.rows, view.cols), np.uint32)
-    depth = np.full((view.rows, view.cols), np.inf)
+    number = np.zeros((view.rows, view.cols, len(beside)), np.uint32)
+    depth = np.full(number.shape, np.inf)
     tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
         at, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _draw(at, pixel, triangles, tangents, NEAR_M, first, number, depth)
+        _draw(at, pixel, triangles, tangents, beside, NEAR_M, first, number, depth)
         first += len(triangles)
-    return number
+    return number, depth
 
 
 @compiled
@@ -108,11 +131,11 @@ def _projected(vertices, eye, rotation, tangents):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _beyond(a, b, c, tangents, rows, cols):  # type: ignore[no-untyped-def]
-    """Whether a triangle lies beyond one side of the picture's pyramid as a whole."""
+def _beyond(a, b, c, tangents, reach, rows, cols):  # type: ignore[no-untyped-def]
+    """Whether a triangle lies beyond one side of the picture's pyramid as a whole, a share of a pixel wider on all sides."""
     for k in range(2):
-        low = tangents[k]
-        high = low + ((cols if k == 0 else rows) - 1) * tangents[2]
+        low = tangents[k] - reach * tangents[2]
+        high = low + ((cols if k == 0 else rows) - 1 + 2.0 * reach) * tangents[2]
         if a[k] < low * a[2] and b[k] < low * b[2] and c[k] < low * c[2]:
             return True
         if a[k] > high * a[2] and b[k] > high * b[2] and c[k] > high * c[2]:
@@ -121,8 +144,9 @@ def _beyond(a, b, c, tangents, rows, cols):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _draw(at, pixel, triangles, tangents, near, first, number, depth):  # type: ignore[no-untyped-def]
-    rows, cols = number.shape
+def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):  # type: ignore[no-untyped-def]
+    rows, cols, places = number.shape
+    reach = np.abs(beside).max()
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         before = (at[i, 2] < near) + (at[j, 2] < near) + (at[k, 2] < near)
@@ -131,11 +155,14 @@ def _draw(at, pixel, triangles, tangents, near, first, number, depth):  # type: 
         if before == 0:
             low_col, high_col = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]), max(pixel[i, 0], pixel[j, 0], pixel[k, 0])
             low_row, high_row = min(pixel[i, 1], pixel[j, 1], pixel[k, 1]), max(pixel[i, 1], pixel[j, 1], pixel[k, 1])
-            if not (high_col >= 0.0 and low_col <= cols - 1 and high_row >= 0.0 and low_row <= rows - 1):
+            if not (high_col >= -reach and low_col <= cols - 1 + reach and high_row >= -reach and low_row <= rows - 1 + reach):
                 continue
-            c0, c1 = int(np.ceil(max(low_col, 0.0))), int(min(high_col, cols - 1.0))
-            r0, r1 = int(np.ceil(max(low_row, 0.0))), int(min(high_row, rows - 1.0))
-        elif _beyond(at[i], at[j], at[k], tangents, rows, cols):
+            # Places lie straight beside a middle: what holds no middle's row and no middle's column holds none.
+            if np.ceil(low_col) > high_col and np.ceil(low_row) > high_row:
+                continue
+            c0, c1 = int(np.ceil(max(low_col - reach, 0.0))), int(min(high_col + reach, cols - 1.0))
+            r0, r1 = int(np.ceil(max(low_row - reach, 0.0))), int(min(high_row + reach, rows - 1.0))
+        elif _beyond(at[i], at[j], at[k], tangents, reach, rows, cols):
             continue
         else:
             r0, r1, c0, c1 = 0, rows - 1, 0, cols - 1
@@ -149,14 +176,23 @@ def _draw(at, pixel, triangles, tangents, near, first, number, depth):  # type: 
         w0, w1, w2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         volume = a0 * u0 + a1 * u1 + a2 * u2
         side = 1.0 if volume > 0.0 else -1.0
+        # How much less than at a pixel's middle each may be beside it.
+        wide = reach * tangents[2]
+        less_u, less_v, less_w = wide * (abs(u0) + abs(u1)), wide * (abs(v0) + abs(v1)), wide * (abs(w0) + abs(w1))
         for r in range(r0, r1 + 1):
             y = tangents[1] + r * tangents[2]
             for c in range(c0, c1 + 1):
                 x = tangents[0] + c * tangents[2]
                 u, v, w = side * (x * u0 + y * u1 + u2), side * (x * v0 + y * v1 + v2), side * (x * w0 + y * w1 + w2)
-                if u < 0.0 or v < 0.0 or w < 0.0 or u + v + w <= 0.0:
+                if u < -less_u or v < -less_v or w < -less_w:
                     continue
-                z = side * volume / (u + v + w)
-                if near <= z < depth[r, c]:
-                    depth[r, c] = z
-                    number[r, c] = first + t
+                for p in range(places):
+                    y_p, x_p = y + beside[p, 0] * tangents[2], x + beside[p, 1] * tangents[2]
+                    u, v = side * (x_p * u0 + y_p * u1 + u2), side * (x_p * v0 + y_p * v1 + v2)
+                    w = side * (x_p * w0 + y_p * w1 + w2)
+                    if u < 0.0 or v < 0.0 or w < 0.0 or u + v + w <= 0.0:
+                        continue
+                    z = side * volume / (u + v + w)
+                    if near <= z < depth[r, c, p]:
+                        depth[r, c, p] = z
+                        number[r, c, p] = first + t

@@ -1,4 +1,6 @@
-"""Scene and view -> probes: points that are seen, of the ground, of meshes and of trees, whatever the light."""
+"""Scene and view -> probes: points that are seen, of the ground, of meshes and of trees, whatever the light; and in how many of a
+view's pixels something ends.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from terrain.antialias import CROSS, ends_in_crosses
 from terrain.camera import PerspectiveView
 from terrain.effects.effect import Look
 from terrain.elevation import Elevation
@@ -24,6 +27,9 @@ MAP_SIDE = 48
 
 AMONG_LEAVES = 2048
 """Pixels of a look, at most, in which leaves are looked for."""
+
+EDGES_AMONG_LEAVES = 300
+"""Pixels, at most, in which ends of leaves are: five rays each."""
 
 
 def points_in_map(scene: Scene, pixel_m: float, trees: Stand | None) -> Probes:
@@ -65,6 +71,35 @@ def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
         np.full(int(leaf.sum()), FOREST, np.uint8), some[leaf],
     )  # fmt: skip
     return _joined(bare.some(point[there[some] & ~leaf]), leaves)
+
+
+def edge_share(look: Look, trees: Stand | None) -> float:
+    """Share of a view's pixels in which something ends (``terrain.antialias``)."""
+    return look.edge_share if trees is None else _edge_share_among_leaves(look, trees)
+
+
+@lru_cache(maxsize=4)
+def _edge_share_among_leaves(look: Look, trees: Stand) -> float:
+    """The share without the trees, known from many pixels, and what they change about it in some of these."""
+    its = look.crosses
+    some = evenly(len(its.number), EDGES_AMONG_LEAVES)
+    number, depth_m = its.number[some], its.away_m[some]
+    bare = ends_in_crosses(number, depth_m, its.ground, its.normals)
+    row, col = (at[some, None] + np.array(CROSS)[:, k] for k, at in enumerate((its.row, its.col)))
+    x, y = ((first + at * its.view.step) / its.view.focal_px for first, at in ((its.view.col0, col), (its.view.row0, row)))
+    _, camera_from_frame = its.view.in_frame(look.buffer.frame)
+    way = np.stack([x, y, np.ones(x.shape)], axis=-1) @ camera_from_frame
+    per_depth = np.linalg.norm(way, axis=-1)
+    way /= per_depth[..., None]
+    start = np.tile(look.eye_frame_m, (number.size, 1))
+    met, _ = first_leaves(trees, start, way.reshape(-1, 3), (depth_m * per_depth).ravel())
+    leaf = np.isfinite(met).reshape(number.shape)
+    # Leaves side by side are told apart by their distance alone, whichever tree they are of: no two have the same number.
+    numbers = its.ground + len(its.normals) + 1 + np.arange(number.size).reshape(number.shape)
+    number = np.where(leaf, numbers.astype(np.uint32), number)
+    depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
+    among = ends_in_crosses(number, depth_m, its.ground, its.normals)
+    return float(np.clip(look.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
 
 
 def _joined(bare: Probes, leaves: Probes) -> Probes:

@@ -45,11 +45,31 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
+class Crosses:
+    """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
+
+    ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
+    ``terrain.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
+    ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3) float32
+    those of the meshes' faces.
+    """
+
+    view: PerspectiveView
+    row: np.ndarray
+    col: np.ndarray
+    number: np.ndarray
+    away_m: np.ndarray
+    ground: int
+    normals: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Look:
     """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
 
     ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
-    their heights, ``spacing`` the angle (a tangent) between neighbours.
+    their heights, ``spacing`` the angle (a tangent) between neighbours. ``edge_share`` is the share of the view's own pixels in
+    which something ends, ``crosses`` are some of those.
     """
 
     buffer: GeometryBuffer
@@ -58,6 +78,8 @@ class Look:
     away_m: np.ndarray
     height_m: np.ndarray
     spacing: float
+    edge_share: float
+    crosses: Crosses
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,17 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
+from api.catalogue import find_level
 from shadows import render as render_module
 from shadows.render import Frame
-from terrain.antialias import Sampled, sampled
+from terrain.antialias import Sampled, ends_in_crosses, sampled
 from terrain.camera import PerspectiveView
+from terrain.descriptor import describe
+from terrain.level import load_level
+from terrain.look import LOOK_PX, look_at_scene
 from terrain.picture import geometry_of
 from terrain.resolve import MESHES, NOTHING, RELIEF
-from terrain.scene import Scene
+from terrain.scene import Scene, build_scene
 from terrain.shading import encoded, shade
 from tests.rasters import ENGINEERING
 from tests.render import render
@@ -38,7 +42,7 @@ def tower(floor, make_scene, tmp_path) -> Scene:
 def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
     """The frame with one point a pixel."""
     with monkeypatch.context() as patch:
-        patch.setattr(render_module, "sampled", lambda scene, part: Sampled(geometry_of(scene, part), part.rows))
+        patch.setattr(render_module, "picture_of", lambda scene, part: Sampled(geometry_of(scene, part), part.rows))
         return render(scene, scene.view("eye"))
 
 
@@ -162,3 +166,52 @@ def test_averages_in_closed_form():
     expected = picture.copy()
     expected[0, 1], expected[1, 2] = (1 + 100) / 5, (5 + 400) / 5
     np.testing.assert_allclose(found, expected)
+
+
+def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
+    """A look goes through every eighth pixel: 64 of them, each a pixel on, decide of all, as the picture's own triangles do."""
+    view = tower.view("eye")
+    wide = sampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
+    marked = np.zeros((view.rows + 2, view.cols + 2), bool)
+    marked[wide.pixels] = True
+    found, shares = np.zeros((view.rows, view.cols), bool), []
+    for row in range(LOOK_PX):
+        for col in range(LOOK_PX):
+            look = look_at_scene(tower, view.shifted(row, col))
+            its = look.crosses
+            found[its.row + row, its.col + col] = ends_in_crosses(its.number, its.away_m, its.ground, its.normals)
+            shares.append(look.edge_share)
+    marked = marked[1:-1, 1:-1]
+    assert 0.02 < marked.mean() < 0.2 and (found != marked).mean() < 1e-3
+    assert np.mean(shares) == pytest.approx(found.mean())
+
+
+def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
+    """Of a few pixels at the tower's outline the first one shows the sky: all of them are looked at, and their edges found."""
+    view = tower.view("eye")
+    wall = geometry_of(tower, view).kind == MESHES
+    row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
+    part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
+    there = geometry_of(tower, part).there
+    assert not there[0, 0] and there.any()
+    assert look_at_scene(tower, part).edge_share == pytest.approx(len(sampled(tower, part).pixels[0]) / 49)
+
+
+def test_a_descriptor_says_where_something_ends(gl, tower, floor, make_scene):
+    """About as many pixels as are sampled; none in a map, nor on a floor alone."""
+    view = tower.view("eye", size=(512, 384))
+    real = len(sampled(tower, view).pixels[0]) / (view.rows * view.cols)
+    assert describe(tower, view).edge_share == pytest.approx(real, abs=0.01) and real > 0.01
+    assert describe(tower, tower.view("map")).edge_share == 0.0
+    down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
+    scene = make_scene(floor, views=down)
+    assert describe(scene, scene.view("eye")).edge_share == 0.0
+
+
+def test_ends_of_leaves_are_told_from_few_rays(gl):
+    """Of a park most edges are those of its trees, which no look shows: with them it is about as many as are sampled."""
+    scene = build_scene(load_level(find_level("spatialace")))
+    view = scene.view("overview", size=(320, 256))
+    real = len(sampled(scene, view).pixels[0]) / (view.rows * view.cols)
+    bare, found = look_at_scene(scene, view).edge_share, describe(scene, view).edge_share
+    assert bare < 0.5 * real and found == pytest.approx(real, abs=0.04)

@@ -60,6 +60,7 @@ IMPOSSIBLE = {
     "rows": {"rows": 0},
     "cols": {"cols": -1},
     "pixels": {"pixels": 0},
+    "edge_share": {"edge_share": 1.1},
     "node_m": {"node_m": float("nan")},
     "casters.0": {"casters": ["clouds"]},
     "casters": {"casters": ["relief", "relief"]},
