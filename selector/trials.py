@@ -14,7 +14,7 @@ from shadows.plan import Plan, Step
 from shadows.render import REFRACTION_PASS, Frame, bands_of, forget_kept, render_frame
 from terrain.camera import PerspectiveView
 from terrain.effects.haze import hides_beyond_m
-from terrain.grid import BLOCK_PX, MapView
+from terrain.grid import BLOCK_PX, MapView, blocks_of
 from terrain.level import SUN
 from terrain.scene import Scene
 
@@ -75,8 +75,9 @@ def part_of(view: View) -> View:
 
 
 def shadow_ms(frame: Frame, light: str) -> float:
-    """Milliseconds of the passes that filled a light's visibility in a frame."""
-    return sum(record.ms for record in frame.passes if record.name.startswith(f"{light}/"))
+    """Milliseconds of the passes that filled a light's visibility in a frame; of a map's blocks in the mean."""
+    blocks = len(blocks_of(frame.view)) if isinstance(frame.view, MapView) else 1
+    return sum(record.ms for record in frame.passes if record.name.startswith(f"{light}/")) / blocks
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from api.catalogue import find_level
 from selector.candidates import MOST, candidates, name_of
-from selector.compare import COUNTERS, Comparison, compare, measure
+from selector.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_steps
 from selector.footprint import texel_footprint_px, texel_on_level_ground_m
+from shadows.attached import attached
+from shadows.render import render_frame
 from terrain.geometry import GeometryBuffer
 from terrain.level import load_level
 from terrain.picture import geometry_of
@@ -69,6 +71,22 @@ def test_a_plan_is_timed_after_its_first_run_or_by_it_alone(gl, scene):
         if runs == 1:
             assert all(ms > 0.0 for ms in figures["stages"].values())
             assert sum(figures["stages"].values()) <= figures["ms_median"] + 0.001
+
+
+def test_what_is_timed_is_what_a_frame_draws(gl, scene):
+    """With the samples where something ends; the errors are those of the picture's own pixels."""
+    view = scene.view("eye")
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
+    pictures = drawn_on(scene, view)
+    run = run_steps(scene, pictures, plan.steps)
+    frame = render_frame(scene, view, plan)
+    ((picture, _),) = pictures
+    assert len(picture.buffer.there) > picture.rows == view.rows
+    triangles = {name: record.triangles for name, record in run.log.records.items()}
+    assert triangles == {record.name: record.triangles for record in frame.passes if record.name in triangles} != {}
+    seen = run.parts[0].copy()
+    seen[attached(picture.own, scene, "sun")] = 0.0
+    np.testing.assert_array_equal(np.where(picture.own.there, seen, np.nan), frame.visibility)
 
 
 def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):

@@ -90,6 +90,17 @@ def test_counts_of_a_shadow_map_are_what_its_passes_do():
     assert alone["texels of ground"] == alone["ground"] == 0
 
 
+def test_samples_where_something_ends_are_work_like_pixels():
+    """Four samples for each such pixel, or two where there are many (``terrain.antialias``)."""
+    plain = work_of(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+    for share, more in ((0.1, 0.4), (0.3, 0.6)):
+        edged = described(edge_share=share)
+        counts = work_of(edged, SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+        of_pixels = {name for name in counts if name.startswith(("fitted", "look-ups"))}
+        assert all(counts[name] == pytest.approx((1.0 + more) * plain[name]) for name in of_pixels)
+        assert all(counts[name] == plain[name] for name in counts.keys() - of_pixels)
+
+
 def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
     lights = {SUN: LightFacts(area_share=0.25)}
     wooded = described(casters=("relief", "forest"), stands=(GROUND, TREES), lights=lights)

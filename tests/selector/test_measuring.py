@@ -14,12 +14,12 @@ from selector.compare import measure
 from selector.measuring import Measured, Wanted, confirmed, measured_plan, measured_rows, winners
 from selector.picks import Pick
 from selector.thinned import thin_truth, thinned
-from selector.trials import Candidate, Trial, part_of
+from selector.trials import Candidate, Trial, part_of, shadow_ms
 from selector.winning import Figures
 from shadows.metrics import errors_of
 from shadows.render import render_frame
 from terrain.descriptor import describe
-from terrain.grid import BLOCK_PX
+from terrain.grid import BLOCK_PX, blocks_of
 from terrain.level import SunSpec, load_level
 from terrain.picture import geometry_of
 from terrain.scene import Scene, build_scene
@@ -215,3 +215,12 @@ def test_of_a_large_map_the_block_in_the_middle_is_measured(scene):
     part = part_of(view)
     assert (part.rows, part.cols) == (900, BLOCK_PX) and part.centre == pytest.approx(view.centre, abs=0.1)
     assert part_of(scene.view("eye")).rows == 128
+
+
+def test_the_time_of_a_map_is_that_of_one_of_its_blocks(gl, scene):
+    view = scene.view("map", size=(1100, 60))
+    frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"))
+    blocks = len(blocks_of(view))
+    assert blocks > 1 and shadow_ms(frame, "sun") == sum(one.ms for one in frame.passes if one.name.startswith("sun/")) / blocks
+    eye = render_frame(scene, scene.view("eye"), plan_of(scene, scene.view("eye"), algorithm="planar"))
+    assert shadow_ms(eye, "sun") == sum(one.ms for one in eye.passes if one.name.startswith("sun/")) > 0.0
