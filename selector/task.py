@@ -11,7 +11,7 @@ import numpy as np
 
 from selector.serves import kinds_of_lights
 from shadows.registry import LightKind
-from terrain.antialias import samples_per_pixel
+from terrain.antialias import SIDE, samples_per_pixel
 from terrain.descriptor import CasterFacts, Descriptor, LightFacts
 from terrain.ground_mesh import WHOLE_TRIANGLES
 from terrain.level import SUN, CasterKind
@@ -53,6 +53,16 @@ class Task:
     def pixels(self) -> float:
         """Pixels, and the further samples that those get where something ends."""
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
+
+    @property
+    def pictures(self) -> float:
+        """How often what casts is drawn where it is drawn into whole pictures: that of the pixels, and the samples' finer one."""
+        return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
+
+    @property
+    def picture_pixels(self) -> float:
+        """Pixels of these pictures."""
+        return self.descriptor.pixels * (1.0 + (SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
     def seen(self) -> float:

@@ -65,7 +65,8 @@ def work_of(
     if isinstance(settings, TruthSettings):
         rays = task.facing * settings.sun_samples
         return {"truth": {"blocks": 1.0, "seen": task.seen, "rays": rays, "triangles": _triangles(task)}}
-    return {"planar": {"blocks": 1.0, "pixels": task.pixels, "triangles": task.triangles("meshes"), "trees": task.trees}}
+    drawn = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
+    return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **drawn}}
 
 
 def _of(task: Task, part: str) -> str:

@@ -99,6 +99,9 @@ def test_samples_where_something_ends_are_work_like_pixels():
         of_pixels = {name for name in counts if name.startswith(("fitted", "look-ups"))}
         assert all(counts[name] == pytest.approx((1.0 + more) * plain[name]) for name in of_pixels)
         assert all(counts[name] == plain[name] for name in counts.keys() - of_pixels)
+    # Planar shadows are drawn into all of a picture, and once more into one of four times as many pixels.
+    level, edged = (work_of(described(edge_share=share), SUN, ("meshes",), "planar", None)["planar"] for share in (0.0, 0.1))
+    assert edged == {"blocks": 1.0, "pixels": 5.0 * level["pixels"], "triangles": 2.0 * level["triangles"], "trees": 0.0}
 
 
 def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
