@@ -19,7 +19,7 @@ from selector.measuring import Wanted, confirmed, measured_rows, winners
 from selector.portfolio import portfolio
 from selector.rules import choose, planner_of
 from selector.select import select
-from shadows.plan import Plan
+from shadows.plan import Plan, Step
 from shadows.render import FILLS
 from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
@@ -43,6 +43,24 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     return plans | {f"rules {goal.max_error:g}": choose(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
 
+def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
+    """By pick the name of its row: those that come to the same steps share one, and no others do.
+
+    The rules may split cascades where no pick does, under the same name: what comes second is told by who takes it.
+    """
+    names: dict[str, str] = {}
+    known: dict[str, list[Step]] = {}
+    for pick, plan in plans.items():
+        name, steps = name_of(plan, light), _steps(plan, light)
+        names[pick] = name if known.setdefault(name, steps) == steps else f"{name} ({pick})"
+    return names
+
+
+def _steps(plan: Plan, light: str) -> list[Step]:
+    """What a plan draws with under a light."""
+    return [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
+
+
 def measured(instance: Instance, data: Path) -> Figures:
     """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row.
 
@@ -54,13 +72,13 @@ def measured(instance: Instance, data: Path) -> Figures:
         descriptor = describe(scene, view, instance.view)
         plans = plans_of(descriptor, scene, light)
         found = _compared(scene, view, instance.view, light, plans)
-        error = "wrong" if NO_CAST in found.remarks else found.error
+        error, names = "wrong" if NO_CAST in found.remarks else found.error, rows_of(plans, light)
         record = {
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
             "renderer": device().renderer, "error": error, "boundary": _rounded(found.boundary),
             "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
-            "rows": {row.figures["name"]: _row(row.figures, light) for row in found.rows},
-            "picks": {pick: name_of(plan, light) for pick, plan in plans.items()},
+            "rows": {row: _row(its.figures, light) for row, its in zip(names.values(), found.rows, strict=True)},
+            "picks": names,
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip
         return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
@@ -98,10 +116,7 @@ def _timed(
 ) -> dict[str, Figures]:
     """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
     pictures = drawn_on(scene, view)
-    steps = {
-        name_of(plan, light): [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
-        for plan in plans.values()
-    }
+    steps = {name: _steps(plans[pick], light) for pick, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
         for name, its in times.items():

@@ -52,7 +52,9 @@ def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
 
 
 def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) -> Split:
-    """All parts judged by models and a single best that the others gave."""
+    """All parts judged by models and a single best that the others gave. ``measure`` goes without the limits of time: it chose in
+    another hour than that in which the rows were timed (``lateness``).
+    """
     cases = {view["name"]: cases_of(view) for part in parts for view in part}
     taken: dict[str, Taken] = {"rules": {}, "predict": {}, "measure": {}}
     single: Taken = {}
@@ -67,9 +69,15 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
             single[key] = stand_in(best, one.view) or max(one.rows, key=one.losses().__getitem__)
             taken["rules"][key] = one.view["picks"][f"rules {one.goal.max_error:g}"]
             taken["predict"][key] = predicted(one, device, model)
-            if one.goal.name in one.view.get("measured", {}):
+            if one.max_ms is None and one.goal.name in one.view.get("measured", {}):
                 taken["measure"][key] = one.view["measured"][one.goal.name]
     return Split(name, {policy: its for policy, its in taken.items() if its}, single, bests)
+
+
+def lateness(views: Sequence[Figures]) -> np.ndarray:
+    """What ``measure`` took within a limit of time, by the times of the rows: as multiples of the limit."""
+    limited = [one for one in instances_of(views) if one.max_ms is not None and one.goal.name in one.view.get("measured", {})]
+    return np.array([one.rows[one.view["measured"][one.goal.name]]["ms"] / (one.max_ms or np.inf) for one in limited])
 
 
 def predicted(one: Instance, device: DeviceProfile, model: ErrorModel | None = None) -> str:

@@ -1,0 +1,30 @@
+"""What is measured of a view: each row is of one thing alone."""
+
+from __future__ import annotations
+
+from selection_measure import rows_of
+
+from selector.picks import Asked
+from selector.rules import choose
+from shadows.plan import Plan
+from terrain.level import SUN, Shadows
+from tests.selector.test_cost_model import described
+
+
+def split_at(far_m: float) -> Plan:
+    """Two maps, of which the nearer ends there."""
+    plan = choose(described(), Asked(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), picks={})
+    (kinds,) = (plan.settings[light] for light in plan.settings)
+    near, far = next(iter(kinds.values())).cascades
+    its = {
+        kind: settings.model_copy(update={"cascades": (near.model_copy(update={"far_m": far_m}), far)})
+        for kind, settings in kinds.items()
+    }
+    return plan.model_copy(update={"settings": {SUN: its}})
+
+
+def test_what_draws_alike_shares_a_row_and_nothing_else_does():
+    """Where a camera's maps are split is no part of a plan's name."""
+    plans = {"shadow_map 1024 x2": split_at(32.0), "rules 0.1": split_at(8.0), "rules 0.03": split_at(32.0)}
+    name = "shadow_map-1024-3-16-2cascades"
+    assert rows_of(plans, SUN) == {"shadow_map 1024 x2": name, "rules 0.1": f"{name} (rules 0.1)", "rules 0.03": name}
