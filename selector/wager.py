@@ -64,8 +64,10 @@ def wagered(hopes: Sequence[Hope], max_error: float, max_ms: float | None = None
     if not in_time:
         return best([one.figures for one in able], max_error, max_ms)
     over = {one.figures.name: overshoot(one.figures, max_error) for one in in_time}
-    worst = MISSED * max(over.values())
-    nearest = min(in_time, key=lambda one: (_expected(over[one.figures.name], worst, late(one.figures.ms, max_ms)), one.figures.ms))
+    missed = MISSED * sorted(over.values())[len(over) // 2]
+    nearest = min(
+        in_time, key=lambda one: (_expected(over[one.figures.name], missed, late(one.figures.ms, max_ms)), one.figures.ms)
+    )
     return best([nearest.figures], max_error, max_ms)
 
 

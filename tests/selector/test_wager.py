@@ -43,6 +43,16 @@ def test_what_may_well_be_late_gives_way_to_what_is_nearly_as_good():
     assert wagered([at_the_limit, below], 1e-4, 50.0).winner.name == "below"
 
 
+def test_what_is_far_off_but_quick_makes_nobody_shy_of_the_limit():
+    """To be late costs ten times the median overshoot, 99: 8.9 * 0.75 + 99 * 0.25 for the best one against 299.9 for the quick one.
+    Were it ten times the worst, the best one would come to 756.
+    """
+    quick, near, best = hope("quick", 5.0, 1.0, 0.3), hope("near", 40.0, 1.0, 0.010), hope("best", 40.0, 1.0, 0.009)
+    limit = 40.0 * 3.0**TIME_SPREAD  # where the chance to be late is a quarter
+    assert late(40.0, limit) == pytest.approx(0.25)
+    assert wagered([quick, near, best], 1e-4, limit).winner.name == "best"
+
+
 def test_where_nothing_keeps_to_the_time_the_nearest_is_taken():
     verdict = wagered([hope("a", 300.0, 0.0), hope("b", 200.0, 0.0)], 0.01, 10.0)
     assert (verdict.winner.name, verdict.met) == ("b", False)
