@@ -49,10 +49,13 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     The rules may split cascades where no pick does, under the same name: what comes second is told by who takes it.
     """
     names: dict[str, str] = {}
-    known: dict[str, list[Step]] = {}
+    known: dict[str, list[tuple[list[Step], str]]] = {}
     for pick, plan in plans.items():
-        name, steps = name_of(plan, light), _steps(plan, light)
-        names[pick] = name if known.setdefault(name, steps) == steps else f"{name} ({pick})"
+        name, its = name_of(plan, light), _steps(plan, light)
+        alike = known.setdefault(name, [])
+        row = next((row for steps, row in alike if steps == its), f"{name} ({pick})" if alike else name)
+        alike.append((its, row))
+        names[pick] = row
     return names
 
 
@@ -97,18 +100,15 @@ def chosen(instance: Instance, data: Path, record: Figures) -> Figures:
     """The record with what the policy ``measure`` takes for each goal, by row; what was drawn for one of them serves the others."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
-        light, start = record["light"], time.perf_counter()
+        light, taken = record["light"], {}
         rows = measured_rows(scene, view, instance.view)
-        rows_s = time.perf_counter() - start
-        taken, took_s = {}, {}
         for one in instances_of([record]):
-            start, wanted = time.perf_counter(), Wanted(one.goal.max_error, one.max_ms)
+            wanted = Wanted(one.goal.max_error, one.max_ms)
             rows = confirmed(rows, wanted)
             winner = winners(rows, wanted)[light].winner
             plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
             taken[one.goal.name] = name_of(plan, light)
-            took_s[one.goal.name] = _rounded(rows_s + time.perf_counter() - start)
-    return record | {"measured": taken, "measured_s": took_s}
+    return record | {"measured": taken}
 
 
 def _timed(

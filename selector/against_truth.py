@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -51,16 +50,15 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class ViewTruth:
-    """A view's truth under a light: in blocks, and in one piece; ``error`` is the figure that targets go by."""
+    """A view's truth under a light: in blocks, and in one piece; ``error`` is the figure that targets go by.
+
+    ``true_shares`` are the true shadow shares that coverage is compared by, block by block; none where nothing is.
+    """
 
     view: View
     grounds: list[Ground]
     whole: Truth
-
-    @cached_property
-    def true_shares(self) -> list[np.ndarray]:
-        """The true shadow shares that coverage is compared by, block by block."""
-        return [coverage_truth(one.buffer, one.scene, one.casters, COVERAGE_PX, light=one.light) for one in self.grounds]
+    true_shares: Sequence[np.ndarray] = ()
 
     @property
     def error(self) -> ErrorName:
@@ -95,21 +93,23 @@ class ViewTruth:
 
 def truth_of_view(scene: Scene, view: View, light: str, samples: int = SAMPLES) -> ViewTruth:
     """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel."""
-    return truth_of_parts(scene, view, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
+    real = truth_of_parts(scene, view, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
+    shares = [coverage_truth(one.buffer, scene, one.casters, COVERAGE_PX, light=light) for one in real.grounds]
+    return replace(real, true_shares=shares)
 
 
 def truth_of_parts(
     scene: Scene, view: View, parts: Sequence[tuple[View, int, int]], light: str, samples: int = SAMPLES
 ) -> ViewTruth:
-    """The truth of a view from that of parts of it, each with its first row and column in the view."""
-    return joined_truth(view, [_ground(scene, light, part, row, col, samples) for part, row, col in parts])
+    """The truth of a view from that of parts of it, each with its first row and column in the view; without what coverage takes."""
+    grounds = [_ground(scene, light, part, row, col, samples) for part, row, col in parts]
+    return ViewTruth(view, grounds, joined_truth(view, grounds))
 
 
-def joined_truth(view: View, grounds: list[Ground]) -> ViewTruth:
-    """A view's truth from that of its parts."""
+def joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
+    """A view's truth in one piece."""
     fields = ("lit", "attached", "decidable", "there")
-    whole = Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
-    return ViewTruth(view, grounds, whole)
+    return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
 
 
 def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarray:

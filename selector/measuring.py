@@ -27,11 +27,8 @@ from terrain.scene import Scene
 UNSURE = 1.5
 """Times that are drawn out from thinned views are right to this factor, mostly, and so is the share that is wrong inside."""
 
-MOST_CONFIRMED = 24
-"""Candidates of a light that are drawn on all pixels, at most."""
-
 CLOSE = 1.25
-"""Who comes as close as this to the winner's time is timed again, in turns with it."""
+"""Who comes as close as this to the winner's time is timed again."""
 
 RUNS = 2
 """So many times."""
@@ -158,21 +155,23 @@ def winners(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Verdi
 
 
 def confirmed(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Measured]:
-    """The same rows, those that lead drawn on all pixels until one of them leads on; who comes near to it is timed again."""
-    out, verdicts = dict(measured), dict[str, Verdict]()
-    for light, rows in measured.items():
-        max_ms = _left_ms(out, wanted, verdicts)
-        for _ in range(MOST_CONFIRMED):
-            leader = _leader(rows, wanted, max_ms)
-            if leader.whole:
-                break
-            rows = _tried_further(_with(rows, rows.probe.whole(leader.candidate)), wanted)
-        winner = _winner(rows.trials, wanted, max_ms).winner
-        for trial in rows.trials:
-            if trial.whole and winner.ms / CLOSE <= trial.figures.ms <= CLOSE * winner.ms:
-                rows = _with(rows, rows.probe.timed(trial, RUNS))
-        out[light] = rows
-        verdicts[light] = _winner(rows.trials, wanted, max_ms)
+    """The same rows, those that lead drawn on all pixels until one of them leads on; who comes near to it is timed again.
+
+    What a light turns out to need changes what is left for the others, so that they are gone through until nobody new leads.
+    """
+    out, verdicts, drawn = dict(measured), dict[str, Verdict](), True
+    while drawn:
+        verdicts, drawn = {}, False
+        for light in measured:
+            max_ms = _left_ms(out, wanted, verdicts)
+            while not (leader := _leader(out[light], wanted, max_ms)).on_all:
+                whole = _with(out[light], out[light].probe.drawn_on_all(leader.candidate))
+                out[light], drawn = _tried_further(whole, wanted), True
+            verdicts[light] = _winner(out[light].trials, wanted, max_ms)
+    for light, verdict in verdicts.items():
+        for trial in out[light].trials:
+            if trial.on_all and verdict.winner.ms / CLOSE <= trial.figures.ms <= CLOSE * verdict.winner.ms:
+                out[light] = _with(out[light], out[light].probe.timed(trial, RUNS))
     return out
 
 
@@ -192,12 +191,12 @@ def _tried_further(rows: Measured, wanted: Wanted) -> Measured:
 
 def _winner(trials: Sequence[Trial], wanted: Wanted, max_ms: float | None) -> Verdict:
     """Who wins; of those that were drawn on all pixels, if any were."""
-    return best([one.figures for one in trials if one.whole] or [one.figures for one in trials], wanted.max_error, max_ms)
+    return best([one.figures for one in trials if one.on_all] or [one.figures for one in trials], wanted.max_error, max_ms)
 
 
 def _leader(rows: Measured, wanted: Wanted, max_ms: float | None) -> Trial:
     """Who would win, if those that were drawn on few pixels turned out as good as they may."""
-    name = best([one.figures if one.whole else _hoped(one) for one in rows.trials], wanted.max_error, max_ms).winner.name
+    name = best([one.figures if one.on_all else _hoped(one) for one in rows.trials], wanted.max_error, max_ms).winner.name
     return _trial_of(rows, name)
 
 
@@ -272,9 +271,9 @@ def _words(rows: Measured, figures: Figures) -> str:
 
 def _said(view: View, rows: Measured) -> str:
     part = part_of(view)
-    on_all = sum(trial.whole for trial in rows.trials)
-    said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels, "
-    said += f"{on_all} on all of them"
+    on_all = sum(trial.on_all for trial in rows.trials)
+    said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels"
+    said += "" if rows.probe.thin is None else f", {on_all} of them on all"
     if rows.not_tried:
         said += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
     return said

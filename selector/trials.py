@@ -61,7 +61,7 @@ class Trial:
     times_ms: tuple[float, ...] = ()
 
     @property
-    def whole(self) -> bool:
+    def on_all(self) -> bool:
         """Whether it was drawn on all pixels."""
         return bool(self.times_ms)
 
@@ -72,6 +72,12 @@ def part_of(view: View) -> View:
         return view
     rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
     return view.part((view.rows - rows) // 2, (view.cols - cols) // 2, rows, cols)
+
+
+def _pixels(view: View) -> float:
+    """Pixels that a view is drawn with; of a map's blocks, which may reach beyond it, in the mean."""
+    parts = [part for part, _, _ in blocks_of(view)] if isinstance(view, MapView) else [view]
+    return sum(part.rows * part.cols for part in parts) / len(parts)
 
 
 def shadow_ms(frame: Frame, light: str) -> float:
@@ -102,18 +108,18 @@ class Probe:
     def trial(self, candidate: Candidate) -> Trial:
         """A candidate on few pixels. Time on all of them goes by two thinned views: what pixels do not change is alike in both."""
         if self.thin is None:
-            return self.whole(candidate)
+            return self.drawn_on_all(candidate)
         view = self.real.view
         few, fewer = (thinned(view, times * self.thin.every) for times in (1, 2))
         frame, ms = _quickest(self.scene, few, candidate)
         _, less_ms = _quickest(self.scene, fewer, candidate)
-        pixels, least, most = (each.rows * each.cols for each in (few, fewer, view))
+        pixels, least, most = map(_pixels, (few, fewer, view))
         pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
         found = self.thin.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
         full_ms = float(ms + pixel_ms * (most - pixels))
         return Trial(candidate, Figures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread)
 
-    def whole(self, candidate: Candidate) -> Trial:
+    def drawn_on_all(self, candidate: Candidate) -> Trial:
         """A candidate on all pixels."""
         frame, ms = _quickest(self.scene, self.real.view, candidate)
         parts = self.real.cut(frame.visibilities[candidate.light])
@@ -134,10 +140,10 @@ def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -
     part, sky = part_of(view), scene if REFRACTION_PASS in plan.runs else scene.without_refraction
     every = max(round((part.rows * part.cols / PIXELS) ** 0.5), 1)
     if every > 1:
-        real = truth_of_parts(sky, part, [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part), light)
+        parts = [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part)
+        real = _unhidden(scene, plan, light, truth_of_parts(sky, part, parts, light))
         if real.error == "wrong_cast":
-            seen = _unhidden(scene, plan, light, real)
-            return Probe(scene, seen, pixel_m, thin_truth(seen, every))
+            return Probe(scene, real, pixel_m, thin_truth(real, every))
     return Probe(scene, _unhidden(scene, plan, light, truth_of_view(sky, part, light)), pixel_m)
 
 
@@ -151,7 +157,7 @@ def _unhidden(scene: Scene, plan: Plan, light: str, real: ViewTruth) -> ViewTrut
         away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
         near = away_m < hides_beyond_m(scene)
         grounds.append(replace(ground, truth=replace(truth, decidable=truth.decidable & near, there=truth.there & near)))
-    return joined_truth(real.view, grounds)
+    return replace(real, grounds=grounds, whole=joined_truth(real.view, grounds))
 
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:

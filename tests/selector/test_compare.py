@@ -14,7 +14,7 @@ from selector.candidates import MOST, candidates, name_of
 from selector.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_steps
 from selector.footprint import texel_footprint_px, texel_on_level_ground_m
 from shadows.attached import attached
-from shadows.render import render_frame
+from shadows.render import forget_kept, render_frame
 from terrain.geometry import GeometryBuffer
 from terrain.level import load_level
 from terrain.picture import geometry_of
@@ -79,6 +79,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     pictures = drawn_on(scene, view)
     run = run_steps(scene, pictures, plan.steps)
+    forget_kept()
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
     assert len(picture.buffer.there) > picture.rows == view.rows

@@ -125,11 +125,11 @@ def test_larger_maps_are_not_run_where_smaller_ones_decide(gl, scene, monkeypatc
     tried, left_out = ({trial.candidate.pick.name for trial in rows.trials}, {one.pick.name for one in rows.not_tried})
     assert "shadow_map 512 x1" in tried and "shadow_map 4096 x1" in left_out
     assert seen[-1] == (len(tried) + len(left_out), len(tried) + len(left_out))
-    assert not any(trial.whole for trial in rows.trials)
+    assert not any(trial.on_all for trial in rows.trials)
     whole = confirmed({"sun": rows}, Wanted(0.9))
     winner = winners(whole, Wanted(0.9))["sun"].winner
     (trial,) = (one for one in whole["sun"].trials if one.figures == winner)
-    assert trial.whole and winner.ms == pytest.approx(np.median(trial.times_ms))
+    assert trial.on_all and winner.ms == pytest.approx(np.median(trial.times_ms))
 
 
 @pytest.mark.parametrize("name", ["eye", "map"])
@@ -156,7 +156,7 @@ class Confirming:
     def __init__(self, **whole: Figures) -> None:
         self.known = whole
 
-    def whole(self, candidate: Candidate) -> Trial:
+    def drawn_on_all(self, candidate: Candidate) -> Trial:
         figures = self.known[candidate.pick.name]
         return Trial(candidate, figures, figures.error, times_ms=(figures.ms,))
 
@@ -181,7 +181,7 @@ def test_who_leads_by_chance_does_not_win():
     better = Confirming(near=Figures("near", 1.0, 0.0299, 0.0))
     rows = confirmed({"sun": Measured(better, few)}, Wanted(0.03))
     assert winners(rows, Wanted(0.03))["sun"].winner.name == "near"
-    assert [trial.whole for trial in rows["sun"].trials] == [True, False]
+    assert [trial.on_all for trial in rows["sun"].trials] == [True, False]
 
 
 def test_the_next_larger_map_is_tried_when_the_smaller_one_fails():
@@ -208,6 +208,20 @@ def test_lights_share_the_time():
     assert names(10.0) == ["right", "fast"]
     assert names(8.5) == ["quick", "fine"]
     assert names(3.0) == ["quick", "fast"]
+
+
+def test_lights_that_turn_out_slower_leave_less_time_for_others():
+    """On few pixels the lamp takes 9 ms, and 10 are left for the sun; on all of them 12, and what takes 10 is too slow."""
+    slow, quick, lamp = candidate_of("slow"), candidate_of("quick"), replace(candidate_of("lamp"), light="lamp")
+    exact, rough = Figures("slow", 10.0, 0.001, 0.0), Figures("quick", 6.0, 0.002, 0.0)
+    few = Trial(slow, exact, 0.0), Trial(quick, rough, 0.0)
+    sun = Measured(Confirming(slow=exact, quick=rough), few)
+    other = Measured(Confirming(lamp=Figures("lamp", 12.0, 0.0, 0.0)), (Trial(lamp, Figures("lamp", 9.0, 0.0, 0.0), 0.0),))
+    wanted = Wanted(5e-4, 20.0)
+    rows = confirmed({"sun": sun, "lamp": other}, wanted)
+    verdicts = winners(rows, wanted)
+    assert [verdict.winner.name for verdict in verdicts.values()] == ["quick", "lamp"]
+    assert all(trial.on_all for its in rows.values() for trial in its.trials)
 
 
 def test_of_a_large_map_the_block_in_the_middle_is_measured(scene):
