@@ -198,10 +198,12 @@ def hard_case(
     bounds: Mapping[str, float],
     algorithms: tuple[str, ...] = SHADOWING,
     thorough: bool = True,
+    falls_short: Mapping[tuple[str, str], float] | None = None,
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
-    With ``thorough`` false there is no long test: the quick one is all there is to do.
+    With ``thorough`` false there is no long test: the quick one is all there is to do. ``falls_short`` has by algorithm and figure
+    what is known to lie above its bound, as it was measured: such a trial is an expected failure, and a failure if it gets worse.
     """
 
     def register(measure: Measure) -> Callable[..., None]:
@@ -213,6 +215,9 @@ def hard_case(
         def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
             record_property(RECORD, json.dumps(record))
+            known = {name: most for (its, name), most in (falls_short or {}).items() if its == algorithm}
+            if (too_large := set(over(record))) and all(record["figures"][name] <= known.get(name, -1.0) for name in too_large):
+                pytest.xfail(f"{id} by {algorithm} is known to fall short: {failures(record)}")
             assert not failures(record), f"{id} ({title}) by {algorithm}: {failures(record)}"
 
         test.case = case  # type: ignore[attr-defined]
