@@ -41,20 +41,20 @@ import numpy as np
 import trimesh
 
 from api.catalogue import find_level
-from selector.compare import measure
+from selector.compare import drawn_on, measure
 from selector.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import FILLS, Frame, bands_of, forget_kept, render_frame
+from shadows.render import FILLS, Frame, forget_kept, render_frame
 from shadows.tiles import marked_tiles
-from terrain.antialias import Sampled, sampled
+from terrain.antialias import Sampled
 from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.gl import device
 from terrain.level import load_level
 from terrain.level_parts import SunSpec
-from terrain.reach import Casters, casters_of
+from terrain.reach import Casters
 from terrain.scene import Scene, build_scene
 
 SIZE = (800, 600)
@@ -250,8 +250,7 @@ def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
     assert isinstance(view, PerspectiveView)
     if name == IN_SHADOW:
         view = replace(view, eye_earth_m=view.eye_earth_m + AHEAD_M * view.earth_from_camera[:, 2])
-    pictures = [sampled(scene, band) for band, _, _ in bands_of(view)]
-    return Shot(scene, view, name, [(picture, casters_of(scene, picture.own)) for picture in pictures])
+    return Shot(scene, view, name, drawn_on(scene, view))
 
 
 def thesis(given: argparse.Namespace) -> list[Row]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from selection_fit import cases_of
-from selection_judge import GOALS, Verdict, instances_of, marginal
+from selection_judge import GOALS, Instance, Verdict, instances_of, marginal
 from selection_policies import Split, errors_of_time, lateness, splits, verdict
 
 from selector.device_profile import DeviceProfile
@@ -32,7 +32,14 @@ WORDS = {
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:
     """All tables, as Markdown."""
     made = splits(views, device)
-    parts = [_what(views), *(_policies(views, each) for each in made), _worst(views, made), _marginal(views), _times(views, device)]
+    parts = [
+        _what(views),
+        *(_policies(views, each) for each in made),
+        _parts(views, made[0]),
+        _worst(views, made),
+        _marginal(views),
+        _times(views, device),
+    ]
     return "\n".join(parts)
 
 
@@ -96,6 +103,24 @@ def _policies(views: Sequence[Figures], made: Split) -> str:
     rows.append(["relative regret with the time of planning, mean", "", *own, "", ""])
     often = f"`{best}` in {made.best[best]} of {sum(made.best.values())} parts"
     return f"\n**{made.name[0].upper()}{made.name[1:]}.** The single best is {often}.\n\n" + _table(heads, rows)
+
+
+def _parts(views: Sequence[Figures], made: Split) -> str:
+    """Targets met of those that can be, by target and by family; families without the limit of time."""
+    able = [one for one in instances_of(views) if any(map(one.meets, one.rows))]
+    parts = {goal.name: [one for one in able if one.goal.name == goal.name] for goal in GOALS}
+    for one in able:
+        if one.max_ms is None:
+            parts.setdefault(one.view["family"], []).append(one)
+
+    def met(policy: str, part: Sequence[Instance]) -> str:
+        its = made.taken[policy]
+        rows = [(one, its[key]) for one in part if (key := (one.view["name"], one.goal.name)) in its]
+        return f"{sum(one.meets(row) for one, row in rows)} of {len(rows)}" if rows else ""
+
+    rows = [[name, *(met(policy, part) for policy in made.taken)] for name, part in parts.items()]
+    text = "\nTargets met of those that some plan meets (held-out views), by target, and by family without the limit of time:\n\n"
+    return text + _table(["target or family", *made.taken], rows)
 
 
 def _gap(its: Verdict) -> str:
