@@ -1,0 +1,104 @@
+"""Hashes of every layer of every view of the bundled levels: a change that is to change no picture proves it with these.
+
+    python benchmarks/picture_hashes.py write before.json     # on the commit before
+    python benchmarks/picture_hashes.py check before.json     # on the one after: names what differs, exit status 1
+
+Each view is drawn by the rules' own plan and by every algorithm that serves it, with all layers that these leave behind; what an
+algorithm refuses is hashed as the words that it refuses with. Two processes, some ten minutes on two cores of llvmpipe.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from api.catalogue import bundled_levels
+from api.layers import DataLayer, PictureLayer, layer_of
+from selector.rules import choose
+from shadows.registry import ALGORITHMS
+from shadows.render import render_frame
+from terrain.descriptor import describe
+from terrain.errors import SkuggaError
+from terrain.level import load_level
+from terrain.scene import Scene, build_scene
+
+AUTO = "auto"
+
+
+def hash_of(array: np.ndarray) -> str:
+    """What changes with any bit of an array, its shape or its type."""
+    digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
+    digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
+    """The hashes of a view's layers, its plan and what it says of casters out of sight; or of what the algorithm refuses with."""
+    view = scene.view(name)
+    try:
+        plan = choose(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})
+        left = frozenset(layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers)
+        frame = render_frame(scene, view, plan, layers=left)
+    except SkuggaError as error:
+        yield "refusal", hash_of(np.frombuffer(str(error).encode(), np.uint8))
+        return
+    yield "plan", hash_of(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
+    yield "reach", hash_of(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
+    for layer in (*get_args(PictureLayer), *get_args(DataLayer)):
+        yield layer, hash_of(layer_of(scene, frame, layer))
+    for light, visibility in frame.visibilities.items():
+        yield f"visibility of {light}", hash_of(visibility)
+    for layer, by_light in sorted(frame.layers.items()):
+        for light, picture in by_light.items():
+            yield f"{layer} of {light}", hash_of(picture)
+
+
+def hashes_of_level(path: Path) -> dict[str, str]:
+    """All hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
+    found: dict[str, str] = {}
+    scene = build_scene(load_level(path))
+    for view in scene.loaded.level.views:
+        for algorithm in (AUTO, *(name for name, each in ALGORITHMS.items() if each.served)):
+            for layer, value in hashes_of_view(scene, view, algorithm):
+                found[f"{path.stem}/{view}/{algorithm}/{layer}"] = value
+    print(f"{path.stem}: {len(found)} hashes", file=sys.stderr, flush=True)
+    return found
+
+
+def all_hashes() -> dict[str, str]:
+    """The hashes of all bundled levels, sorted by name."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
+        levels = list(workers.map(hashes_of_level, bundled_levels()))
+    return dict(sorted((name, value) for found in levels for name, value in found.items()))
+
+
+def main() -> int:
+    """Write the hashes to a file, or compare with those in it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("write", "check"))
+    parser.add_argument("file", type=Path)
+    given = parser.parse_args()
+    found = all_hashes()
+    if given.what == "write":
+        given.file.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+        print(f"{len(found)} hashes written to {given.file}")
+        return 0
+    before = json.loads(given.file.read_text(encoding="utf-8"))
+    differ = [name for name in sorted(before.keys() | found.keys()) if before.get(name) != found.get(name)]
+    for name in differ:
+        print(f"differs: {name}: {before.get(name, 'not there')} before, {found.get(name, 'not there')} now")
+    print(f"{len(found)} hashes, {len(differ)} differ")
+    return 1 if differ else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
