@@ -7,12 +7,12 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from api.selection import WIDTH, spoken
-from selector.device_profile import DeviceProfile, load_profile
+from api.report.plan_words import WIDTH, spoken
+from selector.cost.device_profile import DeviceProfile, load_profile
 from selector.words import duration, percent
-from terrain import gl
 from terrain.errors import GraphicsError
-from terrain.level import Shadows
+from terrain.gl import device as gl
+from terrain.level.level import Shadows
 
 WITHOUT_OPENGL = ("sweep", "truth", "none")
 """Algorithms that leave nothing to predict, and that draw maps without a device."""

@@ -8,8 +8,8 @@ from typing import Any
 from configs import LEVELS_FOLDER
 from selector.select import plan_of_view
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import load_level
-from terrain.picture import imagery_of
+from terrain.gbuffer.picture import imagery_of
+from terrain.level.level import load_level
 from terrain.scene import build_scene
 
 

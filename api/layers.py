@@ -13,7 +13,7 @@ from PIL import Image
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
-from terrain.grid import MapView
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 PictureLayer = Literal["color", "shadow", "mask"]

@@ -1,9 +1,9 @@
 """What algorithms cost and gain, as ratios within one run: absolute milliseconds do not travel from one machine to another.
 
-    python benchmarks/algorithms.py frames [--repeats 30] [--map-size 512] [--json FILE] [--markdown FILE]
-    python benchmarks/algorithms.py cascades [--json FILE] [--markdown FILE]
-    python benchmarks/algorithms.py thesis [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
-    python benchmarks/algorithms.py stencil [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
+    python -m benchmarks.algorithms frames [--repeats 30] [--map-size 512] [--json FILE] [--markdown FILE]
+    python -m benchmarks.algorithms cascades [--json FILE] [--markdown FILE]
+    python -m benchmarks.algorithms thesis [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
+    python -m benchmarks.algorithms stencil [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
 
 `frames` draws the SpatialAce level's perspective view at 800 x 600 with one map of 512 x 512 texels: whole frames
 (``render_frame``), taking turns, medians over those without cast shadows. ``redrawn``: before every frame the sun moves by a
@@ -41,20 +41,20 @@ import numpy as np
 import trimesh
 
 from api.catalogue import find_level
-from selector.compare import drawn_on, measure
-from selector.rules import choose
+from selector.measure.compare import drawn_on, measure
+from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import FILLS, Frame, forget_kept, render_frame
-from shadows.tiles import marked_tiles
-from terrain.antialias import Sampled
-from terrain.camera import PerspectiveView
+from shadows.volumes.tiles import marked_tiles
+from terrain.casters.reach import Casters
 from terrain.descriptor import describe
-from terrain.gl import device
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.reach import Casters
+from terrain.gbuffer.antialias import Sampled
+from terrain.geo.camera import PerspectiveView
+from terrain.gl.device import device
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 SIZE = (800, 600)

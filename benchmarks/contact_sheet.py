@@ -1,6 +1,6 @@
 """Shadow algorithms beside one another: what each draws in some views, and where it is wrong, on one sheet.
 
-    python benchmarks/contact_sheet.py [-o docs/images/algorithms.webp] [--width 400] [--most 1500] [--repeats 3]
+    python -m benchmarks.contact_sheet [-o docs/images/algorithms.webp] [--width 400] [--most 1500] [--repeats 3]
                                        [--columns boxgrid rocks ...] [--rows shadow_map hybrid ...] [--json FILE] [--markdown FILE]
 
 A row an algorithm, a column a view: the picture, and beside it its errors against ray-traced truth, false shadow red, missed shadow
@@ -23,15 +23,15 @@ from typing import Any
 from PIL import Image, ImageDraw, ImageFont
 
 from api.catalogue import find_level
-from selector.compare import false_colours, measure
-from selector.rules import choose
+from selector.measure.compare import false_colours, measure
+from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.camera import PerspectiveView, look_at
 from terrain.descriptor import describe
 from terrain.errors import UnsupportedError
-from terrain.gl import device
-from terrain.grid import MapView
-from terrain.level import load_level
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.grid import MapView
+from terrain.gl.device import device
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"

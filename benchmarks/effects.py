@@ -1,8 +1,8 @@
 """What effects cost, and what leaving them out saves: ratios within one run, for milliseconds do not travel between machines.
 
-    python benchmarks/effects.py levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
-    python benchmarks/effects.py plain [--repeats 5] [--json FILE] [--markdown FILE]
-    python benchmarks/effects.py each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
+    python -m benchmarks.effects levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
+    python -m benchmarks.effects plain [--repeats 5] [--json FILE] [--markdown FILE]
+    python -m benchmarks.effects each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
 
 `levels` draws the bundled levels' main views, and the map where there is relief: the plan's frame against the frame with all
 effects forced on, taking turns. Forced on are those effects that the level's own weather calls for as well as those that it does
@@ -41,16 +41,16 @@ import rasterio
 from affine import Affine
 
 from api.catalogue import bundled_levels, find_level
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.render import SHADING_PASS, bands_of, forget_kept, render_frame
-from terrain.antialias import picture_of
-from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.effects import EFFECTS
-from terrain.gl import device
-from terrain.grid import MapView, blocks_of
-from terrain.level import EffectName, load_level
+from terrain.gbuffer.antialias import picture_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView, blocks_of
+from terrain.gl.device import device
+from terrain.level.level import EffectName, load_level
 from terrain.scene import Scene, build_scene
 from terrain.shading import encoded, shade, sky
 

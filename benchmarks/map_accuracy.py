@@ -1,6 +1,6 @@
 """Accuracy of map views on real rasters: error against truth, per raster and sun, at azimuths off the 45-degree axes.
 
-    python benchmarks/map_accuracy.py FOLDER [--algorithm shadow_map] [--map-size 4096] [--filter 1] [--pixels 400]
+    python -m benchmarks.map_accuracy FOLDER [--algorithm shadow_map] [--map-size 4096] [--filter 1] [--pixels 400]
                                       [--markdown FILE]
 
 Every raster below FOLDER that is a terrain or a surface is drawn at its own resolution (at most ``--pixels`` a side, from its
@@ -18,20 +18,20 @@ from pathlib import Path
 
 import numpy as np
 
-from selector.footprint import texel_footprint_px
-from selector.rules import choose
+from selector.measure.footprint import texel_footprint_px
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import errors_of
 from shadows.passes import PassLog
 from shadows.render import FILLS
-from shadows.truth import truth_of
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
 from terrain.errors import SkuggaError
-from terrain.geometry import map_geometry
-from terrain.gl import device
-from terrain.level import AlgorithmName, load_level
-from terrain.level_parts import SunSpec
-from terrain.reach import casters_of
+from terrain.gbuffer.geometry import map_geometry
+from terrain.gl.device import device
+from terrain.level.level import AlgorithmName, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 SUNS = [(202.0, 60.0), (113.0, 30.0), (67.0, 10.0), (293.0, 3.0)]

@@ -1,7 +1,7 @@
 """Perspective shadow maps beside shadow maps of the same size: errors against truth, and times as ratios within one run.
 
-    python benchmarks/perspective_maps.py errors [LEVEL ...] [--size 640 512] [--map-size 1024] [--filter 3] [--json FILE]
-    python benchmarks/perspective_maps.py times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
+    python -m benchmarks.perspective_maps errors [LEVEL ...] [--size 640 512] [--map-size 1024] [--filter 3] [--json FILE]
+    python -m benchmarks.perspective_maps times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
 
 The levels are those of the thesis unless named, with all their perspective views. `errors`: one map each, the shadow map fitted
 ``tight`` and ``stable``. `times`: the map drawn anew and looked up, the two taking turns; ratios of medians, bytes beside them.
@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 
 from api.catalogue import find_level
-from selector.compare import measure
-from selector.rules import choose
+from selector.measure.compare import measure
+from selector.planner.rules import choose
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import FILLS
-from terrain.camera import PerspectiveView
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
-from terrain.gl import device
-from terrain.level import load_level
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.gl.device import device
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]

@@ -1,7 +1,7 @@
 """Hashes of every layer of every view of the bundled levels: a change that is to change no picture proves it with these.
 
-    python benchmarks/picture_hashes.py write before.json     # on the commit before
-    python benchmarks/picture_hashes.py check before.json     # on the one after: names what differs, exit status 1
+    python -m benchmarks.picture_hashes write before.json     # on the commit before
+    python -m benchmarks.picture_hashes check before.json     # on the one after: names what differs, exit status 1
 
 Each view is drawn by the rules' own plan and by every algorithm that serves it, with all layers that these leave behind; what an
 algorithm refuses is hashed as the words that it refuses with. Two processes, some ten minutes on two cores of llvmpipe.
@@ -23,12 +23,12 @@ import numpy as np
 
 from api.catalogue import bundled_levels
 from api.layers import DataLayer, PictureLayer, layer_of
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.registry import ALGORITHMS
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.errors import SkuggaError
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 AUTO = "auto"

@@ -1,8 +1,8 @@
 """Accuracy of `shadow_map` in the bundled levels' views, and the time and memory of a perspective frame with a million trees.
 
-    python benchmarks/scenes.py accuracy [LEVEL ...] [--size 512x410] [--map-size 4096] [--markdown FILE]
-    python benchmarks/scenes.py trees [--trees 1000000] [--repeats 5]
-    python benchmarks/scenes.py thinning [--trees 1000000]
+    python -m benchmarks.scenes accuracy [LEVEL ...] [--size 512x410] [--map-size 4096] [--markdown FILE]
+    python -m benchmarks.scenes trees [--trees 1000000] [--repeats 5]
+    python -m benchmarks.scenes thinning [--trees 1000000]
 
 `accuracy` holds every view of the levels (default: all bundled ones) against ray-traced truth, for the first light of each.
 `trees` draws two 1280 x 1024 views of 10 x 10 km of hills under one wood: medians, the process's peak memory, the device.
@@ -22,18 +22,18 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-import terrain.stand as stand_module
+import terrain.gbuffer.stand as stand_module
 from api.catalogue import bundled_levels, find_level
-from selector.compare import measure
-from selector.rules import choose
-from shadows.metrics import block_shares, coverage_error
+from selector.measure.compare import measure
+from selector.planner.rules import choose
 from shadows.render import render_frame
-from shadows.truth import ALL_KINDS, lit_from, ray_scene
+from shadows.truth.metrics import block_shares, coverage_error
+from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
-from terrain.gl import device
-from terrain.level import load_level
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.gl.device import device
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 SIDE_M = 10_000.0

@@ -1,8 +1,8 @@
 """Accuracy of the line sweep on real rasters against rays, at azimuths off the 45-degree axes.
 
-    python benchmarks/sweep_accuracy.py FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 8] [--crop 1024]
+    python -m benchmarks.sweep_accuracy FOLDER [--azimuths 24] [--altitudes 3 10 30] [--lines 8] [--crop 1024]
                                         [--processes 2] [--markdown FILE]
-    python benchmarks/sweep_accuracy.py FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
+    python -m benchmarks.sweep_accuracy FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
 Every raster of heights below FOLDER is an array in a flat world: its middle, holes filled as for casting, cells as long and
 wide as at its middle latitude. Truth are rays from the nodes; it is counted where it does not hang on the rays' offset, nor on
@@ -22,18 +22,19 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.metrics import INTERIOR_PX, interior
-from shadows.sweep_grid import sunlit
-from terrain.elevation import Elevation
+from shadows.sweep.grid import sunlit
+from shadows.truth.metrics import INTERIOR_PX, interior
+from terrain.casters.rays import RayScene
 from terrain.errors import SkuggaError
-from terrain.rays import RayScene
-from terrain.world import WGS84
+from terrain.geo.world import WGS84
+from terrain.ground.elevation import Elevation
 
 NO_HEIGHTS = ("landcover", "rgb")
 """Parts of the names of rasters that hold something else."""
 
 LIFT = 1.0 / 8.0
-"""What a node is lifted by, in offsets of ``terrain.rays``: it is a vertex, rounded to float32 just as the triangles are."""
+"""What a node is lifted by, in offsets of ``terrain.casters.rays``: it is a vertex, rounded to float32 just as the triangles are.
+"""
 
 TIE_DEG = 0.01
 """What hangs on so much of the sun's altitude, a fiftieth of its disc, is not counted."""

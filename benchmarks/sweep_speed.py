@@ -1,6 +1,6 @@
 """Speed and wrong cells of the line sweep on fractal mountains, beside the fastest sweep that others offer.
 
-    python benchmarks/sweep_speed.py [--side 4096] [--truth-side 2048] [--lines 8] [--repeats 5] [--markdown FILE]
+    python -m benchmarks.sweep_speed [--side 4096] [--truth-side 2048] [--lines 8] [--repeats 5] [--markdown FILE]
 
 The other one is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
 its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from sweep_accuracy import GridRays, Raster, figures_of
 
-from shadows.sweep_grid import sunlit
+from benchmarks.sweep_accuracy import GridRays, Raster, figures_of
+from shadows.sweep.grid import sunlit
 
 CELL_M = 10.0
 RELIEF_M = 2000.0

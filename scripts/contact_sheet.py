@@ -16,11 +16,11 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from api.catalogue import bundled_levels
 from api.layers import picture_of
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.errors import SkuggaError
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"

@@ -7,14 +7,14 @@ from contextlib import suppress
 from itertools import islice, product
 from typing import Any
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import HybridSettings, LampMapSettings, PerspectiveMapSettings, Plan, Settings, ShadowMapSettings
 from shadows.registry import ALGORITHMS
-from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import UnsupportedError
-from terrain.grid import MapView
-from terrain.level import SUN, AlgorithmName, Level
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN, AlgorithmName, Level
 from terrain.scene import Scene
 
 MOST = 40

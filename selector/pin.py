@@ -23,11 +23,11 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from selector.picks import Wishes
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan, Settings
 from terrain.descriptor import Descriptor
 from terrain.errors import InputError, LevelError
-from terrain.level import SUN
+from terrain.level.level import SUN
 
 SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling", "stencil", "counting", "mask")
 """What of a plan's settings a level can name."""

@@ -8,7 +8,7 @@ from itertools import islice, product
 from selector.picks import Pick
 from selector.serves import SWEPT_M, serves, swept_m
 from terrain.descriptor import Descriptor
-from terrain.level import SUN, AlgorithmName, CasterKind
+from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MOST = 40
 """Picks of a light, at most."""

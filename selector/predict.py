@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from selector.cost_model import predicted_ms
-from selector.device_profile import DeviceProfile
-from selector.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
+from selector.cost.cost_model import predicted_ms
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
 from selector.picks import Pick, Wishes
+from selector.planner.rules import Planner, planner_of
 from selector.portfolio import portfolio
-from selector.rules import Planner, planner_of
 from selector.serves import kinds_of_lights
 from selector.wager import LIKELY, Hope, wagered
 from selector.winning import Figures, Verdict
@@ -19,7 +19,7 @@ from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned, Step, Target
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
-from terrain.level import AlgorithmName, CasterKind
+from terrain.level.level import AlgorithmName, CasterKind
 
 
 @dataclass(frozen=True)

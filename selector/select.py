@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from selector.picks import PolicyName, Wishes
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan, Reasoned
-from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import InputError
-from terrain.grid import MapView
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from selector.device_profile import DeviceProfile
+    from selector.cost.device_profile import DeviceProfile
 
 UNCALIBRATED = "this device is not calibrated for predictions (skugga calibrate does it): the rules decide"
 
@@ -53,7 +53,7 @@ def plan_of_view(
 ) -> Plan:
     """The plan of a scene's view by any policy. Raises as ``select`` does."""
     if policy == "measure":
-        from selector.measuring import measured_plan
+        from selector.measure.measuring import measured_plan
 
         return measured_plan(scene, view, name, overrides)
     return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device)

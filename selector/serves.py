@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.registry import ALGORITHMS, LightKind, Part
+from terrain.casters.reach import longest_shadow_m
 from terrain.descriptor import Descriptor
-from terrain.grid import BLOCK_PX
-from terrain.level import SUN, AlgorithmName, CasterKind
-from terrain.reach import longest_shadow_m
+from terrain.geo.grid import BLOCK_PX
+from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MOST_BEND_PX = 0.25
 """How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""

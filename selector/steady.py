@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from selector.picks import Pick, PolicyName, Wishes
-from selector.rules import choose
+from selector.planner.rules import choose
 from selector.select import select
 from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
@@ -33,7 +33,7 @@ from terrain.descriptor import Descriptor
 from terrain.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from selector.device_profile import DeviceProfile
+    from selector.cost.device_profile import DeviceProfile
 
 GAIN = 0.2
 """Share of the time that a new plan must save ..."""

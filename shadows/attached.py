@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.level import SUN
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import FOREST
+from terrain.level.level import SUN
 from terrain.lights import Lamp
-from terrain.resolve import FOREST
 from terrain.scene import Scene
 
 GRAZING = 2.0**-20

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 from shadows.passes import PassRecord
 from terrain.effects import EFFECTS
-from terrain.level import SUN, EffectName
+from terrain.level.level import SUN, EffectName
 
-FOLIAGE_PARTS = frozenset({"shadows/depth_tree.frag", "shadows/planar_tree.frag"})
+FOLIAGE_PARTS = frozenset({"shadows/maps/depth_tree.frag", "shadows/planar_tree.frag"})
 """Shader parts that draw foliage as a caster."""
 
-DISC_PART = "shadows/sun_disc.frag"
+DISC_PART = "shadows/maps/sun_disc.frag"
 """The shader part that draws the penumbra of the sun's disc."""
 
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.programs import recorded
+from terrain.gl.programs import recorded
 
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
 """Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette
@@ -28,7 +28,7 @@ class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
     and tiles that hold one, and what else there is to say of it; labels of the programs that it drew with, in the order of
-    their first use, and the textures that these can read, by the alphabet (``terrain.programs``).
+    their first use, and the textures that these can read, by the alphabet (``terrain.gl.programs``).
     """
 
     name: str

@@ -18,8 +18,8 @@ view: the shadow ends where the ground does, and a pixel that is covered twice i
 The ground alone receives: points on meshes and trees keep visibility 1 here, and only what is turned away from the light is
 dark there. Level ground itself shades nothing.
 
-**Samples** of a perspective view's pixels (``terrain.antialias``) are pixels of a finer view of the same camera, and are drawn
-as such.
+**Samples** of a perspective view's pixels (``terrain.gbuffer.antialias``) are pixels of a finer view of the same camera, and are
+drawn as such.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ import numpy as np
 from moderngl import Framebuffer
 
 from shadows.attached import lamp_in_frame
-from shadows.map_windows import POSITION_ERROR
+from shadows.maps.windows import POSITION_ERROR
 from shadows.passes import PassLog, PassRecord
-from terrain.antialias import finer_view
-from terrain.camera import PerspectiveView
-from terrain.casting import caster_meshes, caster_trees
-from terrain.clip_space import camera_clip, map_clip
-from terrain.foliage import THRESHOLD, foliage
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device, device
-from terrain.grid import MapView
-from terrain.level import SUN, CasterKind
-from terrain.reach import Casters
-from terrain.resolve import RELIEF
+from terrain.casters.casting import caster_meshes, caster_trees
+from terrain.casters.clip_space import camera_clip, map_clip
+from terrain.casters.reach import Casters
+from terrain.gbuffer.antialias import finer_view
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import RELIEF
+from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.visible import NEAR_M, set_uniforms, shader
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame, World
+from terrain.gl.device import Device, device
+from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
-from terrain.stand import Stand
-from terrain.visible import NEAR_M, set_uniforms, shader
-from terrain.world import LocalFrame, World
+from terrain.trees.foliage import THRESHOLD, foliage
 
 PASSES = ("receivers", "projected casters")
 
@@ -166,12 +166,12 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.once_pass(target, LIT, clip_distances=1):
         if projected.meshes:
-            program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/depth.frag"))
+            program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/maps/depth.frag"))
             set_uniforms(program, uniforms)
             for vertices, triangles in projected.meshes:
                 record.triangles += gl.draw_triangles(program, vertices, triangles)
         if projected.trees is not None:
-            vertex = shader("shadows/planar", "terrain/tree", "shadows/planar_tree.vert")
+            vertex = shader("shadows/planar", "terrain/gbuffer/tree", "shadows/planar_tree.vert")
             program = gl.program(vertex, shader("shadows/planar_tree.frag"))
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": 0.0})
             stand = projected.trees

@@ -6,9 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from shadows import hybrid, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth
+from shadows import planar
+from shadows.hybrid import hybrid
+from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.passes import PassLayer
-from terrain.level import AlgorithmName, CasterKind
+from shadows.sweep import sweep
+from shadows.truth import truth
+from shadows.volumes import shadow_volume
+from terrain.level.level import AlgorithmName, CasterKind
 
 ViewKind = Literal["map", "bent map", "perspective"]
 """``bent map``: one that no camera can see as it is, for the earth and its projection bend it."""

@@ -8,28 +8,34 @@ from functools import cached_property
 
 import numpy as np
 
-from shadows import hybrid, hybrid_maps, perspective_shadow_map, planar, shadow_map, shadow_volume, sweep, truth, volumes
+from shadows import planar
 from shadows.attached import attached
 from shadows.evidence import effects_ran
+from shadows.hybrid import hybrid
+from shadows.hybrid import maps as hybrid_maps
 from shadows.kept_layers import KeptLayers
+from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.sweep_rays import ground_of_level
-from terrain.antialias import Sampled, picture_of
-from terrain.camera import PerspectiveView
+from shadows.sweep import sweep
+from shadows.sweep.rays import ground_of_level
+from shadows.truth import truth
+from shadows.volumes import shadow_volume, volumes
+from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, Block, Stage
 from terrain.effects.haze import hides_beyond_m
 from terrain.errors import InputError, RenderError, UnsupportedError
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device, is_open
-from terrain.grid import MapView, blocks_of
-from terrain.level import SUN, EffectName
-from terrain.reach import Casters, Reach, casters_of, reach_of
+from terrain.gbuffer.antialias import Sampled, picture_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView, blocks_of
+from terrain.geo.world import LocalFrame
+from terrain.gl.device import device, is_open
+from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
 from terrain.shading import albedo_of, encoded, open_sky, shade, sky
-from terrain.world import LocalFrame
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "outside_casters"

@@ -10,14 +10,15 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 from pydantic_core import PydanticCustomError
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from terrain.camera import PerspectiveView
-from terrain.caster_facts import map_pixel_m, slopes_deg, stands_of, trees_of
-from terrain.clip_space import bend_px
+from terrain.casters.clip_space import bend_px
+from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
 from terrain.effects.effect import Fact, Look
 from terrain.effects.lamps import lamp_reaches
-from terrain.elevation import Elevation
-from terrain.facts import (
+from terrain.facts.caster_facts import map_pixel_m, slopes_deg, stands_of, trees_of
+from terrain.facts.light_facts import Seen, facts_of_lights
+from terrain.facts.look import look_at_scene
+from terrain.facts.parts import (
     TEXEL_LADDER_PX,
     AtLeastZero,
     Band,
@@ -32,16 +33,15 @@ from terrain.facts import (
     Slope,
     shares_add_up,
 )
-from terrain.grid import BLOCK_PX, MapView
-from terrain.ground_mesh import ground_mesh
-from terrain.level import SUN, CasterKind
-from terrain.level_parts import Weather
-from terrain.light_facts import Seen, facts_of_lights
-from terrain.look import look_at_scene
-from terrain.reach import overview_on_grid
+from terrain.facts.seen_points import edge_share, ground_points, points_in_look, points_in_map
+from terrain.gbuffer.ground_mesh import ground_mesh
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import step_at_anchor_m
+from terrain.level.level import SUN, CasterKind
+from terrain.level.parts import Weather
 from terrain.scene import Scene
-from terrain.seen_points import edge_share, ground_points, points_in_look, points_in_map
-from terrain.surface import step_at_anchor_m
 
 __all__ = [
     "TEXEL_LADDER_PX", "Band", "CastBand", "CasterFacts", "Casting", "Descriptor", "LampFacts", "LightFacts", "describe",
@@ -65,17 +65,16 @@ def _a_number(fact: Fact) -> Fact:
 class Descriptor(Facts):
     """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
 
-    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its
-    tangent); ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view,
-    of which ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
-    (``terrain.antialias``; 0 in a map).
-    ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights`` what each light does. ``relief_m`` is the
-    range of the ground's heights, the slopes are those of the raster's overview, ``moves`` whether anything does by the clock.
-    ``receivers_light_m`` is the largest extent of a block's receivers in light space: right, up and along the light, metres;
-    ``None`` without a sun. ``bands`` are what a perspective view shows under the sun, by distance. ``highest_sun_deg`` is the sun's
-    largest altitude anywhere over the level. ``bend_px`` is how far a map lies off what a camera could see of it
-    (``terrain.clip_space``). ``tallest_m`` is how far anything rises above its ground. ``facts`` are what effects go by besides, by
-    effect; JSON has no infinity: there it is written as text.
+    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent);
+    ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view, of which
+    ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
+    (``terrain.gbuffer.antialias``; 0 in a map). ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
+    what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
+    ``moves`` whether anything does by the clock. ``receivers_light_m`` is the largest extent of a block's receivers in light
+    space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows under the
+    sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how far a map lies
+    off what a camera could see of it (``terrain.casters.clip_space``). ``tallest_m`` is how far anything rises above its ground.
+    ``facts`` are what effects go by besides, by effect; JSON has no infinity: there it is written as text.
     """
 
     model_config = ConfigDict(ser_json_inf_nan="strings")

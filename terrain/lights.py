@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from terrain.errors import LevelError
-from terrain.level_parts import LightSpec
-from terrain.place import Place
+from terrain.ground.place import Place
+from terrain.level.parts import LightSpec
 
 CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from terrain.elevation import Elevation
-from terrain.facets import creases, face_normals
-from terrain.level import CasterKind, LoadedLevel
-from terrain.solids import Solids
-from terrain.trees import Trees
-from terrain.world import World
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
+from terrain.level.level import CasterKind, LoadedLevel
+from terrain.meshes.facets import creases, face_normals
+from terrain.meshes.solids import Solids
+from terrain.trees.trees import Trees
 
 if TYPE_CHECKING:
-    from terrain.assemble import Placement
+    from terrain.meshes.assemble import Placement
 
 EDGE = 0.8
 """Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
@@ -47,7 +47,7 @@ class Population:
         """The trees, if there are any."""
         if not self.loaded.level.forest:
             return None
-        from terrain.forest import plant  # its libraries take half a second, which levels without trees need not pay
+        from terrain.trees.forest import plant  # its libraries take half a second, which levels without trees need not pay
 
         trees = plant(self.loaded, self.world, self.elevation)
         return trees if trees is not None and len(trees.rank) else None
@@ -57,7 +57,7 @@ class Population:
         """What meshes stand where, whatever the clock says, if there are any."""
         if not self.loaded.level.meshes:
             return None
-        from terrain.assemble import place
+        from terrain.meshes.assemble import place
 
         return place(self.loaded, self.world, self.elevation)
 
@@ -66,7 +66,7 @@ class Population:
         """The meshes, if there are any."""
         if self.placement is None:
             return None
-        from terrain.assemble import solids
+        from terrain.meshes.assemble import solids
 
         placed = solids(self.placement, self.seconds)
         return placed if len(placed.triangles) else None

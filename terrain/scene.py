@@ -11,20 +11,20 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
-from terrain.camera import PerspectiveView, look_at
-from terrain.elevation import Elevation
 from terrain.errors import InputError, LevelError, SourceError
-from terrain.grid import Grid, MapView, map_view
-from terrain.level import SUN, LoadedLevel
-from terrain.level_parts import MapSpec, PerspectiveSpec, SunSpec
-from terrain.light_space import LightSpace, light_space
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.grid import Grid, MapView, map_view
+from terrain.geo.light_space import LightSpace, light_space
+from terrain.geo.sun import Sun, position_at, sun_of
+from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.ground.elevation import Elevation
+from terrain.ground.made_ground import made_ground
+from terrain.ground.place import Place
+from terrain.ground.surface import Surface
+from terrain.level.level import SUN, LoadedLevel
+from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.lights import Lamp, lamp_of
-from terrain.made_ground import made_ground
-from terrain.place import Place
 from terrain.population import Population
-from terrain.sun import Sun, position_at, sun_of
-from terrain.surface import Surface
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
 
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""

@@ -7,10 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.resolve import RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 
 TINT = (

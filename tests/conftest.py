@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
@@ -31,7 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture
 def gl():
     """The process's OpenGL device; a test that leaves an OpenGL error behind fails."""
-    from terrain.gl import device
+    from terrain.gl.device import device
 
     owner = device()
     owner.check("before the test")
@@ -42,7 +42,7 @@ def gl():
 @pytest.fixture(autouse=True)
 def _no_gl_error_left() -> Iterator[None]:
     yield
-    from terrain import gl as module
+    from terrain.gl import device as module
 
     if module._device is not None:
         module._device.check("a test")

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.descriptor import describe
-from terrain.grid import BLOCK_PX, MapView, tile_grid
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from terrain.scene import Scene
 
 

@@ -4,42 +4,38 @@ from __future__ import annotations
 
 import json
 import re
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
+from benchmarks.peers import figures as peer_figures
+from benchmarks.peers.pages import page, short_table
+from benchmarks.seeds import __main__ as seeds
+
 HERE = Path(__file__).parent.parent
 BENCHMARKS, DOCS = HERE / "benchmarks", HERE / "docs"
-
-
-@pytest.fixture
-def script(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    return import_module
 
 
 def kept(name: str) -> dict:
     return json.loads((BENCHMARKS / name).read_text(encoding="utf-8"))
 
 
-def test_the_page_of_the_seeds_is_what_its_script_writes_of_its_figures(script):
-    seeds, figures = script("seeds"), kept("seeds.json")
+def test_the_page_of_the_seeds_is_what_its_script_writes_of_its_figures():
+    figures = kept("seeds/seeds.json")
     assert list(figures) == list(seeds.EXPERIMENTS), "every experiment was made"
     assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.page(figures)
 
 
-def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures(script):
-    figures = script("peer_figures").Comparison.read(kept("peers.json"))
-    assert (DOCS / "peers.md").read_text(encoding="utf-8") == script("peer_pages").page(figures, "images/peers.webp")
-    table = "\n".join(script("peer_pages").short_table(figures))
+def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures():
+    figures = peer_figures.Comparison.read(kept("peers/peers.json"))
+    assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
+    table = "\n".join(short_table(figures))
     assert table in (HERE / "README.md").read_text(encoding="utf-8")
 
 
-def test_no_peer_is_both_faster_and_more_accurate(script):
+def test_no_peer_is_both_faster_and_more_accurate():
     """By either clock, in every raster under every sun and in the means off the axes."""
-    peer_figures = script("peer_figures")
-    figures = peer_figures.Comparison.read(kept("peers.json"))
+    figures = peer_figures.Comparison.read(kept("peers/peers.json"))
     assert len(figures.tools) - sum(tool.ours for tool in figures.tools) >= 5
     for clock in peer_figures.CLOCKS:
         assert peer_figures.unmatched(figures, clock) == []

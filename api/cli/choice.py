@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any, get_args
 
 from api.calibrated import calibration_for
-from api.selection import POLICIES, choices, circumstances, expectation, heading
-from api.snapshot import scene_and_view
+from api.cli.snapshot import scene_and_view
+from api.report.plan_words import POLICIES, choices, circumstances, expectation, heading
 from selector.picks import Asked, PolicyName, Wishes
 from selector.pin import MARK, pin, pinned, pins
-from selector.rules import choose as choose_by_rules
+from selector.planner.rules import choose as choose_by_rules
 from selector.select import plan_of_view
 from shadows.plan import Plan
-from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.errors import InputError, UnsupportedError
-from terrain.grid import MapView
-from terrain.level import override
-from terrain.level_parts import SunSpec
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import override
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 
 

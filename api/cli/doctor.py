@@ -41,7 +41,7 @@ def _package(name: str) -> Finding:
 
 
 def _opengl() -> Finding:
-    from terrain.gl import device
+    from terrain.gl.device import device
 
     try:
         gl = device()
@@ -53,8 +53,8 @@ def _opengl() -> Finding:
 def _drawing() -> Finding:
     """Draw a small known map: the whole path from a level to a frame."""
     from api.catalogue import find_level
-    from api.snapshot import snapshot
-    from terrain.level import SunSpec
+    from api.cli.snapshot import snapshot
+    from terrain.level.level import SunSpec
 
     try:
         sun = SunSpec(azimuth=237, altitude=10)

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import typer
 
-from api import doctor as doctor_checks
 from api.catalogue import bundled_levels, find_level
+from api.cli import doctor as doctor_checks
 from api.errors import exit_status
 from terrain.errors import InputError, SkuggaError
-from terrain.level import parse_algorithm, parse_sun
+from terrain.level.level import parse_algorithm, parse_sun
 
 app = typer.Typer(
     help="Terrain with the sun's true cast shadows.",
@@ -65,7 +65,7 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
     """Serve levels as map tiles over HTTP, with a viewer on /."""
-    from api.app import serve as run
+    from api.http.app import serve as run
     from api.settings import load_settings
 
     given = {"host": host, "port": port, "workers": workers}
@@ -107,8 +107,8 @@ def render(
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
+    from api.cli.snapshot import snapshot, statistics
     from api.layers import PASS_LAYERS, check_suffix, write_layer
-    from api.snapshot import snapshot, statistics
 
     check_suffix(layer, output)
     overrides = _overrides(
@@ -158,8 +158,8 @@ def select(
     seconds: Seconds = None,
 ) -> None:
     """Choose algorithms and settings for a view, and say why."""
-    from api.choice import choose, pin_down, write_descriptor
-    from api.selection import in_words
+    from api.cli.choice import choose, pin_down, write_descriptor
+    from api.report.plan_words import in_words
 
     overrides = _overrides(
         algorithm, filter, max_error=max_error, max_ms=max_ms, map_size=map_size, cascades=cascades, depth_bits=depth_bits,
@@ -180,8 +180,8 @@ def select(
 def calibrate(as_json: AsJson = False) -> None:
     """Measure this device, so that `predict` can tell what shadows will take on it."""
     from api.calibrated import in_words
-    from selector.calibration import calibrate as measure
-    from selector.device_profile import save_profile
+    from selector.cost.calibration import calibrate as measure
+    from selector.cost.device_profile import save_profile
 
     with _progress("Calibrating") as advance:
         profile = measure(advance)
@@ -210,10 +210,10 @@ def compare(
     ] = None,
 ) -> None:
     """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
-    from api.comparison import check_outputs, show, write
-    from api.snapshot import scene_and_view
-    from selector.compare import TIME_LIMIT_S
-    from selector.compare import compare as measure
+    from api.cli.snapshot import scene_and_view
+    from api.report.comparison import check_outputs, show, write
+    from selector.measure.compare import TIME_LIMIT_S
+    from selector.measure.compare import compare as measure
 
     path, sun, shape = find_level(level), parse_sun(time, azimuth, altitude), _size(size)
     check_outputs(output, json_file)

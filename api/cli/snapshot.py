@@ -11,10 +11,10 @@ from api.calibrated import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
-from terrain.camera import PerspectiveView
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 
@@ -53,7 +53,7 @@ def scene_and_view(
 
 def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
     """What ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
-    from terrain import gl
+    from terrain.gl import device as gl
 
     used_gl = gl.is_open()
     return {

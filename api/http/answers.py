@@ -9,7 +9,7 @@ from importlib.metadata import version
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
-from api.jobs import Block, Snapshot
+from api.workers.jobs import Block, Snapshot
 
 VERSION = version("skugga")
 

@@ -14,15 +14,15 @@ from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
-from api.answers import EXPOSED_HEADERS, VERSION
 from api.errors import TooLargeError
-from api.pool import Pool
-from api.render_worker import worker_main
-from api.served import ServedLevels
-from api.service import ClientGoneError, Service
+from api.http import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
+from api.http.answers import EXPOSED_HEADERS, VERSION
+from api.http.served import ServedLevels
+from api.http.service import ClientGoneError, Service
 from api.settings import Settings
-from api.worker_process import WorkerTarget
+from api.workers.pool import Pool
+from api.workers.render_worker import worker_main
+from api.workers.worker_process import WorkerTarget
 
 CLIENT_GONE = 499
 """Status in the access log of a request whose client has gone, as nginx has it; nobody reads it."""

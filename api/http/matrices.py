@@ -11,9 +11,9 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
-from terrain.grid import BLOCK_PX, tile_grid
-from terrain.surface import step_at_anchor_m
-from terrain.world import LONGITUDE_LATITUDE, WGS84, World, transformer
+from terrain.geo.grid import BLOCK_PX, tile_grid
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
+from terrain.ground.surface import step_at_anchor_m
 
 TILE_PX = 256
 BLOCK_TILES = BLOCK_PX // TILE_PX

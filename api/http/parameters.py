@@ -10,12 +10,12 @@ from urllib.parse import urlencode
 from fastapi import Query, Request
 from pydantic import BeforeValidator
 
-from api.jobs import Overrides, PlanOverrides, ServedPolicy
+from api.http.served import SERVED_ALGORITHMS, names_in
 from api.layers import PictureLayer
-from api.served import SERVED_ALGORITHMS, names_in
+from api.workers.jobs import Overrides, PlanOverrides, ServedPolicy
 from shadows.plan import Culling, MapBias
 from terrain.errors import InputError
-from terrain.level import SunSpec, parse_sun
+from terrain.level.level import SunSpec, parse_sun
 from terrain.scene import MAX_PERSPECTIVE_PX
 
 PICTURE_PARAMETERS = (

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse
 
 from api.errors import NotReadyError
-from api.parameters import only
-from api.problems import problem_docs
-from api.service import TheService
+from api.http.parameters import only
+from api.http.problems import problem_docs
+from api.http.service import TheService
 
 router = APIRouter(tags=["health"], dependencies=[Depends(only())])
 

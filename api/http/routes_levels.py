@@ -8,11 +8,11 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
 
-from api.answers import json_answer
-from api.jobs import PictureFormat
-from api.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
-from api.problems import problem_docs
-from api.service import TheService
+from api.http.answers import json_answer
+from api.http.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
+from api.http.problems import problem_docs
+from api.http.service import TheService
+from api.workers.jobs import PictureFormat
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 

@@ -9,22 +9,22 @@ from fastapi import APIRouter, Body, Depends, Query, Request
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
 
-from api.answers import json_answer
 from api.errors import NotServedError
-from api.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
-from api.matrices import matrix_set_of
-from api.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, View, only, plan_wishes, sun_wished
-from api.problems import problem_docs
-from api.served import DEFAULT_MATRIX_SET, ServedLevel
-from api.service import TheService, unless_gone
+from api.http.answers import json_answer
+from api.http.matrices import matrix_set_of
+from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, View, only, plan_wishes, sun_wished
+from api.http.problems import problem_docs
+from api.http.served import DEFAULT_MATRIX_SET, ServedLevel
+from api.http.service import TheService, unless_gone
+from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
 from selector.picks import Asked
 from selector.select import select
 from selector.serves import kinds_of_lights
 from shadows.plan import Plan
 from terrain.descriptor import Descriptor
 from terrain.errors import InputError
-from terrain.level import SUN, Shadows
-from terrain.level_parts import SunSpec
+from terrain.level.level import SUN, Shadows
+from terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
 

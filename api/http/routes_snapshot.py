@@ -6,12 +6,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from api.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.jobs import PictureFormat, Snapshot, SnapshotJob
-from api.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, check_pixels, only, parse_size, wishes
-from api.routes_tiles import PICTURE_DOCS
-from api.service import TheService, unless_gone
-from api.tiles import MEDIA_TYPES, check_format
+from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.http.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, check_pixels, only, parse_size, wishes
+from api.http.routes_tiles import PICTURE_DOCS
+from api.http.service import TheService, unless_gone
+from api.http.tiles import MEDIA_TYPES, check_format
+from api.workers.jobs import PictureFormat, Snapshot, SnapshotJob
 from terrain.errors import InputError
 
 router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)

@@ -8,14 +8,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.errors import NotServedError
-from api.jobs import Block, BlockJob, PictureFormat
-from api.matrices import check_tile, doubles, matrix_set_of, off_data
-from api.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
-from api.problems import problem_docs
-from api.service import Service, TheService, unless_gone
-from api.tiles import MEDIA_TYPES, block_of_tile, check_format, cut, empty_tile, encode
+from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
+from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
+from api.http.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
+from api.http.problems import problem_docs
+from api.http.service import Service, TheService, unless_gone
+from api.http.tiles import MEDIA_TYPES, block_of_tile, check_format, cut, empty_tile, encode
+from api.workers.jobs import Block, BlockJob, PictureFormat
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
     200: {

@@ -11,10 +11,10 @@ from fastapi.responses import FileResponse, HTMLResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from api.served import DEFAULT_MATRIX_SET
-from api.service import TheService
+from api.http.served import DEFAULT_MATRIX_SET
+from api.http.service import TheService
 
-STATIC_FOLDER = Path(__file__).parent / "static"
+STATIC_FOLDER = Path(__file__).parents[1] / "static"
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head><body>

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any, get_args
 
 from api.errors import NotServedError
-from api.jobs import LevelKey
+from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.layers import PictureLayer
-from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
+from api.workers.jobs import LevelKey
 from shadows.registry import ALGORITHMS
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
-from terrain.level import SUN, LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
+from terrain.geo.sun import Sun, sun_of
+from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.level.level import SUN, LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
 from terrain.scene import Scene, build_scene
-from terrain.sun import Sun, sun_of
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
 

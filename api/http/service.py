@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 from starlette.concurrency import run_in_threadpool
 
-from api.pool import Pool
-from api.served import ServedLevel, ServedLevels
+from api.http.served import ServedLevel, ServedLevels
 from api.settings import Settings
+from api.workers.pool import Pool
 
 T = TypeVar("T")
 

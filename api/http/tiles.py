@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 from PIL import Image
 
-from api.jobs import Block
+from api.http.matrices import BLOCK_TILES, TILE_PX
 from api.layers import MASK_NO_SURFACE, encode_picture, picture_of
-from api.matrices import BLOCK_TILES, TILE_PX
+from api.workers.jobs import Block
 from terrain.errors import InputError
 
 MEDIA_TYPES = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}

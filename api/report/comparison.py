@@ -11,15 +11,15 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from api.report import write_report, write_scatter
-from api.summary import in_words
-from selector.compare import Comparison, Row, false_colours
-from selector.rules import choose
+from api.report.report import write_report, write_scatter
+from api.report.summary import in_words
+from selector.measure.compare import Comparison, Row, false_colours
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.errors import InputError
-from terrain.gl import device
-from terrain.level import SUN
+from terrain.gl.device import device
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 

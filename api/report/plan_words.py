@@ -10,9 +10,9 @@ from selector.words import duration, listed, percent
 from shadows.plan import Plan, Reasoned, Settings, Step, Target
 from shadows.registry import ALGORITHMS
 from terrain.effects import EFFECTS
-from terrain.level import SUN
+from terrain.geo.sun import Sun
+from terrain.level.level import SUN
 from terrain.scene import Scene
-from terrain.sun import Sun
 
 WIDTH = 100
 """Characters of a line, at most."""

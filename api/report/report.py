@@ -11,13 +11,13 @@ from string import Template
 
 import numpy as np
 
-from api.report_page.bars import bars, bars_legend, too_long
-from api.report_page.markup import breakable, definitions, script_json, tag
-from api.report_page.pictures import LEVELS, Errors, Pictures, palette, pictures
-from api.report_page.scatter import legend, scatter, still
-from api.report_page.table import GLOSSARY, table
-from api.summary import FLOORS, Figures, casts, in_words, on_front
-from selector.compare import Comparison
+from api.report.page.bars import bars, bars_legend, too_long
+from api.report.page.markup import breakable, definitions, script_json, tag
+from api.report.page.pictures import LEVELS, Errors, Pictures, palette, pictures
+from api.report.page.scatter import legend, scatter, still
+from api.report.page.table import GLOSSARY, table
+from api.report.summary import FLOORS, Figures, casts, in_words, on_front
+from selector.measure.compare import Comparison
 from selector.words import duration, percent
 
 MOST_BYTES = 5_000_000
@@ -81,7 +81,7 @@ def report(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> s
 
 
 def _part(name: str) -> str:
-    return (files("api.report_page") / name).read_text(encoding="utf-8")
+    return (files("api.report.page") / name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from selector.compare import Comparison
+from selector.measure.compare import Comparison
 from selector.words import duration, listed, percent, two_digits
 
 Figures = dict[str, Any]

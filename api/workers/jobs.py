@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict
 from api.errors import OUTCOMES
 from api.layers import PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
-from terrain.level import SunSpec, parse_algorithm
+from terrain.level.level import SunSpec, parse_algorithm
 
 if TYPE_CHECKING:
-    from selector.device_profile import DeviceProfile
+    from selector.cost.device_profile import DeviceProfile
 
 PictureFormat = Literal["png", "webp", "jpg"]
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 
 from api.calibrated import digest_of
 from api.errors import WorkerCrashError
-from api.jobs import Answer, Block, Failure, Job, Result, Snapshot
-from api.render_worker import WorkerConfig, worker_main
 from api.settings import Settings, cores
-from api.worker_process import WorkerProcess, WorkerTarget
+from api.workers.jobs import Answer, Block, Failure, Job, Result, Snapshot
+from api.workers.render_worker import WorkerConfig, worker_main
+from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import ByteCache
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
 
 if TYPE_CHECKING:
-    from selector.device_profile import DeviceProfile
+    from selector.cost.device_profile import DeviceProfile
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""

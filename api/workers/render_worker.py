@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 from morecantile import tms as matrix_sets
 
 from api.calibrated import calibration, digest_of
-from api.jobs import (
+from api.layers import encode_picture, picture_of
+from api.workers.jobs import (
     Answer,
     Block,
     BlockJob,
@@ -36,20 +37,19 @@ from api.jobs import (
     SnapshotJob,
     Tiles,
 )
-from api.layers import encode_picture, picture_of
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.camera import PerspectiveView
+from terrain.casters.slopes import extent_on_grid
 from terrain.descriptor import describe
 from terrain.errors import GraphicsError, RenderError, SkuggaError
-from terrain.grid import BLOCK_PX, Grid, MapView, tile_grid
-from terrain.level import load_level
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.slopes import extent_on_grid
 
 if TYPE_CHECKING:
-    from selector.device_profile import DeviceProfile
+    from selector.cost.device_profile import DeviceProfile
 
 MAX_SCENES = 16
 """Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
@@ -204,7 +204,7 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     """Warm up, say so, then answer jobs until the pipe is closed or an error leaves OpenGL in doubt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
-    from api.warm_up import warm_up
+    from api.workers.warm_up import warm_up
 
     try:
         desk = Desk(warm_up(config.expect_renderer), calibration())

@@ -13,12 +13,12 @@ from rasterio.transform import from_origin
 
 from selector.select import plan_of_view
 from shadows.render import render_frame
-from terrain import gl
 from terrain.errors import GraphicsError
-from terrain.grid import BLOCK_PX, MapView, tile_grid
-from terrain.level import Level, LoadedLevel
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.geo.sun import apparent_position
+from terrain.gl import device as gl
+from terrain.level.level import Level, LoadedLevel
 from terrain.scene import build_scene
-from terrain.sun import apparent_position
 
 CELL_M, CELLS, WALL_M = 30.0, 64, 300.0
 """A plain of 64 x 64 cells with a wall from north to south in its middle."""

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from api.errors import WorkerCrashError
-from api.jobs import Answer, Failure, Job, Ready
-from api.render_worker import WorkerConfig
+from api.workers.jobs import Answer, Failure, Job, Ready
+from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
 
 JOIN_S = 5.0

@@ -1,6 +1,6 @@
 """Masks of cast shadows from Skugga's line sweep beside those of other tools: time, memory, and wrong cells against rays.
 
-    python benchmarks/peers.py [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
+    python -m benchmarks.peers [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
 
 Two rasters, SRTM of the Jacksboro fault and fractal mountains, under three suns on the grid's axes and diagonals and three off
 them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns.
@@ -25,17 +25,17 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from peer_figures import Answer, Comparison, Terrain, Told, Under
-from peer_pages import page, short_table
-from peer_picture import picture
-from peer_tools import Job, Run, Tool, check_pole, tools_of, write_dem
-from sweep_accuracy import GridRays, GridTruth
-from sweep_speed import CELL_M, _processor, mountains
 
-from terrain.bundled import BUNDLED
+from benchmarks.peers.figures import Answer, Comparison, Terrain, Told, Under
+from benchmarks.peers.pages import page, short_table
+from benchmarks.peers.picture import picture
+from benchmarks.peers.tools import Job, Run, Tool, check_pole, tools_of, write_dem
+from benchmarks.sweep_accuracy import GridRays, GridTruth
+from benchmarks.sweep_speed import CELL_M, _processor, mountains
+from terrain.level.bundled import BUNDLED
 
 HERE = Path(__file__).parent
-DOCS = HERE.parent / "docs"
+DOCS = HERE.parents[1] / "docs"
 
 SUNS = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0), (67.0, 3.0)]
 """Azimuth and altitude, degrees: the first three on the grid's axes and diagonals."""

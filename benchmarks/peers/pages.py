@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from claims import table
-from peer_figures import CLOCKS, Comparison, Place, Told, beaten, cases, unmatched
+
+from benchmarks.peers.figures import CLOCKS, Comparison, Place, Told, beaten, cases, unmatched
+from benchmarks.seeds.claims import table
 
 
 def percent(share: float) -> str:
@@ -149,7 +150,7 @@ def page(found: Comparison, image: str) -> str:
     """The page, in Markdown; ``image`` is the picture's address from there."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
-        "Made by `benchmarks/peers.py`, which writes every number and verdict below.",
+        "Made by `benchmarks/peers`, which writes every number and verdict below.",
         f"![Time of computing against wrong cells off the axes, each tool a point]({image})",
         "## The verdict",
         "Is there a peer that is both faster and more accurate? Asked for each of Skugga's rows, of each raster under each sun,\n"

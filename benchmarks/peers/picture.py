@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-from peer_figures import Comparison, Place, Terrain, cases
 from PIL import Image
+
+from benchmarks.peers.figures import Comparison, Place, Terrain, cases
 
 OURS, THEIRS, INK, GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which all eyes tell apart; the shapes of the points differ, too."""

@@ -15,7 +15,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-PROGRAMS = Path(__file__).with_name("peer_programs.py")
+PROGRAMS = Path(__file__).with_name("programs.py")
 
 CRS = "EPSG:32616"
 MIDDLE_M = (500_000.0, 0.0)
@@ -122,7 +122,7 @@ def tools_of(python: str) -> list[Tool]:
         return Tool(
             f"Skugga sweep, {lines} line{'s' * (lines > 1)}",
             "running maximum on lines along the sun's azimuth, between cells",
-            [sys.executable, here, "--version", "skugga", "shadows.sweep_grid"],
+            [sys.executable, here, "--version", "skugga", "shadows.sweep.grid"],
             lambda job: [sys.executable, here, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
             lambda values, job: values > 0,
             ours=True,

@@ -1,6 +1,6 @@
 """The experiments of the texts that Skugga began with, made again: each claim beside what is measured here.
 
-    python benchmarks/seeds.py [EXPERIMENT ...] [--json benchmarks/seeds.json] [--markdown docs/seeds.md] [--write-only]
+    python -m benchmarks.seeds [EXPERIMENT ...] [--json benchmarks/seeds/seeds.json] [--markdown docs/seeds.md] [--write-only]
 
 The texts: J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; a
 bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; figures
@@ -16,21 +16,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-import seeds_advice
-import seeds_bias
-import seeds_depth
-import seeds_grades
-import seeds_map_size
-import seeds_perspective
-import seeds_silhouettes
-import seeds_spatialace
-import seeds_speed
-import seeds_thin
-import seeds_tree
-from claims import Experiment, Figures, markdown
-from seeds_words import SAME, whole_percent
-
-from terrain.gl import device
+from benchmarks.seeds import advice as seeds_advice
+from benchmarks.seeds import bias as seeds_bias
+from benchmarks.seeds import depth as seeds_depth
+from benchmarks.seeds import grades as seeds_grades
+from benchmarks.seeds import map_size as seeds_map_size
+from benchmarks.seeds import perspective as seeds_perspective
+from benchmarks.seeds import silhouettes as seeds_silhouettes
+from benchmarks.seeds import spatialace as seeds_spatialace
+from benchmarks.seeds import speed as seeds_speed
+from benchmarks.seeds import thin as seeds_thin
+from benchmarks.seeds import tree as seeds_tree
+from benchmarks.seeds.claims import Experiment, Figures, markdown
+from benchmarks.seeds.words import SAME, whole_percent
+from terrain.gl.device import device
 
 EXPERIMENTS = {
     "stages": Experiment(seeds_speed.measure_stages, seeds_speed.section_stages),
@@ -53,7 +52,7 @@ HERE = Path(__file__).parent
 
 INTRODUCTION = f"""# The seeds' experiments, made again
 
-Made by `benchmarks/seeds.py`: every number below is the script's. It runs the experiments of the texts that Skugga began with in
+Made by `benchmarks/seeds`: every number below is the script's. It runs the experiments of the texts that Skugga began with in
 the levels built after their scenes, and sets each claim beside what is measured here. Where a finding of its time does not hold on
 today's devices, that is a result too.
 
@@ -67,7 +66,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=", ".join(EXPERIMENTS))
     parser.add_argument("--json", type=Path, default=HERE / "seeds.json", metavar="FILE")
-    parser.add_argument("--markdown", type=Path, default=HERE.parent / "docs" / "seeds.md", metavar="FILE")
+    parser.add_argument("--markdown", type=Path, default=HERE.parents[1] / "docs" / "seeds.md", metavar="FILE")
     parser.add_argument("--write-only", action="store_true")
     given = parser.parse_args()
     if unknown := set(given.experiments) - set(EXPERIMENTS):

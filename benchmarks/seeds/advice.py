@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from algorithms import IN_SHADOW
-from claims import Claim, Figures, Section
-from contact_sheet import view_of
-from seeds_grades import ERROR_SIZE, RIGHT, along_path, errors
-from seeds_times import LIGHTS, ratio, timed
-from seeds_views import beside_truth, bundled
-from seeds_words import (
+
+from benchmarks.algorithms import IN_SHADOW
+from benchmarks.contact_sheet import view_of
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.grades import ERROR_SIZE, RIGHT, along_path, errors
+from benchmarks.seeds.times import LIGHTS, ratio, timed
+from benchmarks.seeds.views import beside_truth, bundled
+from benchmarks.seeds.words import (
     FOUR,
     HYBRID,
     PSM,

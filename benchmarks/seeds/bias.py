@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from claims import Claim, Figures, Section
-from seeds_views import Asked, Held, bundled, held, one_map, settings_of
-from seeds_words import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
 
-from shadows.map_windows import sun_maps
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of
+from benchmarks.seeds.words import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
+from shadows.maps.windows import sun_maps
 from shadows.passes import PassLog
 from shadows.plan import ShadowMapSettings
-from terrain.level import SUN
-from terrain.resolve import RELIEF
+from terrain.gbuffer.resolve import RELIEF
+from terrain.level.level import SUN
 
 LEVELS = {
     "street": ("thesis_street_sun", "main"),
@@ -107,7 +107,7 @@ def _by_formulas(look: Held, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(look: Held, dark: np.ndarray) -> float:
-    """``shadows.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
+    """``shadows.truth.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
     truth = look.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from claims import Claim, Figures, Section
-from seeds_spatialace import ENOUGH
-from seeds_views import Held, held, one_map, scene_of, settings_of, shallow
-from seeds_words import SPATIALACE, at_most, because, percent, whole_percent
 
-from shadows.map_windows import sun_maps
-from shadows.metrics import boundary
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.spatialace import ENOUGH
+from benchmarks.seeds.views import Held, held, one_map, scene_of, settings_of, shallow
+from benchmarks.seeds.words import SPATIALACE, at_most, because, percent, whole_percent
+from shadows.maps.windows import sun_maps
 from shadows.plan import ShadowMapSettings
-from terrain.grid import MapView
-from terrain.level_parts import SunSpec
+from shadows.truth.metrics import boundary
+from terrain.geo.grid import MapView
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 
 BITS = (16, 24, 32)
@@ -163,7 +163,7 @@ def section(figures: Figures) -> Section:
             ),
         ),
         Claim(
-            "shadows/shadow_map.py",
+            "shadows/maps/shadow_map.py",
             "the sun's map of 32 bits is no finer than that of 24",
             f"at most {percent(changed['24', PLANE])} of the cast shadow changes with `{PLANE}`, {percent(changed['24', OFFSET])} "
             f"with `{OFFSET}` (held if at most {percent(NO_FINER)} with either)",

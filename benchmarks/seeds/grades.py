@@ -1,6 +1,6 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its grades (table 2), measured again.
 
-Errors are those against ray-traced truth (``shadows.metrics``).
+Errors are those against ray-traced truth (``shadows.truth.metrics``).
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from functools import cache
 from itertools import permutations
 
 import numpy as np
-from algorithms import RIVALS
-from claims import Claim, Figures, Section
 from scipy.stats import spearmanr
-from seeds_times import LIGHTS, ratio, timed
-from seeds_views import Held, beside_truth, bundled
-from seeds_words import (
+
+from benchmarks.algorithms import RIVALS
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.times import LIGHTS, ratio, timed
+from benchmarks.seeds.views import Held, beside_truth, bundled
+from benchmarks.seeds.words import (
     DRAW,
     FOUR,
     HYBRID,
@@ -33,10 +34,9 @@ from seeds_words import (
     percent,
     whole_percent,
 )
-
-from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
-from terrain.resolve import FOREST
+from terrain.gbuffer.resolve import FOREST
+from terrain.geo.camera import PerspectiveView
 
 ERROR_SIZE = (640, 512)
 

@@ -1,6 +1,6 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 52 and 53 again: map size and cut-off angle.
 
-Every picture is held against ray-traced truth (``shadows.metrics``), with maps of one tap, so that texels are measured, not
+Every picture is held against ray-traced truth (``shadows.truth.metrics``), with maps of one tap, so that texels are measured, not
 filters.
 """
 
@@ -10,14 +10,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from claims import Claim, Figures, Section
-from seeds_pictures import Box, Cell, drawn, write_sheet
-from seeds_views import Held, Variant, found, held, level_of, scene_of
-from seeds_words import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
 
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
+from benchmarks.seeds.views import Held, Variant, found, held, level_of, scene_of
+from benchmarks.seeds.words import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
 from shadows.attached import lamp_in_frame
-from shadows.map_windows import BORDER_TEXELS
-from shadows.metrics import boundary
+from shadows.maps.windows import BORDER_TEXELS
+from shadows.truth.metrics import boundary
 
 FRAME = (1280, 1024)
 """The thesis's own frames."""

@@ -1,7 +1,7 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 54 and 55 again: perspective maps by the light's place.
 
-Every picture is held against ray-traced truth (``shadows.metrics``), with maps of one tap. Some rows are *controls*, an algorithm
-with one idea taken out of it, to find the cause of a difference by experiment.
+Every picture is held against ray-traced truth (``shadows.truth.metrics``), with maps of one tap. Some rows are *controls*, an
+algorithm with one idea taken out of it, to find the cause of a difference by experiment.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from claims import Claim, Figures, Section
-from seeds_pictures import Box, Cell, write_sheet, wrong_in
-from seeds_views import Found, Held, Variant, found, held, level_of, scene_of
-from seeds_words import THESIS, all_of, at_least, at_most, because, factor, percent
 
-from shadows import perspective_shadow_map, post_perspective
-from shadows.post_perspective import PostPerspective
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.views import Found, Held, Variant, found, held, level_of, scene_of
+from benchmarks.seeds.words import THESIS, all_of, at_least, at_most, because, factor, percent
+from shadows.maps import perspective_shadow_map, post_perspective
+from shadows.maps.post_perspective import PostPerspective
 from terrain.scene import Scene
 
 SIZE = (960, 768)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, encoded
 from PIL import Image, ImageDraw, ImageFont
-from seeds_views import Found, Held, Variant
 
-from selector.compare import Row, false_colours
+from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, encoded
+from benchmarks.seeds.views import Found, Held, Variant
+from selector.measure.compare import Row, false_colours
 from shadows.render import forget_kept, render_frame
-from terrain.camera import PerspectiveView
+from terrain.geo.camera import PerspectiveView
 
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
+IMAGES = Path(__file__).parents[2] / "docs" / "images"
 MOST_KB = 200
 
 IN_SHADOW = 0.45

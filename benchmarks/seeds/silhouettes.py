@@ -8,21 +8,21 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from claims import Claim, Figures, Section
-from seeds_times import in_turns
-from seeds_views import Held, bundled, held
-from seeds_words import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
 
-from shadows.edges import Edges, closed_parts, edges_of
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.times import in_turns
+from benchmarks.seeds.views import Held, bundled, held
+from benchmarks.seeds.words import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
 from shadows.passes import PassRecord
 from shadows.plan import VolumeSettings
-from shadows.silhouettes import ALL, FACING, Silhouette, facing, silhouette, turns_of
-from shadows.volume_drawing import count
-from shadows.volume_layers import batches
-from shadows.volumes import MOST_LAYERS, Volumes, light_in_frame, volumes_of
-from terrain.casting import caster_solids
+from shadows.volumes.drawing import count
+from shadows.volumes.edges import Edges, closed_parts, edges_of
+from shadows.volumes.layers import batches
+from shadows.volumes.silhouettes import ALL, FACING, Silhouette, facing, silhouette, turns_of
+from shadows.volumes.volumes import MOST_LAYERS, Volumes, light_in_frame, volumes_of
+from terrain.casters.casting import caster_solids
 from terrain.compiled import compiled
-from terrain.level import SUN
+from terrain.level.level import SUN
 
 LEVELS = ("thesis_street_sun", "thesis_water_tower_sun", "thesis_rocks_sun", "thesis_boxgrid_sun")
 SIZE = (640, 512)

@@ -7,17 +7,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from algorithms import frames_of_sizes
-from claims import Claim, Figures, Section
-from seeds_times import in_turns
-from seeds_views import Asked, Held, bundled, held, one_map, settings_of, shallow
-from seeds_words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 
-from shadows.metrics import block_shares, coverage_error
+from benchmarks.algorithms import frames_of_sizes
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.times import in_turns
+from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of, shallow
+from benchmarks.seeds.words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 from shadows.passes import PassLog
 from shadows.plan import Plan, ShadowMapSettings
 from shadows.render import forget_kept
-from shadows.truth import coverage_truth
+from shadows.truth.metrics import block_shares, coverage_error
+from shadows.truth.truth import coverage_truth
 
 REPEATS = 11
 FRAME = (800, 600)

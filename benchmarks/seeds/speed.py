@@ -1,17 +1,18 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its times and its stencil, measured again.
 
-What `benchmarks/seeds.py` runs as ``stages`` (figure 47, section 7.1 and what chapter 2 says of frames) and ``stencil`` (figure
+What `benchmarks/seeds` runs as ``stages`` (figure 47, section 7.1 and what chapter 2 says of frames) and ``stencil`` (figure
 22), beside ``grades`` and ``advice`` of ``seeds_grades``.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from algorithms import RIVALS, plans_of, shot
-from claims import Claim, Figures, Section
-from seeds_times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, in_turns, medians, ratio, timed
-from seeds_views import bundled
-from seeds_words import (
+
+from benchmarks.algorithms import RIVALS, plans_of, shot
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, in_turns, medians, ratio, timed
+from benchmarks.seeds.views import bundled
+from benchmarks.seeds.words import (
     DRAW,
     FOUR,
     HYBRID,
@@ -34,8 +35,7 @@ from seeds_words import (
     titled,
     whole_percent,
 )
-
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import forget_kept, render_frame
 from terrain.descriptor import describe

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from claims import Claim, Figures, Section
-from seeds_pictures import Box, Cell, write_sheet, wrong_in
-from seeds_views import Variant, bundled, found, held
-from seeds_words import THESIS, all_of, at_least, at_most, because, percent
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.views import Variant, bundled, found, held
+from benchmarks.seeds.words import THESIS, all_of, at_least, at_most, because, percent
 
 FRAME = (1280, 1024)
 """The thesis's own frames."""

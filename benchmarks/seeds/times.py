@@ -11,10 +11,10 @@ from functools import cache
 from typing import TypeVar
 
 import numpy as np
-from algorithms import RIVALS, WAYS, Shot, plans_of, shot, turns
-from claims import Figures
-from seeds_words import FOUR
 
+from benchmarks.algorithms import RIVALS, WAYS, Shot, plans_of, shot, turns
+from benchmarks.seeds.claims import Figures
+from benchmarks.seeds.words import FOUR
 from shadows.plan import Plan
 
 T = TypeVar("T")

@@ -10,15 +10,15 @@ from unittest.mock import patch
 
 import numpy as np
 import trimesh
-from claims import Claim, Figures, Section
-from seeds_pictures import Box, Cell, drawn, write_sheet
-from seeds_thin import MOST_WRONG
-from seeds_views import Level, Variant, found, held, scene_of
-from seeds_words import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
 
-from shadows import volumes
-from shadows.edges import Edges, signed_sums
-from shadows.silhouettes import Silhouette, silhouette
+from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
+from benchmarks.seeds.thin import MOST_WRONG
+from benchmarks.seeds.views import Level, Variant, found, held, scene_of
+from benchmarks.seeds.words import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
+from shadows.volumes import volumes
+from shadows.volumes.edges import Edges, signed_sums
+from shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE = (960, 768)
 TEXELS = 1024

@@ -14,22 +14,22 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from api.catalogue import find_level
-from selector.footprint import texel_footprint_px
-from selector.rules import choose
+from selector.measure.footprint import texel_footprint_px
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import edge_distances, errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Settings
 from shadows.render import FILLS, forget_kept
-from shadows.truth import ALL_KINDS, Truth, lit_from, ray_scene
-from shadows.truth_cache import cached_truth
-from terrain.camera import PerspectiveView
+from shadows.truth.cache import cached_truth
+from shadows.truth.metrics import edge_distances, errors_of
+from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
+from terrain.casters.reach import Casters, casters_of
 from terrain.descriptor import Descriptor, describe
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import SUN, load_level
-from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 
 SAMPLES = 4
@@ -104,7 +104,7 @@ class Held:
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """The figures of ``shadows.metrics.Errors``."""
+        """The figures of ``shadows.truth.metrics.Errors``."""
         return asdict(errors_of(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 

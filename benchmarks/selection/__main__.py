@@ -1,11 +1,11 @@
 """How well the selector chooses: every pick of many views measured, and what each policy takes held against the best of them.
 
-    python benchmarks/selection.py measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
-    python benchmarks/selection.py choose DATA [--folder build/selection]     what the policy `measure` takes; as long again
-    python benchmarks/selection.py describe DATA [--folder build/selection]   descriptors, and what planning takes
-    python benchmarks/selection.py keep [--folder build/selection]            write it all to benchmarks/selection.jsonl
-    python benchmarks/selection.py fit                                        write selector/error_model.json from there
-    python benchmarks/selection.py judge [--write]                            print the tables of docs/selection.md, or write them
+    python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
+    python -m benchmarks.selection choose DATA [--folder build/selection]     what the policy `measure` takes; as long again
+    python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
+    python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
+    python -m benchmarks.selection fit                                        write selector/cost/error_model.json from there
+    python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them
 
 Each goes on where it stopped; `time DATA` times all rows anew, `--again` does again what is done. DATA is the folder of sample
 rasters. The device must be calibrated (`skugga calibrate`).
@@ -19,20 +19,19 @@ import time
 from pathlib import Path
 from typing import Any
 
-from selection_fit import cases_of, fitted
-from selection_measure import chosen, described, measured, timed
-from selection_page import page, with_tables
-from selection_table import read_table, write_table
-from selection_views import Instance, instances
-
-from selector.device_profile import load_profile
-from terrain.gl import device
+from benchmarks.selection.fit import cases_of, fitted
+from benchmarks.selection.measure import chosen, described, measured, timed
+from benchmarks.selection.page import page, with_tables
+from benchmarks.selection.table import read_table, write_table
+from benchmarks.selection.views import Instance, instances
+from selector.cost.device_profile import load_profile
+from terrain.gl.device import device
 
 STEPS = {"measure": "rows", "time": "anew", "choose": "measured", "describe": "plan_ms"}
 """What is done view by view, and the key of a record that says that it was."""
 
-PAGE = Path(__file__).parents[1] / "docs" / "selection.md"
-MODEL = Path(__file__).parents[1] / "selector" / "error_model.json"
+PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
+MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
 
 
 def _rounded(value: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from selector.error_model import (
+from selector.cost.error_model import (
     DECIMATED,
     HALF_A_HIT,
     LEAST,
@@ -27,12 +27,12 @@ from selector.error_model import (
     texel_px_of,
 )
 from selector.picks import Asked
+from selector.planner.rules import planner_of
 from selector.portfolio import portfolio
-from selector.rules import planner_of
 from shadows.plan import PerspectiveMapSettings, Step
 from terrain.descriptor import Descriptor
-from terrain.facts import TEXEL_LADDER_PX
-from terrain.level import SUN, CasterKind, Shadows
+from terrain.facts.parts import TEXEL_LADDER_PX
+from terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
 
@@ -131,7 +131,9 @@ def fitted(cases: Sequence[Case]) -> ErrorModel:
 
 
 class _Terms:
-    """The sum of ``selector.error_model``, taken apart once for many constants: a term for each band of each kind of each step."""
+    """The sum of ``selector.cost.error_model``, taken apart once for many constants: a term for each band of each kind of each
+    step.
+    """
 
     def __init__(self, cases: Sequence[Case]) -> None:
         rows: list[tuple[float, ...]] = []

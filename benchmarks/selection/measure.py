@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from selection_judge import GOALS, instances_of
-from selection_views import Instance
 
+from benchmarks.selection.judge import GOALS, instances_of
+from benchmarks.selection.views import Instance
 from selector.candidates import name_of
-from selector.compare import NO_CAST, compare, drawn_on, run_steps
-from selector.device_profile import load_profile
-from selector.measuring import Wanted, confirmed, measured_rows, winners
+from selector.cost.device_profile import load_profile
+from selector.measure.compare import NO_CAST, compare, drawn_on, run_steps
+from selector.measure.measuring import Wanted, confirmed, measured_rows, winners
+from selector.planner.rules import choose, planner_of
 from selector.portfolio import portfolio
-from selector.rules import choose, planner_of
 from selector.select import select
 from shadows.plan import Plan, Step
 from shadows.render import FILLS
-from terrain.camera import PerspectiveView
 from terrain.descriptor import Descriptor, describe
 from terrain.errors import UnsupportedError
-from terrain.gl import device
-from terrain.grid import MapView
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.gl.device import device
 from terrain.scene import Scene
 
 RUNS = 3

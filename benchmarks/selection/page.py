@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from selection_fit import cases_of
-from selection_judge import GOALS, Instance, Verdict, instances_of, marginal
-from selection_policies import Split, errors_of_time, lateness, splits, verdict
 
-from selector.device_profile import DeviceProfile
+from benchmarks.selection.fit import cases_of
+from benchmarks.selection.judge import GOALS, Instance, Verdict, instances_of, marginal
+from benchmarks.selection.policies import Split, errors_of_time, lateness, splits, verdict
+from selector.cost.device_profile import DeviceProfile
 from selector.words import percent
 
 Figures = dict[str, Any]

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from selection_fit import Case, asked_of, cases_of, fitted
-from selection_judge import Instance, Verdict, instances_of, judged, single_best, stand_in
 
+from benchmarks.selection.fit import Case, asked_of, cases_of, fitted
+from benchmarks.selection.judge import Instance, Verdict, instances_of, judged, single_best, stand_in
 from selector.candidates import name_of
-from selector.cost_model import predicted_ms
-from selector.device_profile import DeviceProfile
-from selector.error_model import ErrorModel
+from selector.cost.cost_model import predicted_ms
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.error_model import ErrorModel
 from selector.predict import predicted_plan
 from terrain.descriptor import Descriptor
-from terrain.level import Shadows
+from terrain.level.level import Shadows
 
 Figures = dict[str, Any]
 Taken = dict[tuple[str, str], str]

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from selector.device_profile import DeviceProfile
+from selector.cost.device_profile import DeviceProfile
 from terrain.descriptor import Descriptor
 
 TABLE = Path(__file__).with_name("selection.jsonl")

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from api.catalogue import find_level
-from terrain.camera import PerspectiveView
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 Family = Literal["thesis, spot", "thesis, sun", "relief, map", "relief, perspective", "wooded, map", "wooded, perspective"]

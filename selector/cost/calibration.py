@@ -15,23 +15,23 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from selector.calibration_scenes import Stage, stages
-from selector.cost_model import MS_PER_NS, part_ms
-from selector.device_profile import DeviceProfile, Residual
-from selector.map_settings import lamp_map_settings, sun_map_settings
-from selector.perspective_settings import perspective_map_settings
+from selector.cost.calibration_scenes import Stage, stages
+from selector.cost.cost_model import MS_PER_NS, part_ms
+from selector.cost.device_profile import DeviceProfile, Residual
+from selector.cost.work import Counts, work_of
+from selector.planner.map_settings import lamp_map_settings, sun_map_settings
+from selector.planner.perspective_settings import perspective_map_settings
+from selector.planner.volume_settings import hybrid_settings, volume_settings
 from selector.serves import serves
-from selector.volume_settings import hybrid_settings, volume_settings
-from selector.work import Counts, work_of
 from shadows.passes import PassLog
 from shadows.plan import Settings, Step, SweepSettings, TruthSettings
 from shadows.render import FILLS, forget_kept
-from terrain.antialias import picture_of
+from terrain.casters.reach import Casters, casters_of
 from terrain.descriptor import Descriptor, describe
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device
-from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
-from terrain.reach import Casters, casters_of
+from terrain.gbuffer.antialias import picture_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gl.device import device
+from terrain.level.level import SUN, AlgorithmName, CasterKind, Shadows
 from terrain.scene import Scene
 
 TURNS = 3

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from terrain.camera import PerspectiveView
-from terrain.grid import MapView
-from terrain.level import CasterKind, load_level
-from terrain.made_ground import ENGINEERING
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.made_ground import ENGINEERING
+from terrain.level.level import CasterKind, load_level
 from terrain.scene import Scene, build_scene
 
 FLOOR: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}

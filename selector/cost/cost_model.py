@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from selector.device_profile import DeviceProfile
-from selector.work import Counts, work_of
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.work import Counts, work_of
 from shadows.plan import Settings
 from terrain.descriptor import Descriptor
 from terrain.errors import InputError
-from terrain.level import AlgorithmName, CasterKind
+from terrain.level.level import AlgorithmName, CasterKind
 
 MS_PER_NS = 1e-6
 
@@ -40,7 +40,7 @@ def predicted_parts_ms(
     algorithm: AlgorithmName,
     settings: Settings | None,
 ) -> dict[str, float]:
-    """The same by part of the work (``selector.work``). Raises ``InputError`` for a part that the profile knows nothing of."""
+    """The same by part of the work (``selector.cost.work``). Raises ``InputError`` for a part that the profile knows nothing of."""
     work = work_of(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:

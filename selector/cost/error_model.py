@@ -14,7 +14,7 @@ exact but for a floor, which is a high one where a perspective view's ground is 
 How far off all this is, is part of it: the logarithm of an error scatters about what is expected with a logistic distribution,
 whose scale is fitted, too, and from which the chance follows that a target is missed.
 
-The constants are fitted to measured views by `benchmarks/selection.py`.
+The constants are fitted to measured views by `benchmarks/selection`.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from selector.task import is_decimated
+from selector.cost.task import is_decimated
 from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import Descriptor
-from terrain.facts import TEXEL_LADDER_PX, CastBand, Casting
-from terrain.level import SUN, AlgorithmName, CasterKind
-from terrain.probes import PROBES
+from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting
+from terrain.facts.probes import PROBES
+from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 UNKNOWN = Casting(
     share=0.1,
@@ -69,7 +69,7 @@ MANNERS: tuple[Manner, ...] = (*ALGORITHMS, DECIMATED)
 
 @dataclass(frozen=True)
 class Errors:
-    """Expected shares, as ``shadows.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
+    """Expected shares, as ``shadows.truth.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
     ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
     """
 
@@ -126,7 +126,7 @@ class ErrorModel(BaseModel):
 @lru_cache(maxsize=1)
 def fitted() -> ErrorModel:
     """The constants that come with the package."""
-    return ErrorModel.model_validate_json(files("selector").joinpath("error_model.json").read_text(encoding="utf-8"))
+    return ErrorModel.model_validate_json(files("selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
 
 
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> Errors:

@@ -11,10 +11,10 @@ import numpy as np
 
 from selector.serves import kinds_of_lights
 from shadows.registry import LightKind
-from terrain.antialias import SIDE, samples_per_pixel
 from terrain.descriptor import CasterFacts, Descriptor, LightFacts
-from terrain.ground_mesh import WHOLE_TRIANGLES
-from terrain.level import SUN, CasterKind
+from terrain.gbuffer.antialias import SIDE, samples_per_pixel
+from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from terrain.level.level import SUN, CasterKind
 
 DENSEST = 0.98
 """No wood is taken to stop a larger share of the light."""

@@ -2,7 +2,7 @@
 
 The counts of each part of an algorithm (named after the algorithm, or after what several share, and after the kind of view or
 light where the work is another one) are of things that take the same time whatever the scene, as far as may be: a device's time is
-the sum of counts times its rates (``selector.cost_model``). Counts of a map view are those of one block.
+the sum of counts times its rates (``selector.cost.cost_model``). Counts of a map view are those of one block.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from math import ceil
 
 import numpy as np
 
-from selector.task import Task
-from shadows.map_windows import BORDER_TEXELS, POSITION_ERROR, SIZE_STEP
+from selector.cost.task import Task
+from shadows.maps.windows import BORDER_TEXELS, POSITION_ERROR, SIZE_STEP
 from shadows.plan import (
     HybridSettings,
     LampMapSettings,
@@ -24,12 +24,12 @@ from shadows.plan import (
     TruthSettings,
     VolumeSettings,
 )
-from shadows.sweep import STRIPS
-from shadows.tiles import LEAST_TILES, RECTANGLE_FACES, TILE_PX
-from terrain.clip_space import PART_PX
+from shadows.sweep.sweep import STRIPS
+from shadows.volumes.tiles import LEAST_TILES, RECTANGLE_FACES, TILE_PX
+from terrain.casters.clip_space import PART_PX
+from terrain.casters.reach import PATCH_QUADS
 from terrain.descriptor import TEXEL_LADDER_PX, Descriptor
-from terrain.level import SUN, AlgorithmName, CasterKind
-from terrain.reach import PATCH_QUADS
+from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MARKED_LAYERS = 50.0
 """How many layers drawn in all of the picture take the time of one drawn in marked pixels only: few fill a rectangle there."""
@@ -113,7 +113,7 @@ def _maps(task: Task, settings: ShadowMapSettings | LampMapSettings | Perspectiv
 
 
 def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> list[tuple[float, float]]:
-    """Texels of each of a sun's maps and its area across the light, square metres, as ``shadows.map_windows`` lays them."""
+    """Texels of each of a sun's maps and its area across the light, square metres, as ``shadows.maps.windows`` lays them."""
     spans_m = []
     if descriptor.bands:
         near_m = 0.0

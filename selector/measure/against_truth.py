@@ -8,19 +8,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from selector.footprint import texel_footprint_px
+from selector.measure.footprint import texel_footprint_px
 from shadows.attached import attached
-from shadows.metrics import BLOCK_PX as COVERAGE_PX
-from shadows.metrics import Errors, block_shares, coverage_error, errors_of
 from shadows.plan import Step
 from shadows.render import bands_of
-from shadows.truth import Truth, coverage_truth
-from shadows.truth_cache import cached_truth
-from terrain.camera import PerspectiveView
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView, blocks_of
-from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
+from shadows.truth.cache import cached_truth
+from shadows.truth.metrics import BLOCK_PX as COVERAGE_PX
+from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
+from shadows.truth.truth import Truth, coverage_truth
+from terrain.casters.reach import Casters, casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView, blocks_of
 from terrain.scene import Scene
 
 View = MapView | PerspectiveView

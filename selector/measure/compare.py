@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from selector.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from selector.candidates import candidates, name_of
-from shadows import truth as truth_module
-from shadows.metrics import errors_of
+from selector.measure.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step
 from shadows.render import FILLS, bands_of, forget_kept
-from terrain.antialias import Sampled, picture_of
+from shadows.truth import truth as truth_module
+from shadows.truth.metrics import errors_of
+from terrain.casters.reach import Casters, casters_of
 from terrain.descriptor import describe
 from terrain.errors import InputError
-from terrain.grid import MapView, blocks_of
-from terrain.level import SUN
-from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
+from terrain.gbuffer.antialias import Sampled, picture_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView, blocks_of
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")

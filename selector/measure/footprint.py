@@ -7,11 +7,11 @@ from functools import lru_cache
 import numpy as np
 
 from shadows.attached import attached, lamp_in_frame
-from shadows.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_map
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
-from terrain.camera import PerspectiveView
-from terrain.casting import caster_trees
-from terrain.geometry import GeometryBuffer
+from terrain.casters.casting import caster_trees
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 
 

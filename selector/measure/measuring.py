@@ -1,7 +1,7 @@
 """The policy ``measure``: a short list of candidates, drawn on the view with fewer pixels, held against truth; the winner is taken.
 
-Errors are those of the full view's pixels (``selector.thinned``), but for chance, and times are drawn out from two thinned views.
-So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
+Errors are those of the full view's pixels (``selector.measure.thinned``), but for chance, and times are drawn out from two
+thinned views. So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from selector.against_truth import View
+from selector.measure.against_truth import View
+from selector.measure.trials import Candidate, Probe, Trial, part_of, probe_of
 from selector.picks import Pick, Wishes
+from selector.planner.rules import choose
 from selector.portfolio import portfolio
-from selector.rules import choose
-from selector.trials import Candidate, Probe, Trial, part_of, probe_of
 from selector.winning import Figures, Verdict, best, overshoot
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned
 from terrain.descriptor import Descriptor, describe
-from terrain.level import AlgorithmName, CasterKind, Shadows, override
+from terrain.level.level import AlgorithmName, CasterKind, Shadows, override
 from terrain.scene import Scene
 
 UNSURE = 1.5
@@ -71,7 +71,7 @@ def measured_plan(
     work goes on. What the level or the request asks for is kept: only the rest is chosen.
 
     Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
-    ``UnsupportedError`` as ``selector.rules.choose`` does, ``RenderError`` where a candidate fails.
+    ``UnsupportedError`` as ``selector.planner.rules.choose`` does, ``RenderError`` where a candidate fails.
     """
     wishes = wishes or scene.loaded.level
     wanted = Wanted.of(override(wishes.shadows, overrides or {}))

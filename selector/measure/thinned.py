@@ -13,21 +13,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.against_truth import View, ViewTruth
-from selector.footprint import texel_footprint_px
-from shadows.metrics import INTERIOR_PX, from_edges_px
+from selector.measure.against_truth import View, ViewTruth
+from selector.measure.footprint import texel_footprint_px
 from shadows.plan import Step
-from shadows.truth import Truth
-from terrain.camera import PerspectiveView
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.picture import geometry_of
+from shadows.truth.metrics import INTERIOR_PX, from_edges_px
+from shadows.truth.truth import Truth
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Figures of ``shadows.metrics.Errors``; ``spread`` is the standard error of ``wrong_cast``."""
+    """Figures of ``shadows.truth.metrics.Errors``; ``spread`` is the standard error of ``wrong_cast``."""
 
     wrong: float
     wrong_cast: float

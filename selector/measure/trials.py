@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.against_truth import ErrorName, View, ViewTruth, joined_truth, truth_of_parts, truth_of_view
+from selector.measure.against_truth import ErrorName, View, ViewTruth, joined_truth, truth_of_parts, truth_of_view
+from selector.measure.thinned import ThinTruth, thin_truth, thinned
 from selector.picks import Pick
-from selector.thinned import ThinTruth, thin_truth, thinned
 from selector.winning import Figures
 from shadows.plan import Plan, Step
 from shadows.render import REFRACTION_PASS, Frame, bands_of, forget_kept, render_frame
-from terrain.camera import PerspectiveView
 from terrain.effects.haze import hides_beyond_m
-from terrain.grid import BLOCK_PX, MapView, blocks_of
-from terrain.level import SUN
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 PIXELS = 80_000

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from selector.advice_rules import RULES, Case
 from selector.picks import Pick
+from selector.planner.advice_rules import RULES, Case
 from selector.serves import kinds_of_lights, serves
 from terrain.descriptor import Descriptor
-from terrain.level import AlgorithmName, Shadows
+from terrain.level.level import AlgorithmName, Shadows
 
 FALLBACK: AlgorithmName = "shadow_map"
 """What is taken where no rule speaks."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from selector.serves import SWEPT_M, swept_m
 from terrain.descriptor import Descriptor
-from terrain.facts import CasterFacts, LampFacts, LightFacts
-from terrain.level import SUN, AlgorithmName, CasterKind, Shadows
+from terrain.facts.parts import CasterFacts, LampFacts, LightFacts
+from terrain.level.level import SUN, AlgorithmName, CasterKind, Shadows
 
 MAPS_ERROR = 0.006
 """Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as

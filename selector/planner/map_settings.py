@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from shadows.map_windows import BORDER_TEXELS
+from shadows.maps.windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
 from terrain.descriptor import Band, Descriptor, LampFacts
 from terrain.errors import UnsupportedError
-from terrain.level import Shadows
+from terrain.level.level import Shadows
 
 TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from shadows.plan import PerspectiveMapSettings, Reasoned
 from terrain.descriptor import Descriptor
 from terrain.errors import UnsupportedError
-from terrain.level import SUN, Shadows
+from terrain.level.level import SUN, Shadows
 
 AUTO_SIZE = 1024
 """Texels a side, unless the level says otherwise: they go where the eye sees them, so that few do."""

@@ -9,12 +9,12 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from selector.advice import advised
-from selector.map_settings import lamp_map_settings, sun_map_settings
-from selector.perspective_settings import perspective_map_settings
 from selector.picks import Pick, Wishes
+from selector.planner.advice import advised
+from selector.planner.map_settings import lamp_map_settings, sun_map_settings
+from selector.planner.perspective_settings import perspective_map_settings
+from selector.planner.volume_settings import hybrid_settings, volume_settings
 from selector.serves import kinds_of_lights, parts_of
-from selector.volume_settings import hybrid_settings, volume_settings
 from shadows.passes import PassLog
 from shadows.plan import Plan, Reasoned, Settings, Step, SweepSettings, Target, TruthSettings, steps_of
 from shadows.registry import ALGORITHMS, Part, able
@@ -23,7 +23,7 @@ from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
+from terrain.level.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
 
 SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
 """What can be asked for besides an algorithm and a target."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from selector.map_settings import lamp_map_settings, sun_map_settings
+from selector.planner.map_settings import lamp_map_settings, sun_map_settings
 from shadows.plan import HybridSettings, Reasoned, VolumeSettings
 from terrain.descriptor import Descriptor
-from terrain.level import SUN, Shadows
+from terrain.level.level import SUN, Shadows
 
 HYBRID_TEXELS = 768
 """Texels a side of a hybrid's map, unless the level says otherwise: it need not be fine, since volumes decide at edges."""

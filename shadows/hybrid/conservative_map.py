@@ -44,7 +44,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.conservative_raster import certain_depths
+from shadows.hybrid.conservative_raster import certain_depths
 from terrain.compiled import compiled
 
 LIT, SHADED, MASKED = 255, 0, 128

@@ -1,12 +1,12 @@
 """`hybrid`: a small map decides where it can, and shadow volumes where it cannot (E. Chan and F. Durand, An Efficient Hybrid Shadow
 Rendering Algorithm, Eurographics Symposium on Rendering 2004).
 
-Volumes are drawn only in rectangles of tiles that hold marked pixels (``shadows.tiles``), which saves their time, and count only in
-marked pixels, by a bit of the stencil, which makes that exact.
+Volumes are drawn only in rectangles of tiles that hold marked pixels (``shadows.volumes.tiles``), which saves their time, and
+count only in marked pixels, by a bit of the stencil, which makes that exact.
 
 **Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
 thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which
-``shadows.conservative_map`` proves that volumes would say what the map says: no caster is too thin for it.
+``shadows.hybrid.conservative_map`` proves that volumes would say what the map says: no caster is too thin for it.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.attached import attached
-from shadows.hybrid_maps import MASKED, SHADED, decided, pictures
-from shadows.map_drawing import draw_map
-from shadows.map_lookup import look_up
-from shadows.map_windows import lamp_map, sun_maps
+from shadows.hybrid.maps import MASKED, SHADED, decided, pictures
+from shadows.maps.drawing import draw_map
+from shadows.maps.lookup import look_up
+from shadows.maps.shadow_map import depths
+from shadows.maps.windows import lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import HybridSettings, ShadowMapSettings
-from shadows.shadow_map import depths
-from shadows.tiles import marked_tiles
-from shadows.volume_drawing import count, faces_before
-from shadows.volumes import light_in_frame, volumes_of
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device
-from terrain.level import CasterKind
-from terrain.reach import Casters
+from shadows.volumes.drawing import count, faces_before
+from shadows.volumes.tiles import marked_tiles
+from shadows.volumes.volumes import light_in_frame, volumes_of
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gl.device import device
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
 
 PASSES = ("silhouettes", "map", "mask", "stencil")

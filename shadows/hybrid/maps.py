@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.conservative_map import (
+from shadows.hybrid.conservative_map import (
     LIT,
     MASKED,
     SHADED,
@@ -19,13 +19,13 @@ from shadows.conservative_map import (
     decide,
 )
 from shadows.kept_layers import beside_one_another
-from shadows.map_windows import CUBE, POSITION_ERROR
+from shadows.maps.windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
-from shadows.volumes import Volumes, light_in_frame
+from shadows.volumes.volumes import Volumes, light_in_frame
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.level import SUN, CasterKind
-from terrain.resolve import MESHES
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import MESHES
+from terrain.level.level import SUN, CasterKind
 from terrain.same import Same
 from terrain.scene import Scene
 

@@ -8,20 +8,20 @@ from contextlib import nullcontext
 import numpy as np
 from moderngl import Framebuffer
 
-from shadows.map_windows import DepthMap
+from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
 from shadows.plan import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from terrain.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
-from terrain.foliage import THRESHOLD, foliage
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device
-from terrain.level import CasterKind
-from terrain.reach import Casters
+from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.visible import set_uniforms, shader
+from terrain.gl.device import Device
+from terrain.ground.surface import sheet_triangles
+from terrain.level.level import CasterKind
 from terrain.same import Same
 from terrain.scene import Scene
-from terrain.stand import Stand
-from terrain.surface import sheet_triangles
-from terrain.visible import set_uniforms, shader
+from terrain.trees.foliage import THRESHOLD, foliage
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 
@@ -54,12 +54,12 @@ def draw_map(
     width, height = drawn.size
     across, down = (3, 2) if len(drawn.faces) == 6 else (1, 1)
     target = gl.depth_target(width * across, height * down, drawn.depth_bits)
-    solid = gl.program(shader(drawn.shaders[0], "shadows/depth.vert"), shader("shadows/depth.frag"))
+    solid = gl.program(shader(drawn.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(solid, drawn.uniforms)
     trees = _trees_drawn(drawn)
     if trees is not None:
-        vertex = shader(drawn.shaders[0], "terrain/tree", "shadows/depth_tree.vert")
-        leaves = gl.program(vertex, shader("shadows/depth_tree.frag"))
+        vertex = shader(drawn.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
+        leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
         set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
     largest = 0
     offset = tuple(settings.bias_scale * part for part in POLYGON_OFFSET) if settings.bias == "polygon_offset" else (0.0, 0.0)

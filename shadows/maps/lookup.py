@@ -8,15 +8,15 @@ from contextlib import contextmanager
 import numpy as np
 from moderngl import Framebuffer, Program
 
-from shadows.map_drawing import MapSettings
-from shadows.map_windows import DepthMap
+from shadows.maps.drawing import MapSettings
+from shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
+from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
-from shadows.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device
-from terrain.grid import MapView
-from terrain.visible import set_uniforms, shader
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.visible import set_uniforms, shader
+from terrain.geo.grid import MapView
+from terrain.gl.device import Device
 
 LOOK_COLS, LOOK_ROWS = 2048, 384
 """Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
@@ -78,7 +78,7 @@ def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | s
         # Beside known triangles there are fewer: a point moved far clear of its own misses what touches it.
         "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps,
     }  # fmt: skip
-    fragment = shader(drawn.shaders[1], "shadows/sun_disc.frag" if disc else "shadows/shadow_map.frag")
+    fragment = shader(drawn.shaders[1], "shadows/maps/sun_disc.frag" if disc else "shadows/maps/shadow_map.frag")
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)
     set_uniforms(program, {
         **drawn.uniforms, "map_size": drawn.size, "bias_scale": settings.bias_scale,
@@ -102,7 +102,7 @@ def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer, settings: Ma
     if settings.filter != "sun":
         yield
         return
-    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/least_depth.frag"))
+    program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
     set_uniforms(program, {"depth_map": MAP_UNIT, "block_texels": BLOCK_TEXELS})
     target.depth_attachment.use(MAP_UNIT)
     width, height = drawn.size

@@ -1,6 +1,6 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``shadows.post_perspective`` derives the map's matrix P and why no caster is lost. Here it is fitted, drawn, and looked up.
+``shadows.maps.post_perspective`` derives the map's matrix P and why no caster is lost. Here it is fitted, drawn, and looked up.
 
 **Window.** P is chosen by a sample of the receivers (what is seen and not turned away from the light) and then fitted to all of
 them: x and y to the map but for a border, in which the bias and the taps move; depth from before the nearest receiver, by twice
@@ -17,10 +17,11 @@ by W_k is 1) lies at (x, y, z) + sum of c_k (X_k, Y_k, Z_k), so that the weights
 
     c = (X cross Y + dx Y cross W + dy W cross X) / ((X cross Y).W).
 
-The texel's centre falls into the triangle if all are at least 0, corners behind the horizon included, and the depth there is
-z + c.Z: exactly what the map holds unless something else is nearer. As in ``shadows.shadow_map`` it is compared as it is. Only the
-rasteriser's grid of 1/256 texel, the float32 of positions and half a depth step are taken off; where the light grazes the triangle,
-at most the range of its corners' depths. The sum of the weights is 1/w there: nearer to the horizon errors grow with its square.
+The texel's centre falls into the triangle if all are at least 0, corners behind the horizon included, and the depth there is z +
+c.Z: exactly what the map holds unless something else is nearer. As in ``shadows.maps.shadow_map`` it is compared as it is. Only
+the rasteriser's grid of 1/256 texel, the float32 of positions and half a depth step are taken off; where the light grazes the
+triangle, at most the range of its corners' depths. The sum of the weights is 1/w there: nearer to the horizon errors grow with
+its square.
 
 *Beside them* the receiver is moved along its unit normal n. Let r and u be the steps in the frame that move it by a texel right
 and up at the same depth in the map: two columns of the inverse of the Jacobian J = (P_3x3 - (x, y, z) P_w) / w at p, so texels
@@ -36,7 +37,7 @@ is enough at every slope. ``bias_scale`` multiplies it, and what the depth on th
 The error that float32 makes of a position is taken as 16 units in the last place of the triangle's largest coordinate, not of the
 scene's: what is near the eye is near the frame's origin, too.
 
-Taps, their weights, kept maps and foliage are as in ``shadows.shadow_map``. A uniform map is put on record with the reason.
+Taps, their weights, kept maps and foliage are as in ``shadows.maps.shadow_map``. A uniform map is put on record with the reason.
 """
 
 from __future__ import annotations
@@ -44,23 +45,23 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.attached import attached
-from shadows.map_drawing import draw_map
-from shadows.map_lookup import look_up
-from shadows.map_windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
+from shadows.maps.drawing import draw_map
+from shadows.maps.lookup import look_up
+from shadows.maps.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, projected, uniform_matrix
+from shadows.maps.shadow_map import depths
+from shadows.maps.windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, projected, uniform_matrix
-from shadows.shadow_map import depths
-from terrain.camera import PerspectiveView
-from terrain.casting import anything_casts, caster_trees
+from terrain.casters.casting import anything_casts, caster_trees
+from terrain.casters.reach import Casters
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device
-from terrain.level import SUN, CasterKind
-from terrain.light_space import light_bounds
-from terrain.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.stand import Stand
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.light_space import light_bounds
+from terrain.gl.device import device
+from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
-from terrain.stand import Stand
 
 PASSES = ("depth map", "visibility")
 
@@ -155,7 +156,7 @@ def perspective_map(
         turned = scene.light.from_frame(buffer.frame)
         first, last = light_bounds(buffer.position_frame_m, receivers, *turned)
         reach = *turned, first, last
-    shaders = "shadows/perspective_light", "shadows/perspective_receiver"
+    shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
     return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), found.note
 
 

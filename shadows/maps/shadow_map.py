@@ -11,7 +11,7 @@ That is the fit ``stable``: whole-pixel shifts of a view change no texel. With `
 of this block's receivers, as finely as the map's size allows (never more coarsely than the stable ones), and move with the view.
 
 **Kept maps.** A perspective view's map that was drawn from the very same geometry, light, window and settings is looked up again
-(``terrain.depth_targets`` says how many are held). Map views' are not: their blocks' pictures are kept instead.
+(``terrain.gl.depth_targets`` says how many are held). Map views' are not: their blocks' pictures are kept instead.
 
 **Cascades.** In perspective there may be several maps, each for the receivers at some distances from the eye, with texels of
 its own. A point belongs to one of them alone.
@@ -80,17 +80,17 @@ from __future__ import annotations
 import numpy as np
 from moderngl import Framebuffer
 
-from shadows.map_drawing import draw_map
-from shadows.map_lookup import look_up
-from shadows.map_windows import DepthMap, lamp_map, sun_maps
+from shadows.maps.drawing import draw_map
+from shadows.maps.lookup import look_up
+from shadows.maps.sun_disc import nearest_caster_m
+from shadows.maps.windows import DepthMap, lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import LampMapSettings, ShadowMapSettings
-from shadows.sun_disc import nearest_caster_m
-from terrain.casting import anything_casts, caster_trees
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device, device
-from terrain.level import CasterKind
-from terrain.reach import Casters
+from terrain.casters.casting import anything_casts, caster_trees
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gl.device import Device, device
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")

@@ -6,13 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.casting import caster_meshes, caster_sheets
-from terrain.geometry import GeometryBuffer
-from terrain.level import CasterKind
-from terrain.reach import Casters
+from terrain.casters.casting import caster_meshes, caster_sheets
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.stand import Stand
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
-from terrain.stand import Stand
-from terrain.sun import SUN_RADIUS_DEG
 
 DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 """Half the disc's width at distance 1."""

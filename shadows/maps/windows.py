@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.attached import attached
+from shadows.maps.sun_disc import border_texels
 from shadows.plan import Cascade, LampMapSettings, ShadowMapSettings
-from shadows.sun_disc import border_texels
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device
-from terrain.grid import MapView
-from terrain.light_space import light_bounds
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.stand import Stand
+from terrain.geo.grid import MapView
+from terrain.geo.light_space import light_bounds
+from terrain.gl.device import device
 from terrain.lights import Lamp
 from terrain.scene import Scene
-from terrain.stand import Stand
 
 BORDER_TEXELS = 12
 """Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
@@ -43,7 +43,7 @@ class DepthMap:
     perspective the points that it is for (flat indices).
 
     ``shaders`` are those of the light's clip space and of what is held against the map. ``reach`` bounds the trees that matter
-    (rotation, translation, low, high: as ``terrain.casting.trees_in_the_way`` takes them); ``None``: all of them do.
+    (rotation, translation, low, high: as ``terrain.casters.casting.trees_in_the_way`` takes them); ``None``: all of them do.
     """
 
     uniforms: dict
@@ -53,7 +53,7 @@ class DepthMap:
     trees: Stand | None
     pixels: np.ndarray | None
     reach: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
-    shaders: tuple[str, str] = ("shadows/light", "shadows/receiver")
+    shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
 
     @property
     def texels(self) -> int:

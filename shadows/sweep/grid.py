@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from shadows.sweep_lines import LOWEST, sweep_rows
+from shadows.sweep.lines import LOWEST, sweep_rows
 from terrain.compiled import compiled
 from terrain.errors import UnsupportedError
 

@@ -6,7 +6,7 @@ below, so that each is put on and taken off at most once, and the work is linear
 
 A place has two coordinates in the vertical plane of the sun: its *level*, at right angles to a direction of reference, and how far
 it lies *towards* it. The horizon is the angle above that direction. Lines, places and turned grids are those of
-``shadows.sweep_lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
+``shadows.sweep.lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from shadows.sweep_grid import Cell, flat_grid, turned_levels
-from shadows.sweep_points import cubic, ground_at
+from shadows.sweep.grid import Cell, flat_grid, turned_levels
+from shadows.sweep.points import cubic, ground_at
 from terrain.compiled import compiled
 
 LOWEST = -1e30
@@ -32,7 +32,7 @@ STRIP_NODES = 2**21
 def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
     """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
 
-    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep_grid.sunlit``.
+    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep.grid.sunlit``.
     """
     turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)

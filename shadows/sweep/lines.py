@@ -1,6 +1,6 @@
 """The line sweep: how high the sun's rays pass over every node of a grid, in time linear in its nodes.
 
-**Space.** The grid is turned and mirrored (``shadows.sweep_grid``) so that the sun stands before row 0 and a ray, followed away
+**Space.** The grid is turned and mirrored (``shadows.sweep.grid``) so that the sun stands before row 0 and a ray, followed away
 from the sun, moves by 0 to 1 columns to the right per row. A node's *level* is its coordinate along light space's second axis
 ("up": at right angles to the rays, in the vertical plane of the sun). Along a ray the level is constant, so a point sees the sun
 exactly if nothing on the way to it has a higher level: no slopes, no distances, and a curved earth bends the nodes, not the rays.
@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.sweep_points import cubic, see_points
+from shadows.sweep.points import cubic, see_points
 from terrain.compiled import compiled
 
 LOWEST = np.float32(-1e30)

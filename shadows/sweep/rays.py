@@ -8,15 +8,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from shadows.sweep_grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
+from shadows.sweep.grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
+from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.grid import Grid
-from terrain.ground_mesh import GroundMesh, ground_nodes
-from terrain.light_space import LightSpace
-from terrain.reach import PATCH_QUADS, Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
+from terrain.geo.grid import Grid
+from terrain.geo.light_space import LightSpace
+from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
-from terrain.world import LocalFrame
 
 FITTED_POINTS = 1024
 """Points whose places are computed exactly, and that the places of more are fitted to."""

@@ -1,12 +1,12 @@
 """`sweep`: the sun's shadows of a heightfield by lines along the sun's azimuth, in time linear in its nodes; no OpenGL.
 
-``shadows.sweep_lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any other.
+``shadows.sweep.lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any other.
 Ground alone casts; what is shaded may be anything that stands on it: a line knows at each place the height above which the sun
 is seen.
 
-**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``terrain.reach``). Each detail is
-swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line does not
-matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
+**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``terrain.casters.reach``). Each
+detail is swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line does
+not matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
 
 **Lines.** A place's t is its light-space coordinate to the right, in cells: the same for all points of a ray. Where the rays run
 on a grid is computed for ground of middling height. The vertical leans by a hundredth of a degree per kilometre, so ground that
@@ -28,17 +28,17 @@ import numpy as np
 
 from shadows.passes import PassLog
 from shadows.plan import SweepSettings
-from shadows.sweep_grid import NO_LEVELS, Points, passed, sweep
-from shadows.sweep_lines import LOWEST
-from shadows.sweep_rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import CasterKind
-from terrain.light_space import light_bounds
-from terrain.reach import Casters
-from terrain.resolve import RELIEF
+from shadows.sweep.grid import NO_LEVELS, Points, passed, sweep
+from shadows.sweep.lines import LOWEST
+from shadows.sweep.rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.grid import MapView
+from terrain.geo.light_space import light_bounds
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
-from terrain.sun import SUN_RADIUS_DEG
 
 PASSES = ("sweep",)
 

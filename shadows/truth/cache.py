@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.truth import ALL_KINDS, Truth, truth_of
-from terrain.camera import PerspectiveView
-from terrain.casting import caster_meshes, caster_sheets, caster_trees
-from terrain.foliage import foliage
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import SUN
-from terrain.rays import OFFSET_ULPS
-from terrain.reach import Casters
+from shadows.truth.truth import ALL_KINDS, Truth, truth_of
+from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
+from terrain.casters.rays import OFFSET_ULPS
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import SUN
 from terrain.scene import Scene
-from terrain.sun import SUN_RADIUS_DEG
+from terrain.trees.foliage import foliage
 
 LIMIT_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""

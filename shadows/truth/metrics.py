@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
 from scipy.spatial import KDTree
 
-from shadows.truth import Truth
+from shadows.truth.truth import Truth
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""

@@ -1,7 +1,7 @@
 """`truth`: the sun's visibility by rays, through the same triangles and from the same points as every algorithm's.
 
 Class of a pixel: lit if its triangle's geometric normal faces the sun and a ray from its visible point, lifted off the
-triangle by the offset that ``terrain.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one, two and
+triangle by the offset that ``terrain.casters.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one, two and
 four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there.
 
 A raster does not say along which diagonal its quads are cut. Where that is to be no matter of luck, a map's pixel whose class
@@ -19,19 +19,19 @@ import numpy as np
 from shadows.attached import attached, lamp_in_frame, turned_away
 from shadows.passes import PassLog
 from shadows.plan import TruthSettings
-from terrain.camera import PerspectiveView
-from terrain.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import SUN, CasterKind
-from terrain.light_space import light_bounds
-from terrain.picture import geometry_of
-from terrain.rays import RayScene, trees_as_mesh
-from terrain.reach import Casters, casters_of
-from terrain.resolve import FOREST, RELIEF
+from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
+from terrain.casters.rays import RayScene, trees_as_mesh
+from terrain.casters.reach import Casters, casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.light_space import light_bounds
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.ground.surface import Cut
+from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
-from terrain.sun import SUN_RADIUS_DEG
-from terrain.surface import Cut
 
 UNLIMITED_TRIANGLES = 2**31
 """A limit that no ground reaches: its mesh is whole."""

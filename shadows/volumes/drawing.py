@@ -8,7 +8,8 @@ into one stencil. Which it is says whether the caster's bounds reach into what t
 plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass, and under a lamp the volumes that
 hold even that place count in every pixel.
 
-Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there (``shadows.tiles``).
+Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there
+(``shadows.volumes.tiles``).
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from moderngl import Framebuffer
 
 from shadows.passes import PassRecord
 from shadows.plan import VolumeSettings
-from shadows.tiles import culled, depth_bounds, marked_tiles, rectangles
-from shadows.volume_layers import may_shade_near
-from shadows.volume_views import SeenPoints, near_plane_m, own_points, receiving, sample_points
-from shadows.volumes import Volumes
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device, device
+from shadows.volumes.layers import may_shade_near
+from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
+from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receiving, sample_points
+from shadows.volumes.volumes import Volumes
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gl.device import Device, device
+from terrain.gl.stencil import MARK, Counting
 from terrain.scene import Scene
-from terrain.stencil import MARK, Counting
 
 COUNT = ~MARK & 0xFF
 """The bits of the stencil that count."""
@@ -34,7 +35,8 @@ COUNT = ~MARK & 0xFF
 MAP_STEPS = 16.0
 """Steps of a float32 depth that faces are drawn farther away in a map: seen from above, the faces of a sun on the horizon are
 level, and have no slope that would move them. Corners, their clip coordinates and what a rasteriser makes of a face that goes to
-infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles (``terrain.rays``).
+infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles
+(``terrain.casters.rays``).
 """
 
 TOWARDS_EYE = 1.0 + 2.0**-10

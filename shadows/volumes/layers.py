@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.edges import Edges, parts_of
-from shadows.silhouettes import Silhouette, homogeneous, silhouette
+from shadows.volumes.edges import Edges, parts_of
+from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
 from terrain.compiled import compiled
 from terrain.errors import InputError
 

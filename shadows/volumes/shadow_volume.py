@@ -1,6 +1,6 @@
 """`shadow_volume`: the volumes of shadow behind casters, counted in the stencil. Exact to the pixel, whatever the resolution.
 
-``shadows.volumes`` says what volumes are made of, ``shadows.volume_drawing`` how they are counted.
+``shadows.volumes.volumes`` says what volumes are made of, ``shadows.volumes.drawing`` how they are counted.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import numpy as np
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import VolumeSettings
-from shadows.volume_drawing import count, faces_before, silhouettes_seen
-from shadows.volumes import light_in_frame, volumes_of
-from terrain.geometry import GeometryBuffer
-from terrain.level import CasterKind
-from terrain.reach import Casters
+from shadows.volumes.drawing import count, faces_before, silhouettes_seen
+from shadows.volumes.volumes import light_in_frame, volumes_of
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
 
 PASSES = ("silhouettes", "stencil")

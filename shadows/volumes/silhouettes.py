@@ -31,10 +31,10 @@ from typing import Literal
 
 import numpy as np
 
-from shadows.edges import Edges, signed_sums
+from shadows.volumes.edges import Edges, signed_sums
 from terrain.compiled import compiled
 from terrain.errors import InputError
-from terrain.surface import sheet_triangles
+from terrain.ground.surface import sheet_triangles
 
 Rule = Literal["facing", "turned_away", "all"]
 

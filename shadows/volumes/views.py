@@ -21,18 +21,18 @@ from dataclasses import dataclass
 import numpy as np
 from moderngl import Framebuffer, Program
 
-from shadows.volumes import ground_has_gaps
-from terrain.antialias import finer_view
-from terrain.camera import PerspectiveView
-from terrain.clip_space import camera_clip, map_clip, parts_of
+from shadows.volumes.volumes import ground_has_gaps
+from terrain.casters.clip_space import camera_clip, map_clip, parts_of
 from terrain.compiled import compiled
-from terrain.geometry import GeometryBuffer
-from terrain.gl import Device
-from terrain.grid import MapView
-from terrain.light_space import light_bounds
-from terrain.resolve import MESHES, RELIEF
+from terrain.gbuffer.antialias import finer_view
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import MESHES, RELIEF
+from terrain.gbuffer.visible import NEAR_M, set_uniforms, shader
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.light_space import light_bounds
+from terrain.gl.device import Device
 from terrain.scene import Scene
-from terrain.visible import NEAR_M, set_uniforms, shader
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ def receiving(
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
-    program = gl.program(shader("shadows/volume.vert"), shader("shadows/depth.frag"))
+    program = gl.program(shader("shadows/volumes/volume.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(program, {
         "clip_from_frame": tuple(points.clip_from_frame.T.ravel()), "origin_frame_m": tuple(points.origin_frame_m),
     })  # fmt: skip
@@ -123,7 +123,7 @@ def receiving(
     texture = gl.texture(_picture(points.row, points.col, drawn, points.depth, parts, rows, cols))
     texture.use(0)
     for marking in (False, True) if marked else (False,):
-        fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/seen_depth.frag"), {"marking": marking})
+        fill = gl.program(shader("shadows/pixels.vert"), shader("shadows/volumes/seen_depth.frag"), {"marking": marking})
         fill["seen"] = 0
         with gl.stencil.mark_pass(target) if marking else gl.stencil.depth_pass(target, always=True):
             for part in parts.tolist():

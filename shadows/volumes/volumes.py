@@ -1,9 +1,9 @@
 """Shadow volumes as triangles: built once for a light and what casts, and kept while both rest.
 
 The volume of a set of casting triangles is bounded by these, by a side for each edge of their silhouette, and by their images
-infinitely far away from the light (``shadows.silhouettes`` says which triangles cast and what a silhouette is). In homogeneous
-coordinates what lies at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled Shadow
-Volumes for Hardware-Accelerated Rendering, 2002):
+infinitely far away from the light (``shadows.volumes.silhouettes`` says which triangles cast and what a silhouette is). In
+homogeneous coordinates what lies at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled
+Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 
 - The sun at L (a direction) sends every point to (-L, 0). A side is one triangle, and there is no far cap.
 - A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
@@ -13,7 +13,7 @@ everything is that is seen, those that do not: its near caps lie on what is dark
 manifold, all triangles; and so of a body that a lamp stands in, and of ground with gaps.
 
 **Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
-(``shadows.volume_layers``).
+(``shadows.volumes.layers``).
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from shadows.attached import lamp_in_frame
-from shadows.edges import Edges, closed_parts, edges_of, parts_of
 from shadows.passes import PassRecord
-from shadows.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
-from shadows.volume_layers import batches
-from terrain.casting import Mesh, caster_sheets, caster_solids
-from terrain.geometry import GeometryBuffer
-from terrain.ground_mesh import ground_nodes
-from terrain.level import SUN, CasterKind
-from terrain.reach import Casters
+from shadows.volumes.edges import Edges, closed_parts, edges_of, parts_of
+from shadows.volumes.layers import batches
+from shadows.volumes.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from terrain.casters.casting import Mesh, caster_sheets, caster_solids
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.ground_mesh import ground_nodes
+from terrain.level.level import SUN, CasterKind
 from terrain.same import Same
 from terrain.scene import Scene
 

@@ -7,13 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.geometry import GeometryBuffer
-from terrain.level import CasterKind
+from terrain.casters.reach import PATCH_QUADS, Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.stand import Stand
+from terrain.geo.world import LocalFrame
+from terrain.level.level import CasterKind
 from terrain.population import Population
-from terrain.reach import PATCH_QUADS, Casters
 from terrain.scene import Scene
-from terrain.stand import Stand
-from terrain.world import LocalFrame
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""

@@ -11,11 +11,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
-from terrain.grid import Grid, MapView
-from terrain.reach import overview_on_grid
+from terrain.casters.reach import overview_on_grid
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import Grid, MapView
+from terrain.geo.world import LocalFrame, World
 from terrain.scene import Scene
-from terrain.world import LocalFrame, World
 
 PART_PX = 256
 """Side of the parts, in pixels."""

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.errors import RenderError
-from terrain.foliage import THRESHOLD, foliage
-from terrain.stand import Stand
-from terrain.surface import Cut, known_triangles
+from terrain.gbuffer.stand import Stand
+from terrain.ground.surface import Cut, known_triangles
+from terrain.trees.foliage import THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256

@@ -15,12 +15,12 @@ from functools import lru_cache
 import numpy as np
 from pyproj import CRS
 
-from terrain.geometry import GeometryBuffer
-from terrain.grid import Grid, MapView
-from terrain.light_space import LightSpace, light_bounds
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.grid import Grid, MapView
+from terrain.geo.light_space import LightSpace, light_bounds
+from terrain.geo.sun import position_at
+from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, epsg_of, transformer
 from terrain.scene import Scene
-from terrain.sun import position_at
-from terrain.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, epsg_of, transformer
 
 PATCH_QUADS = 256
 """Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""

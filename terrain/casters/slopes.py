@@ -11,14 +11,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from terrain.casters.reach import overview_on_grid
 from terrain.compiled import compiled
-from terrain.elevation import Elevation
-from terrain.geometry import quad_normals
-from terrain.grid import BLOCK_PX, Grid
-from terrain.ground_mesh import GroundMesh
-from terrain.reach import overview_on_grid
-from terrain.surface import Surface
-from terrain.world import LocalFrame, World
+from terrain.gbuffer.geometry import quad_normals
+from terrain.gbuffer.ground_mesh import GroundMesh
+from terrain.geo.grid import BLOCK_PX, Grid
+from terrain.geo.world import LocalFrame, World
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import Surface
 
 DIRECTIONS = 64
 

@@ -1,6 +1,6 @@
 """Effects: one file each, with the predicate that says whether a scene calls for it, and why (or why not), and its part.
 
-``terrain.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
+``terrain.level.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import get_args
 
 from terrain.effects.effect import Effect
-from terrain.level import EffectName
+from terrain.level.level import EffectName
 
 EFFECTS: dict[EffectName, Effect] = {
     name: import_module(f"terrain.effects.{name}").EFFECT for name in get_args(EffectName)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from terrain.camera import PerspectiveView
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Fact, Look, Verdict
-from terrain.grid import MapView
+from terrain.gbuffer.stand import any_in_map, stand_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
-from terrain.stand import any_in_map, stand_in_perspective
-from terrain.surface import step_at_anchor_m
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

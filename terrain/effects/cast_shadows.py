@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
+from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Fact, Look, Verdict
-from terrain.grid import MapView
-from terrain.ground_mesh import ground_mesh
-from terrain.light_space import LightSpace
+from terrain.gbuffer.ground_mesh import ground_mesh
+from terrain.gbuffer.stand import Stand, stand_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.light_space import LightSpace
+from terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
 from terrain.population import Population
 from terrain.scene import Scene
-from terrain.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
-from terrain.stand import Stand, stand_in_perspective
-from terrain.sun import SUN_RADIUS_DEG, direction_enu
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
 from terrain.effects.haze import farthest_mesh_m
-from terrain.elevation import Elevation
-from terrain.grid import MapView
-from terrain.noise import GAIN, noise_at
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.ground.elevation import Elevation
+from terrain.ground.noise import GAIN, noise_at
+from terrain.ground.shown import Cells, cells_shown, whole
+from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
-from terrain.shown import Cells, cells_shown, whole
-from terrain.surface import step_at_anchor_m
-from terrain.world import LocalFrame
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -49,7 +49,7 @@ THROUGH = 0.25
 """Share of the direct sun that the densest cloud lets through under a broken sky."""
 
 HIGHEST, STEEPEST = 0.756, 2.32
-"""Bounds of the value and of the slope of ``terrain.noise.noise_at``, over all its gradients."""
+"""Bounds of the value and of the slope of ``terrain.ground.noise.noise_at``, over all its gradients."""
 
 TOP = HIGHEST * (1.0 - GAIN**OCTAVES) / (1.0 - GAIN)
 """Bound of the value of all octaves."""
@@ -150,7 +150,7 @@ def _noise_on(x):  # type: ignore[no-untyped-def]
 @compiled
 def _noise(x_m, y_m, low, high):  # type: ignore[no-untyped-def]
     """The octaves at a place; what the coarse ones put below ``low`` or over ``high`` for good is not worked out further."""
-    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.noise``.
+    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
     total, amplitude = 0.0, 1.0
     for k in range(OCTAVES):

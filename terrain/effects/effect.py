@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Crosses:
     """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
 
     ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
-    ``terrain.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
+    ``terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
     ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3) float32
     those of the meshes' faces.
     """
@@ -86,7 +86,7 @@ class Look:
 class Block:
     """A part of a picture while it is made: what is seen, and each light's visibility there (rows, cols).
 
-    Rows of the buffer below the view's own are further samples of its pixels (``terrain.antialias``).
+    Rows of the buffer below the view's own are further samples of its pixels (``terrain.gbuffer.antialias``).
     """
 
     scene: Scene

@@ -26,15 +26,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
-from terrain.grid import MapView
-from terrain.picture import solids_in
+from terrain.gbuffer.picture import solids_in
+from terrain.gbuffer.stand import stand_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
 from terrain.shading import daylight_of, sky_colors, srgb
-from terrain.stand import stand_in_perspective
-from terrain.world import LocalFrame
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor
@@ -49,7 +49,7 @@ SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that are tried out, each 0.6 % more than the one before it."""
 
 PARTS = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
-"""What some of a pixel's samples (``terrain.antialias``) make up of it."""
+"""What some of a pixel's samples (``terrain.gbuffer.antialias``) make up of it."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Look, Verdict
-from terrain.grid import MapView
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.shown import Cells, cells_shown, parts
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
-from terrain.shown import Cells, cells_shown, parts
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
+from terrain.casters.slopes import extent_on_grid
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Fact, Look, Verdict
-from terrain.grid import BLOCK_PX, MapView, blocks_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
+from terrain.ground.shown import is_block
 from terrain.scene import Scene
-from terrain.shown import is_block
-from terrain.slopes import extent_on_grid
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

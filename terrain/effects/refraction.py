@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from terrain.casters.reach import longest_shadow_m
 from terrain.effects.effect import STEP, Effect, Fact, Look, Verdict
-from terrain.grid import MapView
-from terrain.reach import longest_shadow_m
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import exposure_of
 
 if TYPE_CHECKING:
-    from terrain.camera import PerspectiveView
     from terrain.descriptor import Descriptor
+    from terrain.geo.camera import PerspectiveView
 
 SRGB_SLOPE = 2.5
 """Slope of sRGB at a linear value of 0.05."""

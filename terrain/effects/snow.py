@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
-from terrain.grid import MapView
-from terrain.noise import fractal_at
-from terrain.resolve import FOREST, RELIEF
+from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.noise import fractal_at
+from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, up_centre
-from terrain.surface import step_at_anchor_m
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from terrain.casters.reach import longest_shadow_m
 from terrain.effects.effect import Effect, Verdict
-from terrain.reach import longest_shadow_m
-from terrain.sun import SUN_RADIUS_DEG
+from terrain.geo.sun import SUN_RADIUS_DEG
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

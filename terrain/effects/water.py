@@ -25,14 +25,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from terrain.antialias import finer_view
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
-from terrain.elevation import Elevation
-from terrain.grid import MapView
-from terrain.level import SUN
-from terrain.picture import Visible
+from terrain.gbuffer.antialias import finer_view
+from terrain.gbuffer.picture import Visible
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.elevation import Elevation
+from terrain.ground.shown import Cells, cells_shown, parts
+from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import (
     SHORE_M,
@@ -47,7 +48,6 @@ from terrain.shading import (
     water_in,
     zenith_share,
 )
-from terrain.shown import Cells, cells_shown, parts
 
 if TYPE_CHECKING:
     from terrain.descriptor import Descriptor

@@ -6,19 +6,19 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
-from terrain.casting import closed_casters
-from terrain.elevation import Elevation
-from terrain.facts import CasterFacts
-from terrain.foliage import THRESHOLD, foliage
-from terrain.grid import BLOCK_PX, MapView
-from terrain.ground_mesh import ground_mesh, ground_nodes
+from terrain.casters.casting import closed_casters
+from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
+from terrain.facts.parts import CasterFacts
+from terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
+from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import step_at_anchor_m
 from terrain.population import Population
-from terrain.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
 from terrain.scene import Scene
-from terrain.stand import Stand, stand_in_map, stand_in_perspective
-from terrain.surface import step_at_anchor_m
-from terrain.world import World
+from terrain.trees.foliage import THRESHOLD, foliage
 
 TREE_TRIANGLES = 6
 """Triangles of a tree: three quads."""
@@ -57,8 +57,8 @@ def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
 
 
 def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) -> int:
-    """Triangles of patches of ground between a block of nodes and the sun, as ``terrain.reach`` lays them: as wide as the block and
-    a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the distance.
+    """Triangles of patches of ground between a block of nodes and the sun, as ``terrain.casters.reach`` lays them: as wide as the
+    block and a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the distance.
     """
     if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0

@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.foliage import THRESHOLD, foliage
-from terrain.probes import Rays
-from terrain.stand import Stand
+from terrain.facts.probes import Rays
+from terrain.gbuffer.stand import Stand
+from terrain.trees.foliage import THRESHOLD, foliage
 
 TREES_A_CELL = 3
 """Trees in a cell of the grid, in the mean over its extent."""

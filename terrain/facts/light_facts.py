@@ -1,8 +1,8 @@
 """Scene and view -> what each light does there: what it shines on, what stands in its way, and where its shadows end.
 
 All of it by looking: from the points of a coarse look (a map: of what is seen from above all over the level) rays go to the light
-and to beside it (``terrain.probes``). No kind of casters knows of the others here; what one of them shades counts as its shadow
-whatever else does.
+and to beside it (``terrain.facts.probes``). No kind of casters knows of the others here; what one of them shades counts as its
+shadow whatever else does.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
-from terrain.facts import CastBand, Casting, LightFacts
-from terrain.leaf_rays import through_leaves
-from terrain.level import SUN, CasterKind
+from terrain.facts.leaf_rays import through_leaves
+from terrain.facts.mesh_rays import past_meshes
+from terrain.facts.parts import CastBand, Casting, LightFacts
+from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, Probes, Rays, evenly, rays_to
+from terrain.facts.relief_rays import over_relief, placed
+from terrain.facts.silhouettes_seen import EYE_RAYS, layers_before, length_px, silhouette_of
+from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.gbuffer.stand import Stand
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import SUN, CasterKind
 from terrain.lights import Lamp
-from terrain.mesh_rays import past_meshes
-from terrain.probes import PROBES, PROBES_AMONG_TREES, Probes, Rays, evenly, rays_to
-from terrain.relief_rays import over_relief, placed
-from terrain.resolve import FOREST, RELIEF
 from terrain.scene import Scene
-from terrain.silhouettes_seen import EYE_RAYS, layers_before, length_px, silhouette_of
-from terrain.stand import Stand
 
 NEAREST_M = 1.0
 """What is nearer to the eye than this counts as this far away."""

@@ -16,15 +16,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
 from terrain.effects.effect import Crosses, Look
-from terrain.ground_mesh import GroundMesh, ground_mesh
-from terrain.picture import buffer_of, solids_in
+from terrain.gbuffer.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
+from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from terrain.gbuffer.picture import buffer_of, solids_in
+from terrain.gbuffer.visible import NEAR_M, Seen
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
-from terrain.visible import NEAR_M, Seen
-from terrain.world import LocalFrame
 
 LOOK_PX = 8
 """Distance of the pixels from which a perspective view is described."""
@@ -47,7 +47,7 @@ class _Sight:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """What ``terrain.picture`` resolves to points: the same as its ``Visible``, without trees."""
+    """What ``terrain.gbuffer.picture`` resolves to points: the same as its ``Visible``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh

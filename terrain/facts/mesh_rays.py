@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
+from terrain.facts.probes import Probes, Rays
+from terrain.geo.world import LocalFrame
 from terrain.population import Population
-from terrain.probes import Probes, Rays
-from terrain.world import LocalFrame
 
 LEAF = 4
 """Triangles in a leaf of the tree, at most."""

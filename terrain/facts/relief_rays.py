@@ -14,9 +14,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from terrain.compiled import compiled
-from terrain.elevation import Elevation
-from terrain.probes import Probes, Rays
-from terrain.world import EARTH_RADIUS_M, World
+from terrain.facts.probes import Probes, Rays
+from terrain.geo.world import EARTH_RADIUS_M, World
+from terrain.ground.elevation import Elevation
 
 BLOCK_CELLS = 16
 """Side of the blocks of cells that are passed over at once."""

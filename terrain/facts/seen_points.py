@@ -9,18 +9,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.antialias import CROSS, ends_in_crosses
-from terrain.camera import PerspectiveView
 from terrain.effects.effect import Look
-from terrain.elevation import Elevation
-from terrain.leaf_rays import first_leaves
-from terrain.mesh_rays import first_meshes
+from terrain.facts.leaf_rays import first_leaves
+from terrain.facts.mesh_rays import first_meshes
+from terrain.facts.probes import Probes, evenly, quasirandom
+from terrain.gbuffer.antialias import CROSS, ends_in_crosses
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.gbuffer.stand import Stand
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
 from terrain.population import Population
-from terrain.probes import Probes, evenly, quasirandom
-from terrain.resolve import FOREST, MESHES, RELIEF
 from terrain.scene import Scene
-from terrain.stand import Stand
-from terrain.world import World
 
 MAP_SIDE = 48
 """Probes of a map lie one in each of so many by so many parts of a level."""
@@ -74,7 +74,7 @@ def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
 
 
 def edge_share(look: Look, trees: Stand | None) -> float:
-    """Share of a view's pixels in which something ends (``terrain.antialias``)."""
+    """Share of a view's pixels in which something ends (``terrain.gbuffer.antialias``)."""
     return look.edge_share if trees is None else _edge_share_among_leaves(look, trees)
 
 

@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.assemble import Placement
 from terrain.compiled import compiled
+from terrain.meshes.assemble import Placement
 from terrain.population import Population
 
 MOST_SIDES = 4096

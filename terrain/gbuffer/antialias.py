@@ -10,15 +10,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
-from terrain.facets import face_normals
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.visible import NEAR_M
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.meshes.facets import face_normals
 from terrain.population import Population
 from terrain.scene import Scene
-from terrain.visible import NEAR_M
 
 SIDE = 2
 """The samples of a pixel where something ends lie on a grid of so many a side; its own point counts as one more."""

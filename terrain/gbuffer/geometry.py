@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.camera import PerspectiveView
 from terrain.compiled import compiled
-from terrain.grid import MapView
-from terrain.ground_mesh import GroundMesh
-from terrain.stand import Stand
-from terrain.surface import Surface, SurfaceWindow
-from terrain.world import LocalFrame
+from terrain.gbuffer.ground_mesh import GroundMesh
+from terrain.gbuffer.stand import Stand
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
 """Widest central difference of the shading normal, in nodes: beyond 16-fold magnification facets show."""
@@ -43,7 +43,7 @@ class GeometryBuffer:
         float32, the largest distance between the triangle's unit normal and those of the triangles round the nearest
         node: 0 on a plane. An algorithm that looks beside the point needs it for its bias.
     kind
-        uint8, what is seen: ``terrain.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
+        uint8, what is seen: ``terrain.gbuffer.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
     triangle
         int32 (rows, cols, 3) of a map's ground: row and column of the quad in ``surface``, and 0 for its NW, 1 for its SE triangle.
     surface
@@ -56,8 +56,8 @@ class GeometryBuffer:
     albedo
         float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
     samples_from, sample_pixels
-        Rows from here on are further samples of pixels (``terrain.antialias``), which are averaged; rows and columns (n, cols) of
-        the pixels that they are in the finer view of the same camera.
+        Rows from here on are further samples of pixels (``terrain.gbuffer.antialias``), which are averaged; rows and columns (n,
+        cols) of the pixels that they are in the finer view of the same camera.
     stand, solids_frame_m
         The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
     """

@@ -13,14 +13,14 @@ from functools import lru_cache
 import numpy as np
 from pyproj import CRS
 
-from terrain.camera import FRAME_SHARE, PerspectiveView
-from terrain.decimation import Errors, decimate, errors_m
-from terrain.elevation import Elevation
-from terrain.facets import creases, face_normals, smooth_normals
-from terrain.grid import Grid, map_grid
+from terrain.geo.camera import FRAME_SHARE, PerspectiveView
+from terrain.geo.grid import Grid, map_grid
+from terrain.geo.world import World, transformer
+from terrain.ground.decimation import Errors, decimate, errors_m
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import Surface, known_triangles, step_at_anchor_m
+from terrain.meshes.facets import creases, face_normals, smooth_normals
 from terrain.scene import Scene
-from terrain.surface import Surface, known_triangles, step_at_anchor_m
-from terrain.world import World, transformer
 
 MAX_TRIANGLES = 2_000_000
 """Most triangles of a perspective view's ground."""
@@ -50,7 +50,7 @@ class GroundMesh:
     triangles
         int32 (m, 3), counter-clockwise from above.
     crease
-        float32 (m,), how much the mesh bends up round a triangle (``terrain.facets.creases``).
+        float32 (m,), how much the mesh bends up round a triangle (``terrain.meshes.facets.creases``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
     grid, tolerance_px

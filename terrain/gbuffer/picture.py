@@ -10,19 +10,19 @@ from typing import get_args
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from terrain.camera import PerspectiveView
-from terrain.geometry import GeometryBuffer, map_geometry
-from terrain.grid import MapView
-from terrain.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
-from terrain.imagery import Imagery
-from terrain.level import CasterKind
+from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
+from terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
+from terrain.gbuffer.stand import stand_in_map, stand_in_perspective
+from terrain.gbuffer.visible import Seen, seen_in_map, seen_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.ground.imagery import Imagery
+from terrain.ground.surface import step_at_anchor_m
+from terrain.level.level import CasterKind
 from terrain.population import Population
-from terrain.resolve import RELIEF, resolve_map, resolve_perspective
 from terrain.scene import Scene
-from terrain.stand import stand_in_map, stand_in_perspective
-from terrain.surface import step_at_anchor_m
-from terrain.visible import Seen, seen_in_map, seen_in_perspective
-from terrain.world import LocalFrame
 
 CELL_STEP_PX = 16
 """Distance of the pixels whose place in a map's imagery is computed exactly."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.stand import tree_corner
+from terrain.gbuffer.stand import tree_corner
 
 THREADS = min(os.cpu_count() or 1, 8)
 """Threads that share the pixels of a perspective view."""
@@ -24,7 +24,7 @@ NOTHING, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """What a geometry buffer holds, per pixel; see ``terrain.geometry``. ``cells`` are places in the ground's imagery."""
+    """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery."""
 
     there: np.ndarray
     position: np.ndarray

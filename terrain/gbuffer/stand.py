@@ -1,6 +1,6 @@
 """The trees as a view draws them: thinned out where they are too small to be told apart, their shade kept.
 
-Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``terrain.thinning``), and what
+Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``terrain.trees.thinning``), and what
 remains is drawn larger by the root of 1/k in all directions: a stand of the same shape on a coarser scale. Light falls on and
 through the two alike, from whatever direction, so that the share of the stand and its ground that lies in shadow holds; the
 grain and the length of single trees' shadows do not. The same trees are seen, cast and are met by rays.
@@ -16,10 +16,10 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.foliage import LOOKS, leaf_outlines
+from terrain.geo.world import LocalFrame
 from terrain.population import Population
-from terrain.trees import Trees
-from terrain.world import LocalFrame
+from terrain.trees.foliage import LOOKS, leaf_outlines
+from terrain.trees.trees import Trees
 
 WHOLE_PX = 6.8
 """Height in pixels from which all trees of a perspective view are drawn."""

@@ -13,14 +13,14 @@ from importlib.resources import files
 import moderngl
 import numpy as np
 
-from terrain.camera import PerspectiveView
-from terrain.foliage import THRESHOLD, foliage
-from terrain.gl import Device, device
-from terrain.grid import MapView
-from terrain.ground_mesh import GroundMesh
-from terrain.programs import joined
-from terrain.stand import Stand
-from terrain.world import LocalFrame
+from terrain.gbuffer.ground_mesh import GroundMesh
+from terrain.gbuffer.stand import Stand
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.gl.device import Device, device
+from terrain.gl.programs import joined
+from terrain.trees.foliage import THRESHOLD, foliage
 
 NEAR_M = 0.005
 """What is nearer to the eye than this is not seen."""
@@ -43,7 +43,7 @@ class Seen:
 
 @cache
 def shader(*parts: str) -> str:
-    """The text of shader parts, one after another: ``terrain/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
+    """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
     texts = {}
     for part in parts:
         package, name = part.split("/")
@@ -111,7 +111,9 @@ def seen_in_map(
 
 
 def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict, first: int) -> None:
-    program = gl.program(shader("terrain/tree", "terrain/visible_tree.vert"), shader("terrain/visible_tree.frag"))
+    program = gl.program(
+        shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
+    )
     texture = gl.layers(foliage().levels)
     texture.use(0)
     more = {"foliage": 0, "threshold": THRESHOLD, "curvature": stand.curvature, "first": first}
@@ -121,7 +123,7 @@ def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, 
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict) -> moderngl.Program:
-    program = gl.program(shader(f"terrain/{vertex}"), shader(f"terrain/{fragment}"))
+    program = gl.program(shader(f"terrain/gbuffer/{vertex}"), shader(f"terrain/gbuffer/{fragment}"))
     set_uniforms(program, uniforms)
     return program
 

@@ -19,7 +19,7 @@ from morecantile import tms as matrix_sets
 from pyproj import CRS
 
 from terrain.errors import InputError
-from terrain.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
 
 BLOCK_PX = 1024
 """Side of a map block in pixels: the unit of work and of caching."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.sun import Sun, direction_enu
-from terrain.world import LocalFrame, World
+from terrain.geo.sun import Sun, direction_enu
+from terrain.geo.world import LocalFrame, World
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from terrain.errors import InputError
-from terrain.level_parts import SunSpec
-from terrain.world import World
+from terrain.geo.world import World
+from terrain.level.parts import SunSpec
 
 YEARS = (1678, 2261)
 """Years for which the sun's position is computed (the range of the library's time stamps)."""

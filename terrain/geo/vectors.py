@@ -16,7 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
-from terrain.world import transformer
+from terrain.geo.world import transformer
 
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
 """Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in

@@ -3,7 +3,7 @@
 A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
 thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
 returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
-memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``terrain.stencil``.
+memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``terrain.gl.stencil``.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
-from terrain.depth_targets import DepthTargets  # noqa: E402
 from terrain.errors import GraphicsError  # noqa: E402
-from terrain.programs import linked, note_draw, with_constants  # noqa: E402
-from terrain.stencil import Stencil  # noqa: E402
-from terrain.surface import known_triangles, sheet_triangles  # noqa: E402
+from terrain.gl.depth_targets import DepthTargets  # noqa: E402
+from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
+from terrain.gl.stencil import Stencil  # noqa: E402
+from terrain.ground.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
@@ -96,7 +96,7 @@ class Device:
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """The labels of all programs that were compiled, in order (``terrain.programs``)."""
+        """The labels of all programs that were compiled, in order (``terrain.gl.programs``)."""
         return tuple(program.extra.label for program in self._programs.values())
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:

@@ -25,7 +25,7 @@ _SAMPLER_TYPES = frozenset(
 @dataclass(frozen=True, eq=False)
 class Linked:
     """A linked program: ``label``, the shader parts that it was made of and the constants compiled into it, by spaces
-    (``shadows/pixels.vert shadows/receiver shadows/shadow_map.frag taps=3``), and ``textures``, its active samplers.
+    (``shadows/pixels.vert shadows/maps/receiver shadows/maps/shadow_map.frag taps=3``), and ``textures``, its active samplers.
     """
 
     label: str

@@ -1,7 +1,7 @@
 """The stencil of a device: a framebuffer of float depth and eight-bit stencil, and the passes that count in it.
 
-The raw calls that moderngl has none for; with ``terrain.gl`` the only module that makes any. Every pass puts back what it set:
-moderngl neither clears a stencil nor switches its test off.
+The raw calls that moderngl has none for; with ``terrain.gl.device`` the only module that makes any. Every pass puts back what it
+set: moderngl neither clears a stencil nor switches its test off.
 
 Depths of these passes go from 0, infinitely far away, to 1, and the nearer one is the greater.
 """

@@ -19,7 +19,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.errors import InputError
-from terrain.world import EARTH_RADIUS_M
+from terrain.geo.world import EARTH_RADIUS_M
 
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 """What the smallest triangles within a triangle are, as bits; both: it crosses the outline of the data."""

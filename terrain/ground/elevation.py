@@ -27,11 +27,11 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from terrain.bundled import BUNDLED
 from terrain.compiled import compiled
 from terrain.errors import SourceError
-from terrain.level_parts import METRES_PER_UNIT, Units
-from terrain.world import WGS84
+from terrain.geo.world import WGS84
+from terrain.level.bundled import BUNDLED
+from terrain.level.parts import METRES_PER_UNIT, Units
 
 FILL_CELLS = 64
 """How far from their rims holes are filled, in cells of the level read."""

@@ -16,7 +16,7 @@ import heapq
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.noise import fractal_at
+from terrain.ground.noise import fractal_at
 
 STEPS = (40, 20, 12, 8, 6)
 """Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""

@@ -12,7 +12,7 @@ from rasterio.errors import RasterioError
 
 from terrain.compiled import compiled
 from terrain.errors import SourceError
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 
 MAX_SIDE = 4096
 """Longest side that imagery is read at: 48 MiB of colours; larger rasters are averaged down to it."""

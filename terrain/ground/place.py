@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.elevation import Elevation
 from terrain.errors import LevelError
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.ground.elevation import Elevation
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.elevation import Elevation
-from terrain.grid import BLOCK_PX, MapView
-from terrain.world import transformer
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.world import transformer
+from terrain.ground.elevation import Elevation
 
 SAMPLES = 17
 """Points a side of a view whose cells are found."""

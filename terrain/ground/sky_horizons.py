@@ -18,8 +18,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.elevation import Elevation
-from terrain.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
+from terrain.ground.elevation import Elevation
 
 LONGEST_NODES = 1024
 """Longest side of the grid on which a raster's horizons are found."""

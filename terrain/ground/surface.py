@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.elevation import Elevation
-from terrain.grid import Grid
-from terrain.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
+from terrain.geo.grid import Grid
+from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
+from terrain.ground.elevation import Elevation
 
 Cut = Literal["SW-NE", "NW-SE"]
 """The diagonal that a sheet's quads are cut along. What is drawn is cut SW to NE; a raster itself does not say."""

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
-from terrain.level_parts import (
+from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
     LightSpec,
@@ -128,7 +128,7 @@ class LoadedLevel(BaseModel):
     @property
     def source(self) -> str:
         """The raster's path, relative to nothing; a bundled data set's name stays as it is, a made ground has none ("")."""
-        from terrain.bundled import BUNDLED
+        from terrain.level.bundled import BUNDLED
 
         source = self.level.terrain.source
         return source or "" if source is None or source in BUNDLED else self.resolve(source)
@@ -136,7 +136,7 @@ class LoadedLevel(BaseModel):
     @property
     def sources(self) -> tuple[str, ...]:
         """All files that the level names, relative to nothing."""
-        from terrain.bundled import BUNDLED
+        from terrain.level.bundled import BUNDLED
 
         level = self.level
         named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]

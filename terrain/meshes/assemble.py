@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.body import Body, Placed, moved, srgb_albedo, turn_about_up
-from terrain.buildings import bounds_text, buildings
-from terrain.elevation import Elevation
 from terrain.errors import LevelError
-from terrain.level import LoadedLevel
-from terrain.level_parts import MeshSpec, Point
-from terrain.models import is_model, read_model
-from terrain.place import Place
-from terrain.solids import Solids
-from terrain.world import World
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
+from terrain.ground.place import Place
+from terrain.level.level import LoadedLevel
+from terrain.level.parts import MeshSpec, Point
+from terrain.meshes.body import Body, Placed, moved, srgb_albedo, turn_about_up
+from terrain.meshes.buildings import bounds_text, buildings
+from terrain.meshes.models import is_model, read_model
+from terrain.meshes.solids import Solids
 
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
 """Keys of a mesh that footprints, which stand where their file says, have no use for."""
@@ -103,7 +103,7 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
         assert spec.source is not None
         bodies = [read_model(loaded.resolve(spec.source))]
     else:
-        from terrain.generators import GENERATORS
+        from terrain.meshes.generators import GENERATORS
 
         bodies = GENERATORS[spec.generate]()
     if spec.color is None:

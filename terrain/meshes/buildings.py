@@ -19,14 +19,14 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
 
-from terrain.body import Body, Placed, srgb_albedo
-from terrain.bundled import BUNDLED
-from terrain.elevation import Elevation
 from terrain.errors import LevelError, SourceError
-from terrain.level import LoadedLevel
-from terrain.level_parts import MeshSpec
-from terrain.vectors import Features, attribute_names, numbers, read_features
-from terrain.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.vectors import Features, attribute_names, numbers, read_features
+from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.ground.elevation import Elevation
+from terrain.level.bundled import BUNDLED
+from terrain.level.level import LoadedLevel
+from terrain.level.parts import MeshSpec
+from terrain.meshes.body import Body, Placed, srgb_albedo
 
 FOOTING_M = 0.5
 """How far walls reach below the lowest ground of their outline."""

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from terrain.body import NEUTRAL, Body, srgb_albedo
 from terrain.errors import SourceError
+from terrain.meshes.body import NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 

@@ -21,11 +21,11 @@ from rasterio.windows import Window
 from scipy.spatial import cKDTree
 
 from terrain.compiled import compiled
-from terrain.elevation import UNIT_WORDS
 from terrain.errors import SourceError
-from terrain.level_parts import METRES_PER_UNIT
-from terrain.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
-from terrain.vectors import between, same_coordinates
+from terrain.geo.vectors import between, same_coordinates
+from terrain.ground.elevation import UNIT_WORDS
+from terrain.level.parts import METRES_PER_UNIT
+from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
 """Canopy below is no tree, and above no canopy."""

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from terrain.compiled import compiled
 from terrain.errors import InputError
-from terrain.foliage_paint import Clumped, Whorled, paint
+from terrain.trees.foliage_paint import Clumped, Whorled, paint
 
 THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
 SIZE = 256

@@ -16,17 +16,17 @@ from pyproj.crs import GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
-from terrain.canopy import DENSEST, WINDOW_M, Canopy, border_cells, is_raster, room_m
-from terrain.elevation import Elevation
 from terrain.errors import LevelError, SourceError
-from terrain.foliage import LOOKS
-from terrain.level import LoadedLevel
-from terrain.level_parts import ForestSpec, Species
-from terrain.scatter import HECTARE_M2, Places, joined, point_keys, scatter, shares
-from terrain.thinning import thinning_ranks
-from terrain.trees import Trees
-from terrain.vectors import Features, attribute_names, numbers, read_features
-from terrain.world import World, transformer
+from terrain.geo.vectors import Features, attribute_names, numbers, read_features
+from terrain.geo.world import World, transformer
+from terrain.ground.elevation import Elevation
+from terrain.level.level import LoadedLevel
+from terrain.level.parts import ForestSpec, Species
+from terrain.trees.canopy import DENSEST, WINDOW_M, Canopy, border_cells, is_raster, room_m
+from terrain.trees.foliage import LOOKS
+from terrain.trees.scatter import HECTARE_M2, Places, joined, point_keys, scatter, shares
+from terrain.trees.thinning import thinning_ranks
+from terrain.trees.trees import Trees
 
 MOST_TREES = 5_000_000
 """Trees that a level may have."""

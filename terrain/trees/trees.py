@@ -20,9 +20,9 @@ class Trees:
     turn_deg
         float32 (n,), how the crossed quads are turned about the stem, counter-clockwise from east.
     look
-        uint8 (n,), index into ``terrain.foliage.LOOKS``.
+        uint8 (n,), index into ``terrain.trees.foliage.LOOKS``.
     rank
-        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see ``terrain.thinning``.
+        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see ``terrain.trees.thinning``.
     """
 
     base_earth_m: np.ndarray

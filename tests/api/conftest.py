@@ -18,10 +18,10 @@ from affine import Affine
 from fastapi import FastAPI
 from morecantile import tms as matrix_sets
 
-from api.app import LOG_CONFIG, Server, create_app
-from api.service import Service
+from api.http.app import LOG_CONFIG, Server, create_app
+from api.http.service import Service
 from api.settings import Settings
-from api.worker_process import WorkerTarget
+from api.workers.worker_process import WorkerTarget
 from tests.rasters import ENGINEERING
 
 ZOOM = 12

@@ -9,7 +9,7 @@ import selector
 import shadows
 import terrain
 from api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, NotServedError, exit_status, outcome_of
-from api.jobs import Failure
+from api.workers.jobs import Failure
 from terrain import errors
 from terrain.errors import SkuggaError
 

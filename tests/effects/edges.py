@@ -18,11 +18,11 @@ import trimesh
 from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.effects import EFFECTS
-from terrain.level import LoadedLevel, load_level
+from terrain.level.level import LoadedLevel, load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 

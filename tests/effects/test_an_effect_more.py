@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import terrain.effects
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import Descriptor, describe
 from terrain.effects.effect import Block, Effect, Fact, Verdict

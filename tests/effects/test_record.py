@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 import configs
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import Frame, render_frame
 from terrain.descriptor import describe
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
 LEVELS = sorted(Path(configs.__file__).parent.glob("*.yaml"), key=lambda path: path.stem)
@@ -62,7 +62,7 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
         if "alpha_test" not in plan.runs:
             assert not any(record.textures for record in depth), (name, depth)
         words = {word for record in shadows for label in record.programs for word in label.split()}
-        assert "shadows/sun_disc.frag" not in words
+        assert "shadows/maps/sun_disc.frag" not in words
         for key in ("snow", "clouds", "sky_view", "lamps", "water", "haze", "outside_casters", "refraction"):
             assert (key in records) == (key in plan.runs)
 
@@ -72,6 +72,6 @@ def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
     view, asked = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
     frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, asked))
     words = {word for record in frame.passes for label in record.programs for word in label.split()}
-    assert "shadows/sun_disc.frag" in words and "soft_edges" in frame.effects
+    assert "shadows/maps/sun_disc.frag" in words and "soft_edges" in frame.effects
     reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")
     assert "filter sun is asked for" in reason

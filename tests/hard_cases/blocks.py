@@ -8,13 +8,13 @@ import numpy as np
 import shapely
 import trimesh
 
-from selector.footprint import texel_footprint_px
-from shadows.metrics import INTERIOR_PX, edge_distances, interior
+from selector.measure.footprint import texel_footprint_px
 from shadows.render import FILLS
-from shadows.truth import Truth, sub_views
-from terrain.camera import PerspectiveView, look_at
+from shadows.truth.metrics import INTERIOR_PX, edge_distances, interior
+from shadows.truth.truth import Truth, sub_views
 from terrain.descriptor import describe
-from terrain.resolve import RELIEF
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.camera import PerspectiveView, look_at
 from tests.hard_cases.cases import Seen
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -89,7 +89,7 @@ def on_ground(view: PerspectiveView, which: np.ndarray) -> tuple[np.ndarray, np.
 def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
     """Truth on the level ground z = 0 that a camera sees, from the polygons of its shadow; everything else is left out.
 
-    As in ``shadows.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
+    As in ``shadows.truth.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
     """
     view = seen.view
     assert isinstance(view, PerspectiveView)
@@ -102,7 +102,7 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
 
 
 def figures_on_ground(seen: Seen, hulls: Sequence[shapely.Polygon]) -> dict[str, float]:
-    """``interior`` and ``edge_p95_px`` of ``shadows.metrics`` on the level ground, against the polygons of its shadow.
+    """``interior`` and ``edge_p95_px`` of ``shadows.truth.metrics`` on the level ground, against the polygons of its shadow.
 
     The outline may be hidden by what stands before it: what lies within two texels of it on the ground is no interior either.
     """

@@ -9,11 +9,11 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from selector.footprint import texel_footprint_px
-from shadows.metrics import Errors, errors_of
+from selector.measure.footprint import texel_footprint_px
 from shadows.render import FILLS
-from shadows.truth import Truth
-from terrain.resolve import RELIEF
+from shadows.truth.metrics import Errors, errors_of
+from shadows.truth.truth import Truth
+from terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.cases import Seen
 from tests.shadows.boxes import box
 

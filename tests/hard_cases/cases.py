@@ -19,23 +19,23 @@ import numpy as np
 import pytest
 import trimesh
 
-from selector.footprint import texel_footprint_px
-from selector.rules import choose
+from selector.measure.footprint import texel_footprint_px
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import Errors, errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.render import FILLS
-from shadows.truth import Truth, truth_of
-from terrain.camera import PerspectiveView
+from shadows.truth.metrics import Errors, errors_of
+from shadows.truth.truth import Truth, truth_of
+from terrain.casters.reach import Casters, casters_of
 from terrain.descriptor import describe
 from terrain.errors import UnsupportedError
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
@@ -79,7 +79,7 @@ class Seen:
 
     @cached_property
     def errors(self) -> Errors:
-        """Every figure of ``shadows.metrics`` against truth."""
+        """Every figure of ``shadows.truth.metrics`` against truth."""
         pixel_m = describe(self.scene, self.view).pixel_m
         steps = [step for step in self.plan.steps if step.light == self.light and step.algorithm in FILLS]
         texels = [texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]]

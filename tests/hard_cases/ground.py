@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.camera import look_at
+from terrain.geo.camera import look_at
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 

@@ -32,14 +32,14 @@ class Mutant:
 
 
 def _no_snapping() -> None:
-    from shadows import map_windows
+    from shadows.maps import windows as map_windows
 
     window = map_windows._window
     map_windows._window = lambda low, high, texel, border, stable: window(low, high, texel, border, False)
 
 
 def _float32_world() -> None:
-    from terrain.world import World
+    from terrain.geo.world import World
 
     ground = World.ground
     World.ground = lambda self, crs, x, y: ground(self, crs, _rounded(x), _rounded(y))  # type: ignore[method-assign]
@@ -50,13 +50,13 @@ def _rounded(values: Any) -> np.ndarray:
 
 
 def _z_pass_always() -> None:
-    from shadows import volume_drawing
+    from shadows.volumes import drawing as volume_drawing
 
     volume_drawing.may_shade_near = lambda low, high, rectangle, light: np.zeros(len(low), bool)
 
 
 def _constant_bias() -> None:
-    from shadows import shadow_map
+    from shadows.maps import shadow_map
 
     look_up = shadow_map.look_up
 
@@ -67,7 +67,7 @@ def _constant_bias() -> None:
 
 
 def _near_plane() -> None:
-    from shadows import post_perspective
+    from shadows.maps import post_perspective
 
     matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
@@ -77,7 +77,7 @@ def _near_plane() -> None:
 
 def _flat_earth() -> None:
     """The plane that touches the earth where far shadows end."""
-    from terrain import world
+    from terrain.geo import world
     from tests.hard_cases.landscapes import MERIDIAN_DEG, TIP_DEG
 
     exact = world.geocentric

@@ -15,8 +15,8 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
-from terrain.grid import MapView
-from terrain.level_parts import SunSpec
+from terrain.geo.grid import MapView
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.blocks import block, flat
 from tests.hard_cases.bodies import FLOOR, eye

@@ -13,17 +13,17 @@ from itertools import product
 import numpy as np
 
 from shadows.attached import attached
-from shadows.map_windows import sun_maps
-from shadows.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.sun_disc import DISC_TAPS
+from shadows.maps.windows import sun_maps
 from shadows.plan import PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.render import FILLS
-from shadows.sun_disc import DISC_TAPS
-from shadows.truth import ALL_KINDS, ray_scene
-from terrain.camera import PerspectiveView
-from terrain.casting import caster_trees
+from shadows.truth.truth import ALL_KINDS, ray_scene
+from terrain.casters.casting import caster_trees
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
 from tests.hard_cases.cases import Seen
 
 STENCIL_PX = 2.0 / 256.0
@@ -100,8 +100,8 @@ def _map_moves(
     seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Moves to where a map looks: the centres of its taps, on the plane of the point's triangle, on those of a map's ground
-    connected with it or, where none is known there, at the depth of the point moved clear (``shadows.shadow_map`` derives by how
-    much). Either as it is and as much nearer to the sun as the map's steps of depth and float32 may make it.
+    connected with it or, where none is known there, at the depth of the point moved clear (``shadows.maps.shadow_map`` derives by
+    how much). Either as it is and as much nearer to the sun as the map's steps of depth and float32 may make it.
 
     The rasteriser's grid and float32 put an edge up to GRID_TEXELS and ``off`` beside itself, which as well moves the centre; and
     by ``off`` the point may have other taps.

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import trimesh
 
-from selector.footprint import texel_footprint_px
+from selector.measure.footprint import texel_footprint_px
 from terrain.descriptor import describe
-from terrain.level_parts import SunSpec
-from terrain.resolve import RELIEF
+from terrain.gbuffer.resolve import RELIEF
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, normal_of, tilted_plane, views_of

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from selector.map_settings import DEPTH_PX
-from shadows.map_drawing import draw_map
-from shadows.map_windows import DepthMap, distances, steps_of, sun_maps
+from selector.planner.map_settings import DEPTH_PX
+from shadows.maps.drawing import draw_map
+from shadows.maps.windows import DepthMap, distances, steps_of, sun_maps
 from shadows.passes import PassRecord
 from shadows.plan import Settings, ShadowMapSettings
 from terrain.descriptor import describe
-from terrain.gl import device
+from terrain.gl.device import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, views_of

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadows.map_windows import distances
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import longest_shadow_m
-from terrain.resolve import MESHES
+from shadows.maps.windows import distances
+from terrain.casters.reach import longest_shadow_m
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import MESHES
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Trial, hard_case
 from tests.hard_cases.landscapes import FarPeak, far_peak, views_of

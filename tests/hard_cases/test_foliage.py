@@ -12,17 +12,19 @@ import pyogrio
 import shapely
 from scipy.ndimage import gaussian_filter
 
-from shadows import map_drawing, planar
-from shadows.metrics import block_shares, coverage_error, flicker
-from shadows.truth import coverage_truth
-from terrain import rays, stand, visible
-from terrain.camera import PerspectiveView, look_at
-from terrain.foliage import LOOKS, SIZE, THRESHOLD, Foliage, coverage_mips
-from terrain.gl import device
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
-from terrain.resolve import RELIEF
+from shadows import planar
+from shadows.maps import drawing as map_drawing
+from shadows.truth.metrics import block_shares, coverage_error, flicker
+from shadows.truth.truth import coverage_truth
+from terrain.casters import rays
+from terrain.casters.reach import casters_of
+from terrain.gbuffer import stand, visible
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.gl.device import device
 from terrain.scene import Scene
+from terrain.trees.foliage import LOOKS, SIZE, THRESHOLD, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.rasters import ENGINEERING

@@ -20,8 +20,8 @@ import trimesh
 from affine import Affine
 from PIL import Image
 
-from api import cli
-from api.app import create_app
+from api.cli import main as cli
+from api.http.app import create_app
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from api.settings import Settings
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level

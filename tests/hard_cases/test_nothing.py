@@ -9,8 +9,8 @@ import numpy as np
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.render import FILLS
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
 from tests.hard_cases.bodies import FLOOR, SPOT, eye, joined, not_a_number, soup
 from tests.hard_cases.cases import Trial, View, hard_case

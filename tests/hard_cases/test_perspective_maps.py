@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from terrain.camera import PerspectiveView
+from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from tests.hard_cases.blocks import axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
 from tests.hard_cases.cases import Seen, Trial, hard_case

@@ -10,16 +10,16 @@ import numpy as np
 from pyproj import Transformer
 from scipy.spatial import ConvexHull
 
-from selector.footprint import texel_footprint_px
-from selector.rules import choose
+from selector.measure.footprint import texel_footprint_px
+from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.camera import PerspectiveView, look_at
 from terrain.descriptor import describe
-from terrain.grid import Grid, MapView
-from terrain.level_parts import SunSpec
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.grid import Grid, MapView
+from terrain.geo.sun import apparent_position
+from terrain.geo.world import WGS84
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
-from terrain.sun import apparent_position
-from terrain.world import WGS84
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 
 MAST_M = 100.0

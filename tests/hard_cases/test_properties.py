@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from shadows.attached import attached
-from shadows.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_map
 from shadows.plan import PerspectiveMapSettings
-from terrain.camera import PerspectiveView
 from terrain.errors import UnsupportedError
-from terrain.level import SUN
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import SUN
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 from tests.hard_cases.reach_of_error import beyond

@@ -9,10 +9,10 @@ import pytest
 import rasterio
 from affine import Affine
 
-from terrain.elevation import Elevation
 from terrain.errors import SourceError
-from terrain.level_parts import SunSpec
-from terrain.world import geocentric, geodetic
+from terrain.geo.world import geocentric, geodetic
+from terrain.ground.elevation import Elevation
+from terrain.level.parts import SunSpec
 from tests.hard_cases.cases import ENGINE, SHADOWING, Trial, hard_case
 from tests.hard_cases.ground import CORNER_M, UTM, places, share, whole
 from tests.rasters import ENGINEERING

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from selector.footprint import texel_footprint_px
+from selector.measure.footprint import texel_footprint_px
 from shadows.render import FILLS
 from terrain.descriptor import describe
-from terrain.level_parts import SunSpec
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.ground import places, share, whole

@@ -6,23 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from selector.map_settings import EXTENT_STEP
-from selector.rules import choose
-from shadows import perspective_shadow_map
+from selector.planner.map_settings import EXTENT_STEP
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.map_drawing import draw_map
-from shadows.map_lookup import look_up
-from shadows.map_windows import BORDER_TEXELS, sun_maps
-from shadows.metrics import flicker
+from shadows.maps import perspective_shadow_map
+from shadows.maps.drawing import draw_map
+from shadows.maps.lookup import look_up
+from shadows.maps.windows import BORDER_TEXELS, sun_maps
 from shadows.passes import PassRecord
 from shadows.plan import ShadowMapSettings, Step
-from terrain.camera import PerspectiveView
+from shadows.truth.metrics import flicker
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer
-from terrain.gl import device
-from terrain.grid import MapView
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.gl.device import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.sites import site

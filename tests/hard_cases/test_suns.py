@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from terrain.errors import InputError, LevelError
-from terrain.level import load_level, parse_sun
-from terrain.level_parts import SunSpec
-from terrain.sun import YEARS, sun_of
-from terrain.world import LONGITUDE_LATITUDE, World
+from terrain.geo.sun import YEARS, sun_of
+from terrain.geo.world import LONGITUDE_LATITUDE, World
+from terrain.level.level import load_level, parse_sun
+from terrain.level.parts import SunSpec
 from tests.hard_cases.cases import Trial, hard_case
 from tests.hard_cases.ground import places, share, whole
 from tests.hard_cases.test_sweep_azimuths import hills

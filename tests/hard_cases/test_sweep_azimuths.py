@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.metrics import errors_of
-from terrain.grid import MapView
-from terrain.level_parts import SunSpec
+from shadows.truth.metrics import errors_of
+from terrain.geo.grid import MapView
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Trial, View, hard_case
 from tests.hard_cases.ground import CORNER_M, UTM, share, whole

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from shadows.metrics import edge_distances
-from terrain.grid import MapView, tile_grid
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import frame_of
+from shadows.truth.metrics import edge_distances
+from terrain.gbuffer.picture import frame_of
+from terrain.geo.grid import MapView, tile_grid
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.hard_cases.cases import Trial, hard_case
 from tests.render import block_at

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from shadows.volume_views import near_plane_m
-from terrain.resolve import RELIEF
+from shadows.volumes.views import near_plane_m
+from terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.bodies import EYES, FLOOR, SPOT, differing, errors, eye, joined, plates, size_of, truth_of_boxes
 from tests.hard_cases.cases import Trial, hard_case
 from tests.shadows.boxes import box

@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 import trimesh
 
-from terrain.grid import MapView
-from terrain.resolve import RELIEF
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from tests.hard_cases.blocks import block, flat, shade, shaded
 from tests.hard_cases.cases import Seen, Trial, hard_case

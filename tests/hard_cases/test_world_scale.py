@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.level_parts import SunSpec
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 from tests.hard_cases.sites import differing, site, views_of

@@ -18,17 +18,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from selector import steady
-from selector.device_profile import DeviceProfile
+from selector.cost.device_profile import DeviceProfile
 from selector.picks import Pick
-from selector.rules import choose
+from selector.planner.rules import choose
 from selector.select import select
 from selector.steady import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
-from terrain.camera import PerspectiveView, look_at
 from terrain.descriptor import Descriptor, describe
-from terrain.level import SUN, Level, SunSpec, load_level
-from terrain.made_ground import ENGINEERING
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.ground.made_ground import ENGINEERING
+from terrain.level.level import SUN, Level, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]

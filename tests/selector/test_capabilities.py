@@ -15,19 +15,19 @@ import pyogrio
 import pytest
 import shapely
 
-from api import cli
-from api.app import create_app
+from api.cli import main as cli
+from api.http.app import create_app
 from api.settings import Settings
 from selector.candidates import MOST, candidates
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.registry import ALGORITHMS, GroundKind, LightKind, Part, ViewKind, able
 from shadows.render import FILLS, render_frame
-from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
 from terrain.errors import UnsupportedError
-from terrain.grid import MapView
-from terrain.level import AlgorithmName, CasterKind, load_level
-from terrain.made_ground import ENGINEERING
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.made_ground import ENGINEERING
+from terrain.level.level import AlgorithmName, CasterKind, load_level
 from terrain.scene import Scene, build_scene
 from tests.api.conftest import running
 from tests.render import block_at, plan_of

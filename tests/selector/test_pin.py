@@ -13,11 +13,11 @@ from ruamel.yaml import YAML
 
 from selector.picks import Asked, Pick
 from selector.pin import MARK, pin, pinned, pinned_text, pins
-from selector.rules import choose
+from selector.planner.rules import choose
 from terrain.descriptor import describe
 from terrain.errors import InputError, LevelError
-from terrain.level import load_level, override
-from terrain.level_parts import SunSpec
+from terrain.level.level import load_level, override
+from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
 WHY = ["Pinned by skugga select on 2026-11-22: view map.", "sun/relief: sweep, for it is exact."]

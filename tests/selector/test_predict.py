@@ -10,18 +10,18 @@ from typing import Any
 
 import pytest
 
-from selector.device_profile import DeviceProfile
-from selector.error_model import MANNERS, Counted, ErrorModel
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.error_model import MANNERS, Counted, ErrorModel
 from selector.picks import Asked
+from selector.planner.rules import Planner, planner_of
 from selector.predict import Option, options_of, predicted_plan
-from selector.rules import Planner, planner_of
 from selector.words import duration, percent
 from shadows.plan import Plan
 from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
 from terrain.errors import InputError, UnsupportedError
-from terrain.level import SUN, Shadows
+from terrain.level.level import SUN, Shadows
 
-TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection.jsonl"
+TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"
 
 ERRORS = ErrorModel(
     counted={kind: Counted(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from selector.steady import (
     GAIN,
     LONGEST,
@@ -27,7 +27,7 @@ from selector.steady import (
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
 from terrain.descriptor import Descriptor, describe
-from terrain.level import Level, SunSpec, load_level
+from terrain.level.level import Level, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 
 EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from shadows import shadow_map
 from shadows.attached import attached
+from shadows.maps import shadow_map
 from shadows.passes import PassLog
-from terrain.camera import PerspectiveView
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of
 

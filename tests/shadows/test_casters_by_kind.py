@@ -12,13 +12,13 @@ import shapely
 
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.truth import truth_of
-from terrain.geometry import GeometryBuffer
-from terrain.level import SUN, SunSpec, load_level
-from terrain.made_ground import ENGINEERING
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
-from terrain.resolve import FOREST, MESHES, RELIEF
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.ground.made_ground import ENGINEERING
+from terrain.level.level import SUN, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of, render
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from terrain.grid import MapView
-from terrain.reach import longest_shadow_m
+from terrain.casters.reach import longest_shadow_m
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render, shadow

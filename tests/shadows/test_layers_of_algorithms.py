@@ -14,11 +14,11 @@ from shadows.kept_layers import KeptLayers, beside_one_another
 from shadows.passes import PassLog
 from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
-from terrain.camera import PerspectiveView
 from terrain.errors import InputError, UnsupportedError
-from terrain.gl import Device
-from terrain.grid import MapView
-from terrain.level import SUN, load_level
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.gl.device import Device
+from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of, render
 
@@ -138,7 +138,7 @@ def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
 
 
 def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
-    monkeypatch.setattr("terrain.grid.BLOCK_PX", 32)
+    monkeypatch.setattr("terrain.geo.grid.BLOCK_PX", 32)
     view = scene.view(bounds=(-20, -20, 20, 20), size=(50, 60))
     overrides = {"sun": "planar", "spot": "shadow_map", "omni": "none"}
     frame = with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)

@@ -18,9 +18,9 @@ import shapely
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.render import Frame, forget_kept, render_frame
-from terrain import gl as gl_module
-from terrain.level import load_level
-from terrain.programs import Linked, note_draw
+from terrain.gl import device as gl_module
+from terrain.gl.programs import Linked, note_draw
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
@@ -195,9 +195,15 @@ def test_a_kept_map_is_not_drawn(gl, build):
 def test_a_depth_map_reads_a_texture_for_its_leaves_alone(gl, build):
     """Without a forest no texture unit can be read at all: nothing is alpha-tested."""
     bare, wooded = (record_of(drawn(build(trees), algorithm="shadow_map", map_size=256), "depth map") for trees in (False, True))
-    assert bare.draws > 0 and bare.textures == () and bare.programs == ("shadows/light shadows/depth.vert shadows/depth.frag",)
+    assert (
+        bare.draws > 0
+        and bare.textures == ()
+        and bare.programs == ("shadows/maps/light shadows/maps/depth.vert shadows/maps/depth.frag",)
+    )
     assert wooded.textures == ("foliage",) and wooded.programs[0] == bare.programs[0]
-    assert wooded.programs[1:] == ("shadows/light terrain/tree shadows/depth_tree.vert shadows/depth_tree.frag",)
+    assert wooded.programs[1:] == (
+        "shadows/maps/light terrain/gbuffer/tree shadows/maps/depth_tree.vert shadows/maps/depth_tree.frag",
+    )
 
 
 def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
@@ -206,17 +212,17 @@ def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
     frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
     assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
     without = {part for label in gl.programs for part in label.split()}
-    assert "shadows/shadow_map.frag" in without and not any("disc" in part or "tree" in part for part in without)
+    assert "shadows/maps/shadow_map.frag" in without and not any("disc" in part or "tree" in part for part in without)
     frame = drawn(build(), algorithm="shadow_map", filter="sun", map_size=256)
-    assert any("shadows/sun_disc.frag" in label.split() for label in gl.programs)
+    assert any("shadows/maps/sun_disc.frag" in label.split() for label in gl.programs)
     soft = record_of(frame, "visibility")
-    assert "least_depth" in soft.textures and any("shadows/sun_disc.frag" in label.split() for label in soft.programs)
+    assert "least_depth" in soft.textures and any("shadows/maps/sun_disc.frag" in label.split() for label in soft.programs)
     drawn(build(trees=True), algorithm="shadow_map", filter=3, map_size=256)
-    assert any("shadows/depth_tree.frag" in label.split() for label in gl.programs)
+    assert any("shadows/maps/depth_tree.frag" in label.split() for label in gl.programs)
 
 
 def test_labels_name_the_constants_compiled_in(gl, build):
     for taps in (1, 3):
         visibility = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility")
-        assert f"taps={taps}" in visibility.programs[0].split() and "shadows/shadow_map.frag" in visibility.programs[0].split()
+        assert f"taps={taps}" in visibility.programs[0].split() and "shadows/maps/shadow_map.frag" in visibility.programs[0].split()
         assert {"depth_map", "position_frame_m"} <= set(visibility.textures)

@@ -20,14 +20,14 @@ from shadows.passes import PassLog
 from shadows.plan import TruthSettings
 from shadows.planar import clip_from_plane, onto_plane
 from shadows.render import render_frame
-from shadows.truth import fill as truth_fill
-from shadows.truth import truth_of
-from terrain.antialias import sampled
-from terrain.level import SUN, load_level
-from terrain.made_ground import ENGINEERING
-from terrain.picture import geometry_of
-from terrain.reach import NO_CASTERS, casters_of
-from terrain.resolve import FOREST, MESHES, RELIEF
+from shadows.truth.truth import fill as truth_fill
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import NO_CASTERS, casters_of
+from terrain.gbuffer.antialias import sampled
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.ground.made_ground import ENGINEERING
+from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of, render
 

@@ -17,18 +17,18 @@ from affine import Affine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import block_shares, coverage_error, errors_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, TruthSettings
 from shadows.render import render_frame
-from shadows.truth import coverage_truth, fill, truth_of
+from shadows.truth.metrics import block_shares, coverage_error, errors_of
+from shadows.truth.truth import coverage_truth, fill, truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import Descriptor, describe
-from terrain.level import SUN, load_level
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
-from terrain.resolve import FOREST, MESHES, RELIEF
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render

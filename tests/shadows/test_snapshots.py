@@ -7,8 +7,8 @@ import pytest
 
 from api.layers import layer_of, viewable
 from shadows.render import render_frame
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 from tests import golden
 from tests.golden import assert_golden

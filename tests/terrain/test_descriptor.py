@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from selector.picks import Asked
-from selector.rules import choose
+from selector.planner.rules import choose
 from terrain.descriptor import Descriptor, describe
-from terrain.level import Shadows, load_level
-from terrain.level_parts import SunSpec
-from terrain.look import nearest_triangles
+from terrain.facts.look import nearest_triangles
+from terrain.level.level import Shadows, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -166,7 +166,7 @@ def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
     text = describe(scene, scene.view(view), view).model_dump_json()
     assert Descriptor.model_validate_json(text).model_dump_json() == text
     script = (
-        "from terrain.level import load_level; from terrain.scene import build_scene; from terrain.descriptor import describe\n"
+        "from terrain.describe import describe; from terrain.level.level import load_level; from terrain.scene import build_scene\n"
         f"scene = build_scene(load_level({str(CONFIGS / f'{level}.yaml')!r}))\n"
         f"print(describe(scene, scene.view({view!r}), {view!r}).model_dump_json())"
     )

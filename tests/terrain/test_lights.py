@@ -16,12 +16,12 @@ from shadows.attached import attached
 from terrain.effects.effect import Block
 from terrain.effects.lamps import shine
 from terrain.errors import InputError, LevelError
-from terrain.level import SUN, parse_algorithm
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.world import geocentric
+from terrain.level.level import SUN, parse_algorithm
 from terrain.lights import CONE_EDGE, axes_along
-from terrain.picture import geometry_of
 from terrain.scene import Scene
 from terrain.shading import LEVEL_ALBEDO, LEVEL_GROUND, shade
-from terrain.world import geocentric
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 

@@ -13,12 +13,12 @@ import rasterio
 import shapely
 
 from configs import LEVELS_FOLDER
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.canopy import LEAST_HEIGHT_M
 from terrain.descriptor import describe
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
+from terrain.trees.canopy import LEAST_HEIGHT_M
 
 CITY = "urban/goteborg_1m"
 ROOF_M = 0.2

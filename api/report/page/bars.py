@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from html import escape
 from math import floor, log10
 
-from api.report_page.marks import GRAY, stage_colours
-from api.report_page.markup import tag
-from api.report_page.scales import round_time
-from api.summary import Figures
+from api.report.page.marks import GRAY, stage_colours
+from api.report.page.markup import tag
+from api.report.page.scales import round_time
+from api.report.summary import Figures
 from selector.words import duration
 
 WIDTH, STEP, TOP, BAR = 1180.0, 21.0, 26.0, 14.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cos, pi, sin
 
-from api.report_page.markup import tag
+from api.report.page.markup import tag
 
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GRAY = "#0072b2", "#d55e00", "#009e73", "#b8558f", "#e69f00", "#56b4e9", "#6b7280"
 

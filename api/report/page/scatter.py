@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 
-from api.report_page.marks import MARKS, mark_of
-from api.report_page.markup import tag
-from api.report_page.scales import Scale, round_time, scale_of
-from api.summary import FLOORS, NONE, Figures, casts, family, on_front
-from selector.compare import Comparison
+from api.report.page.marks import MARKS, mark_of
+from api.report.page.markup import tag
+from api.report.page.scales import Scale, round_time, scale_of
+from api.report.summary import FLOORS, NONE, Figures, casts, family, on_front
+from selector.measure.compare import Comparison
 from selector.words import duration, percent
 
 WIDTH, HEIGHT = 860.0, 540.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from api.report_page.bars import stages_of
-from api.report_page.markup import breakable, definitions, tag
-from api.report_page.scatter import swatch
-from api.summary import Figures, family
-from selector.compare import Comparison
+from api.report.page.bars import stages_of
+from api.report.page.markup import breakable, definitions, tag
+from api.report.page.scatter import swatch
+from api.report.summary import Figures, family
+from selector.measure.compare import Comparison
 from selector.words import duration
 
 

@@ -1,5 +1,5 @@
 // The visible point of a pixel, as a perspective shadow map has it, held against the map. Derived in
-// shadows/perspective_shadow_map.py.
+// shadows/maps/perspective_shadow_map.py.
 uniform sampler2D position_frame_m;  // rgb: the visible points
 uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease
 uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from terrain.body import Body
-from terrain.generators.boxgrid import boxgrid
-from terrain.generators.landmarks import tetrahedra, wood_hill
-from terrain.generators.rocks import rocks
-from terrain.generators.room import room
-from terrain.generators.street import street
-from terrain.generators.water_tower import water_tower
+from terrain.meshes.body import Body
+from terrain.meshes.generators.boxgrid import boxgrid
+from terrain.meshes.generators.landmarks import tetrahedra, wood_hill
+from terrain.meshes.generators.rocks import rocks
+from terrain.meshes.generators.room import room
+from terrain.meshes.generators.street import street
+from terrain.meshes.generators.water_tower import water_tower
 
 GENERATORS: dict[str, Callable[[], list[Body]]] = {
     "boxgrid": boxgrid,

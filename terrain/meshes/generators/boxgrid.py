@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import product
 
-from terrain.body import Body
-from terrain.generators.shapes import cuboid
+from terrain.meshes.body import Body
+from terrain.meshes.generators.shapes import cuboid
 
 COUNT = 10
 PITCH_M = 3.0

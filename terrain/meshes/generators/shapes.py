@@ -7,7 +7,7 @@ import shapely
 import trimesh
 from scipy.spatial import ConvexHull
 
-from terrain.body import Body, box, srgb_albedo
+from terrain.meshes.body import Body, box, srgb_albedo
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.body import Body, moved
-from terrain.generators.shapes import arc, circle, hull, lathe, ring, tube
+from terrain.meshes.body import Body, moved
+from terrain.meshes.generators.shapes import arc, circle, hull, lathe, ring, tube
 
 LEGS = 6
 FOOT_RADIUS_M, HEAD_RADIUS_M = 8.0, 5.75

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.app import create_app
-from api.jobs import LevelKey
+from api.cli.snapshot import snapshot
+from api.http.app import create_app
+from api.http.served import ServedLevels
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_of
-from api.render_worker import MAX_PROCESS_BYTES, Scenes, resident_bytes
-from api.served import ServedLevels
 from api.settings import Settings
-from api.snapshot import snapshot
-from terrain.level_parts import SunSpec
-from tests.api import fake_workers
+from api.workers.jobs import LevelKey
+from api.workers.render_worker import MAX_PROCESS_BYTES, Scenes, resident_bytes
+from terrain.level.parts import SunSpec
 from tests.api.conftest import Client, running
-from tests.api.test_problems import check_problem
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
 
 YARD = "/levels/yard/snapshot"
 WIDTH, HEIGHT = 160, 120

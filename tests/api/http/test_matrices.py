@@ -4,7 +4,7 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
-from api.matrices import (
+from api.http.matrices import (
     ZoomRange,
     check_tile,
     doubles,
@@ -13,7 +13,7 @@ from api.matrices import (
     served_matrix_sets,
     zoom_range,
 )
-from terrain.world import World
+from terrain.geo.world import World
 
 MERCATOR = registered.get("WebMercatorQuad")
 

@@ -9,18 +9,18 @@ import httpx
 import pytest
 
 from api.calibrated import digest_of
-from api.jobs import Tiles
-from api.render_worker import Desk, TilePlans, block_view, tiles_view
 from api.settings import Settings
-from selector.device_profile import DeviceProfile
+from api.workers.jobs import Tiles
+from api.workers.render_worker import Desk, TilePlans, block_view, tiles_view
+from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from terrain.descriptor import Descriptor
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import build_scene
-from tests.api import fake_workers
 from tests.api.conftest import ZOOM, Client
-from tests.api.test_problems import check_problem
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
 
 PLAN, FACTS = "/levels/hills/plan", "/levels/hills/descriptor"
 
@@ -191,7 +191,7 @@ def test_documentation(client: Client):
 
 def calibrated(pipe, config) -> None:
     """An obedient worker whose device has a calibration."""
-    from api.jobs import Ready
+    from api.workers.jobs import Ready
 
     class Pipe:
         def __getattr__(self, name):
@@ -220,8 +220,8 @@ def test_pictures_of_another_calibration_have_other_tags(serve_with):
 
 
 def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
-    from api.jobs import BlockJob, LevelKey
-    from api.render_worker import _plan_of_tiles
+    from api.workers.jobs import BlockJob, LevelKey
+    from api.workers.render_worker import _plan_of_tiles
 
     scene = build_scene(load_level(hills_level))
     jobs = [

@@ -5,10 +5,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from api.app import create_app
+from api.http.app import create_app
 from api.settings import Settings
-from tests.api import fake_workers
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
+from tests.api.workers import fake_workers
 
 X, Y = CORNER
 TILE = f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"

@@ -13,13 +13,13 @@ import pytest
 
 from tests.api.conftest import CORNER, ZOOM
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 SOON_S = 60
 
 SERVE = """
 import sys
 from pathlib import Path
-from api.app import serve
+from api.http.app import serve
 from api.settings import Settings
 
 if __name__ == "__main__":
@@ -29,9 +29,9 @@ if __name__ == "__main__":
 LOOK_INSIDE = f"""
 import sys
 from pathlib import Path
-from api.app import create_app
+from api.http.app import create_app
 from api.settings import Settings
-from terrain import gl
+from terrain.gl import device as gl
 from tests.api.conftest import running
 
 if __name__ == "__main__":
@@ -106,7 +106,7 @@ def test_the_services_process_has_no_opengl(hills_level: Path, client):
 def test_a_wrong_level_ends_it_at_once(tmp_path: Path):
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("version: 7", encoding="utf-8")
-    script = "import sys; from api.cli import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
+    script = "import sys; from api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
     command = [sys.executable, "-c", script, str(wrong)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
     assert done.returncode == 2

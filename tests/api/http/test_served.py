@@ -8,9 +8,9 @@ import rasterio
 
 from api.catalogue import bundled_levels
 from api.errors import exit_status
-from api.jobs import LevelKey
-from api.render_worker import Scenes
-from api.served import ServedLevels
+from api.http.served import ServedLevels
+from api.workers.jobs import LevelKey
+from api.workers.render_worker import Scenes
 from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError
 from tests.api.conftest import write_level
 

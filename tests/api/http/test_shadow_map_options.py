@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from api import cli
-from api.jobs import Overrides
-from api.parameters import PICTURE_PARAMETERS, wishes
-from terrain.level import Shadows
+from api.cli import main as cli
+from api.http.parameters import PICTURE_PARAMETERS, wishes
+from api.workers.jobs import Overrides
+from terrain.level.level import Shadows
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 

@@ -11,9 +11,9 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
+from api.http.tiles import encode
 from api.layers import picture_of
-from api.tiles import encode
-from terrain.level import load_level
+from terrain.level.level import load_level
 from terrain.scene import build_scene
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.render import render

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from fastapi import FastAPI
 
-from api import routes_viewer
-from api.app import create_app
+from api.http import routes_viewer
+from api.http.app import create_app
 from api.settings import Settings
-from tests.api import fake_workers
 from tests.api.conftest import Client, running
+from tests.api.workers import fake_workers
 
 
 @pytest.fixture

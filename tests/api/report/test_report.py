@@ -20,16 +20,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from api.report import MOST_BYTES, report, write_report, write_scatter
-from api.report_page.bars import REST, bars, stages_of
-from api.report_page.marks import MARKS, mark_of
-from api.report_page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
-from api.report_page.scales import scale_of
-from api.report_page.scatter import HEIGHT, WIDTH, scatter
-from api.summary import casts, family
-from selector.compare import Comparison, Row, false_colours
-from terrain.camera import PerspectiveView
-from tests.api.test_summary import COLS, NONE, ROWS, comparison, figures
+from api.report.page.bars import REST, bars, stages_of
+from api.report.page.marks import MARKS, mark_of
+from api.report.page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
+from api.report.page.scales import scale_of
+from api.report.page.scatter import HEIGHT, WIDTH, scatter
+from api.report.report import MOST_BYTES, report, write_report, write_scatter
+from api.report.summary import casts, family
+from selector.measure.compare import Comparison, Row, false_colours
+from terrain.geo.camera import PerspectiveView
+from tests.api.report.test_summary import COLS, NONE, ROWS, comparison, figures
 
 BASE = np.linspace(0, 255, ROWS * COLS * 3).astype(np.uint8).reshape(ROWS, COLS, 3)
 NASTY = "</script><b>&\"'$title"
@@ -235,7 +235,7 @@ def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk(monkeypatch: py
     rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, [])
     ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
     assert "pixels of the view" in report(rows, ground, ABOUT)
-    monkeypatch.setattr("api.report.MOST_BYTES", 200_000)
+    monkeypatch.setattr("api.report.report.MOST_BYTES", 200_000)
     text = report(rows, ground, ABOUT)
     assert len(text.encode()) < 200_000 < MOST_BYTES
     assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500

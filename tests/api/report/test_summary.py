@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.summary import MAX_INTERIOR, family, in_words
-from selector.compare import Comparison, Row
+from api.report.summary import MAX_INTERIOR, family, in_words
+from selector.measure.compare import Comparison, Row
 from selector.words import duration, listed, percent
-from terrain.camera import PerspectiveView
+from terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
 VIEW = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, ROWS, COLS)

@@ -9,10 +9,10 @@ from multiprocessing.synchronize import Semaphore
 
 import numpy as np
 
-from api.jobs import Block, BlockJob, Failure, PlanAnswer, Ready
-from api.render_worker import WorkerConfig
+from api.workers.jobs import Block, BlockJob, Failure, PlanAnswer, Ready
+from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
-from terrain.grid import BLOCK_PX
+from terrain.geo.grid import BLOCK_PX
 
 RENDERER = "fake"
 

@@ -10,10 +10,10 @@ from multiprocessing import get_context
 
 import pytest
 
-from api.render_worker import worker_main
-from tests.api import fake_workers
+from api.workers.render_worker import worker_main
 from tests.api.conftest import CORNER, ZOOM, Client
-from tests.api.test_problems import check_problem
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
 
 X, Y = CORNER
 SOON_S = 30.0

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from api.errors import WorkerCrashError
-from api.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob
-from api.pool import Pool
 from api.settings import Settings
+from api.workers.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob
+from api.workers.pool import Pool
 from terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
-from tests.api import fake_workers
+from tests.api.workers import fake_workers
 
 LEVEL = LevelKey(path=Path("level.yaml"), version="1")
 SOON_S = 30.0

@@ -1,7 +1,7 @@
 import pytest
 
-from api import warm_up as module
-from api.warm_up import warm_up
+from api.workers import warm_up as module
+from api.workers.warm_up import warm_up
 from terrain.errors import GraphicsError
 
 

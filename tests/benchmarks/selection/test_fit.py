@@ -6,13 +6,13 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from selection_fit import KINDS, MAPS, START, Case, _model, _Terms, cases_of, fitted
-from selection_policies import FOLDS, held_out_views, terrains
 
-from selector.error_model import DECIMATED, LEAST, LEAST_INTERIOR, LEAST_SPREAD, MANNERS, Counted, ErrorModel
+from benchmarks.selection.fit import KINDS, MAPS, START, Case, _model, _Terms, cases_of, fitted
+from benchmarks.selection.policies import FOLDS, held_out_views, terrains
+from selector.cost.error_model import DECIMATED, LEAST, LEAST_INTERIOR, LEAST_SPREAD, MANNERS, Counted, ErrorModel
 from shadows.plan import Cascade, PerspectiveMapSettings, ShadowMapSettings, Step, SweepSettings, VolumeSettings
 from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
-from terrain.level import SUN, CasterKind
+from terrain.level.level import SUN, CasterKind
 
 CAST = 0.4
 SIZES = (512, 1024, 2048, 4096)

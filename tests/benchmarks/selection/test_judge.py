@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from selection_judge import (
+
+from benchmarks.selection.judge import (
     GOALS,
     INTERIOR,
     MISSED,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from selection_measure import rows_of
-
+from benchmarks.selection.measure import rows_of
 from selector.picks import Asked
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan
-from terrain.level import SUN, Shadows
-from tests.selector.test_cost_model import described
+from terrain.level.level import SUN, Shadows
+from tests.selector.cost.test_cost_model import described
 
 
 def split_at(far_m: float) -> Plan:

@@ -4,14 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
-from selection_fit import cases_of, fitted
-from selection_page import END, START, page, with_tables
-from selection_table import read_table
 
-from selector.error_model import ErrorModel
-from selector.error_model import fitted as of_the_package
+from benchmarks.selection.fit import cases_of, fitted
+from benchmarks.selection.page import END, START, page, with_tables
+from benchmarks.selection.table import read_table
+from selector.cost.error_model import ErrorModel
+from selector.cost.error_model import fitted as of_the_package
 
-PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
+PAGE = Path(__file__).parents[3] / "docs" / "selection.md"
 
 
 def test_tables_go_between_their_marks_and_nothing_else_changes():
@@ -21,14 +21,14 @@ def test_tables_go_between_their_marks_and_nothing_else_changes():
 
 @pytest.mark.long
 def test_the_page_has_the_tables_of_what_was_measured():
-    """`python benchmarks/selection.py judge --write` mends it."""
+    """`python -m benchmarks.selection judge --write` mends it."""
     text = PAGE.read_text(encoding="utf-8")
     assert with_tables(text, page(*read_table())) == text
 
 
 @pytest.mark.long
 def test_the_constants_are_those_that_fit_what_was_measured():
-    """`python benchmarks/selection.py fit` mends it."""
+    """`python -m benchmarks.selection fit` mends it."""
     views, _ = read_table()
     again, kept = (json.loads(model.model_dump_json()) for model in (_fitted(views), of_the_package()))
     assert _numbers(again) == pytest.approx(_numbers(kept), rel=1e-2, abs=1e-6)

@@ -7,14 +7,14 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from selection_table import COLUMNS, DIGITS, TABLE, read_table, write_table
 
-from selector.device_profile import DeviceProfile
+from benchmarks.selection.table import COLUMNS, DIGITS, TABLE, read_table, write_table
+from selector.cost.device_profile import DeviceProfile
 from selector.picks import Asked
+from selector.planner.rules import planner_of
 from selector.portfolio import MOST, portfolio
-from selector.rules import planner_of
 from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
-from terrain.level import SUN, Shadows
+from terrain.level.level import SUN, Shadows
 
 DEVICE = DeviceProfile(
     renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.25,

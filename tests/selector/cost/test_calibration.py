@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector import calibration
-from selector.calibration import calibrate, fitted_rates
-from selector.calibration_scenes import described, stages
-from selector.cost_model import part_ms
-from selector.device_profile import DeviceProfile, load_profile, profile_path, save_profile, why_none
+from selector.cost import calibration
+from selector.cost.calibration import calibrate, fitted_rates
+from selector.cost.calibration_scenes import described, stages
+from selector.cost.cost_model import part_ms
+from selector.cost.device_profile import DeviceProfile, load_profile, profile_path, save_profile, why_none
 
 RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.cost_model import predicted_ms, predicted_parts_ms
-from selector.device_profile import DeviceProfile
-from selector.map_settings import sun_map_settings
+from selector.cost.cost_model import predicted_ms, predicted_parts_ms
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.work import sun_windows, work_of
 from selector.picks import Asked
+from selector.planner.map_settings import sun_map_settings
+from selector.planner.rules import choose
 from selector.portfolio import portfolio
-from selector.rules import choose
-from selector.work import sun_windows, work_of
 from shadows.plan import Cascade, HybridSettings, LampMapSettings, ShadowMapSettings, SweepSettings, VolumeSettings
 from terrain.descriptor import Band, CasterFacts, Descriptor, LampFacts, LightFacts
 from terrain.errors import InputError
-from terrain.level import SUN, Shadows
+from terrain.level.level import SUN, Shadows
 
 BODIES = CasterFacts(kind="meshes", count=10, triangles=1000, closed_share=1.0, height_m=4.0, width_m=5.0)
 GROUND = CasterFacts(kind="relief", triangles=20_000, outside_triangles=0)
@@ -91,7 +91,7 @@ def test_counts_of_a_shadow_map_are_what_its_passes_do():
 
 
 def test_samples_where_something_ends_are_work_like_pixels():
-    """Four samples for each such pixel, or two where there are many (``terrain.antialias``)."""
+    """Four samples for each such pixel, or two where there are many (``terrain.gbuffer.antialias``)."""
     plain = work_of(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     for share, more in ((0.1, 0.4), (0.3, 0.6)):
         edged = described(edge_share=share)

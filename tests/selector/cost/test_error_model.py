@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.error_model import (
+from selector.cost.error_model import (
     DECIMATED,
     HALF_A_HIT,
     LEAST,
@@ -38,8 +38,8 @@ from shadows.plan import (
     VolumeSettings,
 )
 from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
-from terrain.ground_mesh import WHOLE_TRIANGLES
-from terrain.level import SUN
+from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from terrain.level.level import SUN
 
 PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
 """Shadows with an edge every few hundred pixels: what differs grows as the texel does."""

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from api.catalogue import find_level
 from selector.candidates import MOST, candidates, name_of
-from selector.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_steps
-from selector.footprint import texel_footprint_px, texel_on_level_ground_m
+from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_steps
+from selector.measure.footprint import texel_footprint_px, texel_on_level_ground_m
 from shadows.attached import attached
 from shadows.render import forget_kept, render_frame
-from terrain.geometry import GeometryBuffer
-from terrain.level import load_level
-from terrain.picture import geometry_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of
 

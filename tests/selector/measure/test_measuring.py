@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from selector import measuring, trials
-from selector.against_truth import truth_of_view
-from selector.compare import measure
-from selector.measuring import Measured, Wanted, confirmed, measured_plan, measured_rows, winners
+from selector.measure import measuring, trials
+from selector.measure.against_truth import truth_of_view
+from selector.measure.compare import measure
+from selector.measure.measuring import Measured, Wanted, confirmed, measured_plan, measured_rows, winners
+from selector.measure.thinned import thin_truth, thinned
+from selector.measure.trials import Candidate, Trial, part_of, shadow_ms
 from selector.picks import Pick
-from selector.thinned import thin_truth, thinned
-from selector.trials import Candidate, Trial, part_of, shadow_ms
 from selector.winning import Figures
-from shadows.metrics import errors_of
 from shadows.render import render_frame
+from shadows.truth.metrics import errors_of
 from terrain.descriptor import describe
-from terrain.grid import BLOCK_PX, blocks_of
-from terrain.level import SunSpec, load_level
-from terrain.picture import geometry_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import BLOCK_PX, blocks_of
+from terrain.level.level import SunSpec, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.advice import NO_RULE, advised
-from selector.advice_rules import (
+from selector.picks import Asked
+from selector.planner.advice import NO_RULE, advised
+from selector.planner.advice_rules import (
     BEHIND_DEG,
     CLOSED_SHARE,
     COMPLEX_LAYERS,
@@ -27,12 +28,11 @@ from selector.advice_rules import (
     USUAL_TEXELS,
     Case,
 )
-from selector.picks import Asked
-from selector.rules import choose
+from selector.planner.rules import choose
 from selector.serves import SWEPT_M, serves
 from terrain.descriptor import Descriptor, describe
-from terrain.facts import CasterFacts, LightFacts
-from terrain.level import Shadows, load_level
+from terrain.facts.parts import CasterFacts, LightFacts
+from terrain.level.level import Shadows, load_level
 from terrain.scene import build_scene
 
 TEXEL_M = 0.5

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from selector.picks import Pick
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows import render as render_module
-from shadows import shadow_map
+from shadows.maps import shadow_map
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from terrain.descriptor import describe
 from terrain.errors import RenderError, UnsupportedError
-from terrain.level import Level, Shadows, SunSpec, load_level
+from terrain.level.level import Level, Shadows, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import block_at, plan_of, render
 

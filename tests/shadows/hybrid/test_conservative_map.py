@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shadows.conservative_map import (
+from shadows.hybrid.conservative_map import (
     LIT,
     MASKED,
     SHADED,
@@ -17,7 +17,7 @@ from shadows.conservative_map import (
     conservative_map,
     decide,
 )
-from shadows.conservative_raster import RUNS
+from shadows.hybrid.conservative_raster import RUNS
 
 SIZE = 12
 GRID = 2**16

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from shadows.passes import PassLog, PassRecord
-from shadows.truth import Truth
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from shadows.truth.truth import Truth
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 from tests.render import block_at
 from tests.shadows.boxes import box, level_of
-from tests.shadows.test_shadow_volume import (
+from tests.shadows.volumes.test_shadow_volume import (
     BEHIND,
     BODIES,
     EYES,

@@ -8,12 +8,12 @@ import trimesh
 from scipy.ndimage import binary_dilation
 
 from shadows.attached import attached
-from shadows.truth import Truth, truth_of
+from shadows.truth.truth import Truth, truth_of
+from terrain.casters.reach import casters_of
 from terrain.errors import InputError
-from terrain.geometry import GeometryBuffer
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
-from terrain.resolve import MESHES, RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import MESHES, RELIEF
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 from tests.shadows.boxes import box, level_of, visibility

@@ -10,19 +10,19 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.map_settings import CASCADE_PX, LARGEST
-from selector.rules import choose
-from shadows import shadow_map
+from selector.planner.map_settings import CASCADE_PX, LARGEST
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import errors_of
+from shadows.maps import shadow_map
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.truth import truth_of
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import Band, Descriptor, describe
-from terrain.level import Level, load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.level.level import Level, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 SIZE = [320, 240]

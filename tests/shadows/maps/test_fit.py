@@ -7,22 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.rules import choose
-from shadows import shadow_map
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.map_windows import BORDER_TEXELS, DepthMap, sun_maps
-from shadows.metrics import errors_of, flicker
+from shadows.maps import shadow_map
+from shadows.maps.windows import BORDER_TEXELS, DepthMap, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.truth import truth_of
-from terrain.camera import PerspectiveView, look_at
+from shadows.truth.metrics import errors_of, flicker
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 SHIFTS = [(1, 0), (0, 1), (7, -3), (31, 17)]

@@ -16,13 +16,13 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.depth_targets import MOST_BYTES, MOST_TARGETS, DepthTargets, depth_bytes
 from terrain.descriptor import describe
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from terrain.gl.depth_targets import MOST_BYTES, MOST_TARGETS, DepthTargets, depth_bytes
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of

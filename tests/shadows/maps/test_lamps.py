@@ -11,12 +11,12 @@ import shapely
 import trimesh
 
 from shadows.attached import attached
-from shadows.metrics import errors_of
 from shadows.render import Frame
-from shadows.truth import truth_of
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render

@@ -7,19 +7,19 @@ import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
 from shadows.attached import attached
-from shadows.sun_disc import DISC_TANGENT, EDGES, SAMPLES, WIDEST_TEXELS, samples_before_edges
-from shadows.truth import soft_truth, sun_disc
+from shadows.maps.sun_disc import DISC_TANGENT, EDGES, SAMPLES, WIDEST_TEXELS, samples_before_edges
+from shadows.truth.truth import soft_truth, sun_disc
+from terrain.casters.reach import casters_of
 from terrain.errors import UnsupportedError
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
-from terrain.resolve import MESHES
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import MESHES
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render
 from tests.shadows.boxes import View, box, level_of, visibility
-from tests.shadows.test_map_bias import EYE, plane, shaded
+from tests.shadows.maps.test_bias import EYE, plane, shaded
 
 ALTITUDE = 50.0
 

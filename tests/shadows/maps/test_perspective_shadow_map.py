@@ -10,20 +10,20 @@ import pytest
 import shapely
 import trimesh
 
-from selector.compare import measure
-from shadows import perspective_shadow_map
+from selector.measure.compare import measure
 from shadows.attached import attached
-from shadows.metrics import errors_of
+from shadows.maps import perspective_shadow_map
+from shadows.maps.post_perspective import CONE_DEG
 from shadows.passes import PassLog
 from shadows.plan import PerspectiveMapSettings
-from shadows.post_perspective import CONE_DEG
-from shadows.truth import coverage_truth, truth_of
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import coverage_truth, truth_of
+from terrain.casters.reach import casters_of
 from terrain.descriptor import describe
 from terrain.errors import UnsupportedError
-from terrain.geometry import GeometryBuffer
-from terrain.level import load_level
-from terrain.picture import geometry_of
-from terrain.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from shadows import sweep_grid
-from shadows.sweep_grid import (
+from shadows.sweep import grid as sweep_grid
+from shadows.sweep.grid import (
     LOWEST,
     NO_LEVELS,
     NO_MASK,
@@ -23,10 +23,10 @@ from shadows.sweep_grid import (
     sweep,
     turned_levels,
 )
-from shadows.sweep_horizon import horizon_deg
-from shadows.sweep_lines import sweep_rows
+from shadows.sweep.horizon import horizon_deg
+from shadows.sweep.lines import sweep_rows
+from terrain.casters.rays import RayScene
 from terrain.errors import UnsupportedError
-from terrain.rays import RayScene
 
 OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
@@ -231,7 +231,7 @@ def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
 
 
 def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
-    from shadows import sweep_horizon
+    from shadows.sweep import horizon as sweep_horizon
 
     heights = mountains(120, seed=8)
     whole = horizon_deg(heights, 10.0, 112.0)

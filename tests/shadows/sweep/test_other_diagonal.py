@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shadows.truth import changed_by_diagonal, truth_of
-from shadows.truth_cache import cached_truth, content_key
-from terrain.geometry import GeometryBuffer, map_geometry
-from terrain.grid import MapView
-from terrain.picture import geometry_of
-from terrain.rays import RayScene
-from terrain.reach import casters_of
+from shadows.truth.cache import cached_truth, content_key
+from shadows.truth.truth import changed_by_diagonal, truth_of
+from terrain.casters.rays import RayScene
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView
+from terrain.ground.surface import sheet_triangles
 from terrain.scene import Scene
-from terrain.surface import sheet_triangles
 from tests.rasters import ENGINEERING
 
 CELL_M = 8.0

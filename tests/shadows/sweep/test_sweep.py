@@ -5,25 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from selector.rules import choose
-from shadows import sweep
+from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.metrics import errors_of, soft_error
 from shadows.passes import PassLog
 from shadows.plan import SweepSettings
 from shadows.render import render_frame
-from shadows.truth import ray_scene, soft_truth, truth_of
-from terrain import reach
+from shadows.sweep import sweep
+from shadows.truth.metrics import errors_of, soft_error
+from shadows.truth.truth import ray_scene, soft_truth, truth_of
+from terrain.casters import reach
+from terrain.casters.reach import Casters, casters_of
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import Casters, casters_of
-from terrain.resolve import RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.grid import MapView
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
-from terrain.sun import SUN_RADIUS_DEG
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 
@@ -211,7 +211,7 @@ def test_more_cores_change_nothing(jacksboro, tile, monkeypatch):
 
 
 def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
-    from terrain import gl
+    from terrain.gl import device as gl
 
     def never() -> None:
         raise AssertionError("OpenGL was called")

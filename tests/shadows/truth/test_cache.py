@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.truth_cache import cached_truth, content_key
-from terrain.geometry import map_geometry
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.reach import Casters, casters_of
+from shadows.truth.cache import cached_truth, content_key
+from terrain.casters.reach import Casters, casters_of
+from terrain.gbuffer.geometry import map_geometry
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
 
@@ -21,7 +21,7 @@ def test_the_same_content_is_made_once(tmp_path):
     made = []
 
     def make(*args, **keys):
-        from shadows.truth import truth_of
+        from shadows.truth.truth import truth_of
 
         made.append(args)
         return truth_of(*args, **keys)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadows.metrics import (
+from shadows.truth.metrics import (
     block_shares,
     boundary,
     coverage_error,
@@ -15,7 +15,7 @@ from shadows.metrics import (
     interior,
     soft_error,
 )  # fmt: skip
-from shadows.truth import Truth
+from shadows.truth.truth import Truth
 
 
 def truth(lit, attached=None, decidable=None, there=None) -> Truth:

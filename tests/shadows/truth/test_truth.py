@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from selector.candidates import candidates
-from selector.compare import Comparison, compare, false_colours
-from shadows import shadow_map, truth
+from selector.measure.compare import Comparison, compare, false_colours
 from shadows.attached import attached
-from shadows.metrics import Errors, block_shares, coverage_error, errors_of, soft_error
+from shadows.maps import shadow_map
 from shadows.passes import PassLog
-from shadows.truth import Truth, coverage_truth, fill, soft_truth, sub_views, sun_disc, surface_error, truth_of
-from terrain.geometry import GeometryBuffer, map_geometry
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.reach import Casters, casters_of
+from shadows.truth import truth
+from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of, soft_error
+from shadows.truth.truth import Truth, coverage_truth, fill, soft_truth, sub_views, sun_disc, surface_error, truth_of
+from terrain.casters.reach import Casters, casters_of
+from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render, shadow
@@ -150,7 +151,7 @@ def comparison(scene) -> Iterator[Comparison]:
     """Every row measured once: times are no matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("selector.compare.REPEATS", 0)
+        patch.setattr("selector.measure.compare.REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 4000, y - 4000, x + 4000, y + 4000), size=(250, 250)))
 
 

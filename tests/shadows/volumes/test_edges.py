@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from shadows.edges import closed_parts, edges_of, parts_of, signed_sums
+from shadows.volumes.edges import closed_parts, edges_of, parts_of, signed_sums
 from terrain.errors import InputError
-from terrain.surface import sheet_triangles
+from terrain.ground.surface import sheet_triangles
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

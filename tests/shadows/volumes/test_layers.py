@@ -8,11 +8,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.edges import edges_of
-from shadows.silhouettes import RULES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
-from shadows.volume_layers import MOST, batches, may_shade_near, most_layers
+from shadows.volumes.edges import edges_of
+from shadows.volumes.layers import MOST, batches, may_shade_near, most_layers
+from shadows.volumes.silhouettes import RULES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from terrain.errors import InputError
-from terrain.surface import sheet_triangles
+from terrain.ground.surface import sheet_triangles
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

@@ -12,24 +12,26 @@ import numpy as np
 import pytest
 import trimesh
 
-from selector.volume_settings import hybrid_settings
-from shadows import hybrid, shadow_volume, sweep
+from selector.planner.volume_settings import hybrid_settings
 from shadows.attached import attached
-from shadows.metrics import Errors, errors_of
+from shadows.hybrid import hybrid
 from shadows.passes import PassLog
 from shadows.plan import SweepSettings, TruthSettings, VolumeSettings
 from shadows.render import forget_kept
-from shadows.truth import Truth, truth_of
-from shadows.truth import fill as truth_fill
-from terrain.antialias import sampled
-from terrain.camera import PerspectiveView
+from shadows.sweep import sweep
+from shadows.truth.metrics import Errors, errors_of
+from shadows.truth.truth import Truth, truth_of
+from shadows.truth.truth import fill as truth_fill
+from shadows.volumes import shadow_volume
+from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.descriptor import describe
-from terrain.geometry import GeometryBuffer
-from terrain.level import load_level
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
-from terrain.reach import NO_CASTERS, Casters, casters_of
-from terrain.resolve import RELIEF
+from terrain.gbuffer.antialias import sampled
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.hard_cases.bodies import EYES, SPOT, grounded, half_sphere, inside_out, joined, sheet, three_walls, without
 from tests.rasters import ENGINEERING

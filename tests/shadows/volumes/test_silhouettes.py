@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shadows.edges import edges_of
-from shadows.silhouettes import ALL, FACING, TURNED_AWAY, Rule, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from shadows.volumes.edges import edges_of
+from shadows.volumes.silhouettes import ALL, FACING, TURNED_AWAY, Rule, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from terrain.errors import InputError
-from terrain.surface import known_triangles
+from terrain.ground.surface import known_triangles
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

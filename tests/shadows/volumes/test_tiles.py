@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shadows import volume_drawing
 from shadows.attached import attached
 from shadows.passes import PassRecord
 from shadows.plan import VolumeSettings
-from shadows.tiles import TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
-from shadows.volume_drawing import count
-from shadows.volumes import light_in_frame, volumes_of
+from shadows.volumes import drawing as volume_drawing
+from shadows.volumes.drawing import count
+from shadows.volumes.tiles import TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
+from shadows.volumes.volumes import light_in_frame, volumes_of
 from tests.shadows.boxes import box, level_of
-from tests.shadows.test_shadow_volume import Look, above, eye, joined, look
+from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
 
 SIZES = st.tuples(st.integers(1, 90), st.integers(1, 90))
 SEEDS = st.integers(0, 2**32 - 1)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.clip_space import PART_PX, bend_px, camera_clip, map_clip, parts_of
-from terrain.grid import MapView
-from terrain.level import load_level
-from terrain.picture import frame_of, geometry_of
+from terrain.casters.clip_space import PART_PX, bend_px, camera_clip, map_clip, parts_of
+from terrain.gbuffer.picture import frame_of, geometry_of
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.render import block_at
 from tests.shadows.boxes import View, box, level_of

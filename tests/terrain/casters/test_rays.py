@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from terrain.rays import AlphaMesh, RayScene, sample_alpha
-from terrain.sun import direction_enu
+from terrain.casters.rays import AlphaMesh, RayScene, sample_alpha
+from terrain.geo.sun import direction_enu
 
 PIXEL_M = 0.5
 NEAR_PX = 0.02

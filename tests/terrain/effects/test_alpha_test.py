@@ -9,11 +9,11 @@ import pytest
 import shapely
 from pyogrio import raw
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
+from terrain.gbuffer.stand import any_in_map, stand_in_map
 from terrain.scene import Scene
-from terrain.stand import any_in_map, stand_in_map
 from tests.rasters import ENGINEERING
 
 

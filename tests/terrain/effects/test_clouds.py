@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.effects import clouds
 from terrain.effects.clouds import EDGE, HIGHEST, LAYER_M, STEEPEST, TOP, density_at, layer_of, shade_clouds, threshold_of
 from terrain.effects.effect import Block
-from terrain.noise import noise_at
-from terrain.picture import geometry_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.ground.noise import noise_at
 from terrain.population import Population
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING

@@ -11,9 +11,8 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.camera import PerspectiveView, look_at
 from terrain.descriptor import describe
 from terrain.effects.effect import Block
 from terrain.effects.haze import (
@@ -26,8 +25,9 @@ from terrain.effects.haze import (
     hides_beyond_m,
     veil,
 )  # fmt: skip
-from terrain.geometry import GeometryBuffer
-from terrain.level import load_level
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from terrain.shading import encoded, shade, sky_colors
 

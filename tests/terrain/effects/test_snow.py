@@ -7,16 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.effects import snow
 from terrain.effects.effect import Block
 from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, lie_on
-from terrain.geometry import GeometryBuffer
-from terrain.grid import MapView
-from terrain.picture import geometry_of
-from terrain.resolve import FOREST, MESHES, RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import albedo_of
 from tests.rasters import ENGINEERING

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from selector.rules import choose
+from selector.planner.rules import choose
 from shadows.render import render_frame
 from terrain.descriptor import describe
 from terrain.effects import water
 from terrain.effects.effect import Block
-from terrain.elevation import Elevation
-from terrain.level_parts import SunSpec
-from terrain.picture import geometry_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.ground.elevation import Elevation
+from terrain.level.parts import SunSpec
 from terrain.shading import WATER_ALBEDO, albedo_of, water_in
 
 UTM = "EPSG:32633"

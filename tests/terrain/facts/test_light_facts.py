@@ -13,15 +13,15 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrain.caster_facts import trees_of
+from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.descriptor import TEXEL_LADDER_PX, Descriptor, describe
-from terrain.leaf_rays import first_leaves
-from terrain.level import load_level
-from terrain.mesh_rays import meets, tree_of
-from terrain.probes import evenly, quasirandom
-from terrain.rays import RayScene, trees_as_mesh
+from terrain.facts.caster_facts import trees_of
+from terrain.facts.leaf_rays import first_leaves
+from terrain.facts.mesh_rays import meets, tree_of
+from terrain.facts.probes import evenly, quasirandom
+from terrain.facts.silhouettes_seen import edges_of, layers_before, length_px
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.silhouettes_seen import edges_of, layers_before, length_px
 from tests.rasters import ENGINEERING
 
 

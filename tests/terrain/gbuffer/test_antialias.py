@@ -12,13 +12,13 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from api.catalogue import find_level
 from shadows import render as render_module
 from shadows.render import Frame
-from terrain.antialias import Sampled, ends_in_crosses, sampled
-from terrain.camera import PerspectiveView
 from terrain.descriptor import describe
-from terrain.level import load_level
-from terrain.look import LOOK_PX, look_at_scene
-from terrain.picture import geometry_of
-from terrain.resolve import MESHES, NOTHING, RELIEF
+from terrain.facts.look import LOOK_PX, look_at_scene
+from terrain.gbuffer.antialias import Sampled, ends_in_crosses, sampled
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import MESHES, NOTHING, RELIEF
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from terrain.shading import encoded, shade
 from tests.rasters import ENGINEERING

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from terrain import ground_mesh as module
-from terrain.camera import PerspectiveView
-from terrain.ground_mesh import GroundMesh, ground_mesh
-from terrain.picture import geometry_of
+from terrain.gbuffer import ground_mesh as module
+from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render

@@ -10,11 +10,11 @@ from morecantile import tms as matrix_sets
 from pyproj import CRS, Geod, Transformer
 
 from api.layers import layer_of
-from terrain.geometry import map_geometry
-from terrain.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
-from terrain.level import load_level
+from terrain.gbuffer.geometry import map_geometry
+from terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
+from terrain.geo.world import World
+from terrain.level.level import load_level
 from terrain.scene import build_scene
-from terrain.world import World
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render
 

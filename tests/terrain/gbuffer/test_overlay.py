@@ -12,11 +12,11 @@ import trimesh
 from pyproj import Transformer
 
 from shadows.render import render_frame
-from terrain.foliage import LOOKS
-from terrain.geometry import GeometryBuffer
-from terrain.picture import geometry_of
-from terrain.resolve import FOREST, MESHES, NOTHING, RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, NOTHING, RELIEF
 from terrain.scene import Scene
+from terrain.trees.foliage import LOOKS
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 

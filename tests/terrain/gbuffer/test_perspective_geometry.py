@@ -11,12 +11,12 @@ from pyproj import Transformer
 
 from api.layers import layer_of
 from shadows.render import render_frame
-from terrain.camera import PerspectiveView
+from terrain.casters.rays import RayScene
 from terrain.errors import InputError
-from terrain.geometry import GeometryBuffer
-from terrain.picture import Visible, buffer_of, geometry_of
-from terrain.rays import RayScene
-from terrain.resolve import MESHES, RELIEF
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.resolve import MESHES, RELIEF
+from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from terrain.shading import SKY_HORIZON, SKY_ZENITH, encoded
 from tests.rasters import ENGINEERING

@@ -11,17 +11,17 @@ import pytest
 import shapely
 from pyproj import Transformer
 
-from shadows import truth
-from shadows.truth import ALL_KINDS
-from terrain import stand as module
-from terrain.camera import PerspectiveView, look_at
-from terrain.foliage import LOOKS, THRESHOLD, foliage
-from terrain.picture import Visible, buffer_of, geometry_of
-from terrain.rays import sample_alpha
-from terrain.reach import casters_of
-from terrain.resolve import FOREST
+from shadows.truth import truth
+from shadows.truth.truth import ALL_KINDS
+from terrain.casters.rays import sample_alpha
+from terrain.casters.reach import casters_of
+from terrain.gbuffer import stand as module
+from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.resolve import FOREST
+from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.geo.camera import PerspectiveView, look_at
 from terrain.scene import Scene
-from terrain.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.trees.foliage import LOOKS, THRESHOLD, foliage
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 
-from terrain.camera import PerspectiveView, look_at
 from terrain.errors import InputError
-from terrain.world import World, geocentric
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.world import World, geocentric
 from tests.rasters import ENGINEERING
 
 UP = np.array([0.0, 0.0, 1.0])

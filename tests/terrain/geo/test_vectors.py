@@ -12,7 +12,7 @@ import shapely
 from pyproj import CRS, Transformer
 
 from terrain.errors import SourceError
-from terrain.vectors import LONGEST_EDGE, attribute_names, numbers, read_features
+from terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)

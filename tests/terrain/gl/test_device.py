@@ -9,10 +9,10 @@ import moderngl
 import numpy as np
 import pytest
 
-from terrain.depth_targets import MOST_TARGETS
 from terrain.errors import GraphicsError
-from terrain.programs import joined, recorded
-from terrain.surface import sheet_triangles
+from terrain.gl.depth_targets import MOST_TARGETS
+from terrain.gl.programs import joined, recorded
+from terrain.ground.surface import sheet_triangles
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"

@@ -8,9 +8,9 @@ import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrain.decimation import Decimated, Errors, decimate, errors_m
 from terrain.errors import InputError
-from terrain.world import EARTH_RADIUS_M
+from terrain.geo.world import EARTH_RADIUS_M
+from terrain.ground.decimation import Decimated, Errors, decimate, errors_m
 
 ALL = 10**9
 SPACING_M = 30.0

@@ -12,7 +12,7 @@ from api.catalogue import bundled_levels
 from shadows.registry import ALGORITHMS
 from terrain.effects import EFFECTS
 from terrain.errors import InputError, LevelError
-from terrain.level import AlgorithmName, EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun, spelt
+from terrain.level.level import AlgorithmName, EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun, spelt
 
 GOOD = "version: 1\nterrain: {source: jacksboro}\n"
 

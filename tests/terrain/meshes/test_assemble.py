@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from pyproj import CRS
 
-from terrain.assemble import place, solids
-from terrain.body import srgb_albedo
 from terrain.errors import LevelError, SourceError
-from terrain.level import load_level
+from terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
+from terrain.level.level import load_level
+from terrain.meshes.assemble import place, solids
+from terrain.meshes.body import srgb_albedo
 from terrain.scene import build_scene
-from terrain.world import LONGITUDE_LATITUDE, geocentric, transformer
 
 UTM = "EPSG:32633"
 FLOOR = {"flat": {"size": [200, 100], "cells": [20, 10]}}
@@ -94,7 +94,7 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     at_rest = scene.population
     later = scene.at_second(3.0).population
     assert at_rest.at_second(0.0) is at_rest and later.placement is at_rest.placement
-    monkeypatch.setattr("terrain.assemble.place", None)
+    monkeypatch.setattr("terrain.meshes.assemble.place", None)
     np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
     assert abs(later.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
     # The arrow has edges alone; facets of the shell, which is seen from inside, rise beside each other by some degrees.

@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from terrain.assemble import place, solids
-from terrain.body import Body, box, cylinder, merged, moved, srgb_albedo
-from terrain.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.errors import LevelError, SourceError
-from terrain.level import load_level
+from terrain.level.level import load_level
+from terrain.meshes.assemble import place, solids
+from terrain.meshes.body import Body, box, cylinder, merged, moved, srgb_albedo
+from terrain.meshes.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 

@@ -10,9 +10,9 @@ import pytest
 import shapely
 
 from configs import LEVELS_FOLDER
-from terrain.generators import GENERATORS, shapes
-from terrain.level import load_level
-from terrain.level_parts import MapSpec, MeshGenerator, PerspectiveSpec
+from terrain.level.level import load_level
+from terrain.level.parts import MapSpec, MeshGenerator, PerspectiveSpec
+from terrain.meshes.generators import GENERATORS, shapes
 
 TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
 """As in the thesis, section 7."""

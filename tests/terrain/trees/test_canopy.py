@@ -10,9 +10,9 @@ import shapely
 from pyproj import CRS
 from scipy.spatial import cKDTree
 
-from terrain import canopy as module
-from terrain.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, WINDOW_M, Canopy, CellWindow, room_m
 from terrain.errors import SourceError
+from terrain.trees import canopy as module
+from terrain.trees.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, WINDOW_M, Canopy, CellWindow, room_m
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)

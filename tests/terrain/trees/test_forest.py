@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 from scipy.spatial import cKDTree
 
-from terrain import forest as module
 from terrain.errors import LevelError, SourceError
-from terrain.foliage import LOOKS
-from terrain.forest import CROWN_SPREAD, Site, plant
-from terrain.scatter import LEAST_SPACING, joined, keys, point_keys, scatter, shares
-from terrain.trees import Trees
+from terrain.trees import forest as module
+from terrain.trees.foliage import LOOKS
+from terrain.trees.forest import CROWN_SPREAD, Site, plant
+from terrain.trees.scatter import LEAST_SPACING, joined, keys, point_keys, scatter, shares
+from terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32632"
