@@ -1,1 +1,5 @@
-"""What users touch: the HTTP service, its render workers, and the command line."""
+"""What users touch: the HTTP service, its render processes, the command line, and pages of figures.
+
+May import all floors. Beside the rooms lies what these share: the table of errors, settings, the levels there are, and layers as
+files.
+"""

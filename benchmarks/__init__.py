@@ -1,0 +1,1 @@
+"""Where figures come from: scripts that anybody can run again, ``python -m benchmarks.NAME``."""

@@ -49,7 +49,7 @@ from shadows.plan import Plan
 from shadows.render import FILLS, Frame, forget_kept, render_frame
 from shadows.volumes.tiles import marked_tiles
 from terrain.casters.reach import Casters
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.antialias import Sampled
 from terrain.geo.camera import PerspectiveView
 from terrain.gl.device import device

@@ -26,7 +26,7 @@ from api.catalogue import find_level
 from selector.measure.compare import false_colours, measure
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import MapView

@@ -44,7 +44,7 @@ from api.catalogue import bundled_levels, find_level
 from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.render import SHADING_PASS, bands_of, forget_kept, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects import EFFECTS
 from terrain.gbuffer.antialias import picture_of
 from terrain.geo.camera import PerspectiveView

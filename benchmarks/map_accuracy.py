@@ -26,7 +26,7 @@ from shadows.render import FILLS
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import SkuggaError
 from terrain.gbuffer.geometry import map_geometry
 from terrain.gl.device import device

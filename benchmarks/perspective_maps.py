@@ -25,7 +25,7 @@ from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import FILLS
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView
 from terrain.gl.device import device

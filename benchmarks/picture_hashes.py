@@ -26,7 +26,7 @@ from api.layers import DataLayer, PictureLayer, layer_of
 from selector.planner.rules import choose
 from shadows.registry import ALGORITHMS
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import SkuggaError
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene

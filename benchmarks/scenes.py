@@ -30,7 +30,7 @@ from shadows.render import render_frame
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.gl.device import device
 from terrain.level.level import load_level

@@ -18,7 +18,7 @@ from api.catalogue import bundled_levels
 from api.layers import picture_of
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import SkuggaError
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene

@@ -10,8 +10,9 @@ from typing import Any
 from selector.planner.rules import choose
 from shadows.plan import HybridSettings, LampMapSettings, PerspectiveMapSettings, Plan, Settings, ShadowMapSettings
 from shadows.registry import ALGORITHMS
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN, AlgorithmName, Level

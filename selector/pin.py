@@ -25,8 +25,8 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from selector.picks import Wishes
 from selector.planner.rules import choose
 from shadows.plan import Plan, Settings
-from terrain.descriptor import Descriptor
 from terrain.errors import InputError, LevelError
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
 
 SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling", "stencil", "counting", "mask")

@@ -7,7 +7,7 @@ from itertools import islice, product
 
 from selector.picks import Pick
 from selector.serves import SWEPT_M, serves, swept_m
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MOST = 40

@@ -18,7 +18,7 @@ from selector.winning import Figures, Verdict
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned, Step, Target
 from shadows.registry import ALGORITHMS
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import AlgorithmName, CasterKind
 
 

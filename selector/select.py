@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from selector.picks import PolicyName, Wishes
 from selector.planner.rules import choose
 from shadows.plan import Plan, Reasoned
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
 from terrain.errors import InputError
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene

@@ -6,7 +6,7 @@ import numpy as np
 
 from shadows.registry import ALGORITHMS, LightKind, Part
 from terrain.casters.reach import longest_shadow_m
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.grid import BLOCK_PX
 from terrain.level.level import SUN, AlgorithmName, CasterKind
 

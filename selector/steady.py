@@ -29,8 +29,8 @@ from selector.planner.rules import choose
 from selector.select import select
 from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
-from terrain.descriptor import Descriptor
 from terrain.errors import UnsupportedError
+from terrain.facts.descriptor import Descriptor
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile

@@ -10,7 +10,7 @@ from morecantile import tms as matrix_sets
 from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from terrain.scene import Scene
 

@@ -15,7 +15,7 @@ from selector.pin import MARK, pin, pinned, pins
 from selector.planner.rules import choose as choose_by_rules
 from selector.select import plan_of_view
 from shadows.plan import Plan
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import InputError, UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView

@@ -1,0 +1,4 @@
+"""The HTTP service: routes, parameters, answers and problems, tile matrices, and the levels that are served.
+
+May import: errors, layers, settings, workers.
+"""

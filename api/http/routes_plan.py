@@ -21,8 +21,8 @@ from selector.picks import Asked
 from selector.select import select
 from selector.serves import kinds_of_lights
 from shadows.plan import Plan
-from terrain.descriptor import Descriptor
 from terrain.errors import InputError
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, Shadows
 from terrain.level.parts import SunSpec
 

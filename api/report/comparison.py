@@ -16,7 +16,7 @@ from api.report.summary import in_words
 from selector.measure.compare import Comparison, Row, false_colours
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import InputError
 from terrain.gl.device import device
 from terrain.level.level import SUN

@@ -41,7 +41,7 @@ from selector.select import plan_of_view
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.casters.slopes import extent_on_grid
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import GraphicsError, RenderError, SkuggaError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid

@@ -34,7 +34,7 @@ from benchmarks.seeds.words import (
     percent,
     whole_percent,
 )
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
 

@@ -38,7 +38,7 @@ from benchmarks.seeds.words import (
 from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import forget_kept, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 
 HALF_SIZE = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4

@@ -24,7 +24,8 @@ from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import edge_distances, errors_of
 from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
 from terrain.casters.reach import Casters, casters_of
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView

@@ -30,7 +30,7 @@ from selector.picks import Asked
 from selector.planner.rules import planner_of
 from selector.portfolio import portfolio
 from shadows.plan import PerspectiveMapSettings, Step
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX
 from terrain.level.level import SUN, CasterKind, Shadows
 

@@ -21,8 +21,9 @@ from selector.portfolio import portfolio
 from selector.select import select
 from shadows.plan import Plan, Step
 from shadows.render import FILLS
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.gl.device import device

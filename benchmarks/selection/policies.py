@@ -15,7 +15,7 @@ from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel
 from selector.predict import predicted_plan
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import Shadows
 
 Figures = dict[str, Any]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from selector.cost.device_profile import DeviceProfile
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 
 TABLE = Path(__file__).with_name("selection.jsonl")
 

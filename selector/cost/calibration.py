@@ -27,7 +27,8 @@ from shadows.passes import PassLog
 from shadows.plan import Settings, Step, SweepSettings, TruthSettings
 from shadows.render import FILLS, forget_kept
 from terrain.casters.reach import Casters, casters_of
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.antialias import picture_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device

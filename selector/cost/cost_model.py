@@ -10,8 +10,8 @@ from collections.abc import Collection, Mapping
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.work import Counts, work_of
 from shadows.plan import Settings
-from terrain.descriptor import Descriptor
 from terrain.errors import InputError
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import AlgorithmName, CasterKind
 
 MS_PER_NS = 1e-6

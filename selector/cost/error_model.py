@@ -33,7 +33,7 @@ from selector.cost.task import is_decimated
 from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.facts.probes import PROBES
 from terrain.level.level import SUN, AlgorithmName, CasterKind

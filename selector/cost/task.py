@@ -11,7 +11,8 @@ import numpy as np
 
 from selector.serves import kinds_of_lights
 from shadows.registry import LightKind
-from terrain.descriptor import CasterFacts, Descriptor, LightFacts
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import CasterFacts, LightFacts
 from terrain.gbuffer.antialias import SIDE, samples_per_pixel
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN, CasterKind

@@ -28,7 +28,8 @@ from shadows.sweep.sweep import STRIPS
 from shadows.volumes.tiles import LEAST_TILES, RECTANGLE_FACES, TILE_PX
 from terrain.casters.clip_space import PART_PX
 from terrain.casters.reach import PATCH_QUADS
-from terrain.descriptor import TEXEL_LADDER_PX, Descriptor
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import TEXEL_LADDER_PX
 from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MARKED_LAYERS = 50.0

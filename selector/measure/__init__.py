@@ -1,0 +1,4 @@
+"""Measured against truth: trials of candidates, the policy `measure`, and the comparison behind the accuracy report.
+
+May import: candidates, picks, planner, portfolio, winning, words.
+"""

@@ -17,7 +17,7 @@ from shadows.render import FILLS, bands_of, forget_kept
 from shadows.truth import truth as truth_module
 from shadows.truth.metrics import errors_of
 from terrain.casters.reach import Casters, casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import InputError
 from terrain.gbuffer.antialias import Sampled, picture_of
 from terrain.gbuffer.picture import geometry_of

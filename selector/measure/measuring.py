@@ -20,7 +20,8 @@ from selector.portfolio import portfolio
 from selector.winning import Figures, Verdict, best, overshoot
 from selector.words import duration, percent
 from shadows.plan import Plan, Predicted, Reasoned
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import AlgorithmName, CasterKind, Shadows, override
 from terrain.scene import Scene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from selector.picks import Pick
 from selector.planner.advice_rules import RULES, Case
 from selector.serves import kinds_of_lights, serves
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import AlgorithmName, Shadows
 
 FALLBACK: AlgorithmName = "shadow_map"

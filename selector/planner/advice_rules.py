@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from selector.serves import SWEPT_M, swept_m
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CasterFacts, LampFacts, LightFacts
 from terrain.level.level import SUN, AlgorithmName, CasterKind, Shadows
 

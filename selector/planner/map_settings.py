@@ -10,8 +10,9 @@ import numpy as np
 
 from shadows.maps.windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
-from terrain.descriptor import Band, Descriptor, LampFacts
 from terrain.errors import UnsupportedError
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import Band, LampFacts
 from terrain.level.level import Shadows
 
 TEXEL_PX = 0.4

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from shadows.plan import PerspectiveMapSettings, Reasoned
-from terrain.descriptor import Descriptor
 from terrain.errors import UnsupportedError
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, Shadows
 
 AUTO_SIZE = 1024

@@ -19,10 +19,10 @@ from shadows.passes import PassLog
 from shadows.plan import Plan, Reasoned, Settings, Step, SweepSettings, Target, TruthSettings, steps_of
 from shadows.registry import ALGORITHMS, Part, able
 from shadows.render import passes_of
-from terrain.descriptor import Descriptor
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
 
 SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))

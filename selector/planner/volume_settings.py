@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from selector.planner.map_settings import lamp_map_settings, sun_map_settings
 from shadows.plan import HybridSettings, Reasoned, VolumeSettings
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, Shadows
 
 HYBRID_TEXELS = 768

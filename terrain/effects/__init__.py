@@ -1,6 +1,8 @@
 """Effects: one file each, with the predicate that says whether a scene calls for it, and why (or why not), and its part.
 
 ``terrain.level.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
+
+May import: casters, facts, gbuffer, geo, ground, level, lights, population, scene, shading.
 """
 
 from __future__ import annotations

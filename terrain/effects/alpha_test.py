@@ -5,18 +5,16 @@ Left out, no depth program holds a texture look-up at all.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from terrain.effects import cast_shadows
-from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.effects.effect import Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.stand import any_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

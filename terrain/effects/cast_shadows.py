@@ -12,13 +12,15 @@ once per ground and zoom: with the slopes (a, b) that a facet's normal (-a, -b, 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.compiled import compiled
-from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.effects.effect import Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.gbuffer.stand import Stand, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
@@ -27,9 +29,6 @@ from terrain.geo.light_space import LightSpace
 from terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
 from terrain.population import Population
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 COARSE_NODES = 2**18
 """Nodes of the coarse ground that is tried first: where it casts, the finer one does."""

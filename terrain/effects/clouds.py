@@ -10,13 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.effect import Block, Effect, Verdict
 from terrain.effects.haze import farthest_mesh_m
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -26,9 +28,6 @@ from terrain.ground.shown import Cells, cells_shown, whole
 from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 LAYER_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds over the level's mean ground; over its highest they are at least this high."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
-
-Fact = float | bool | str | None
 
 STEP = 1.0 / 255.0
 """What can be seen at least: a step of an 8-bit channel. An effect that changes no pixel by more is not called for."""
@@ -42,44 +40,6 @@ class Verdict:
 
     called_for: bool
     reason: str
-
-
-@dataclass(frozen=True, eq=False)
-class Crosses:
-    """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
-
-    ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
-    ``terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
-    ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3) float32
-    those of the meshes' faces.
-    """
-
-    view: PerspectiveView
-    row: np.ndarray
-    col: np.ndarray
-    number: np.ndarray
-    away_m: np.ndarray
-    ground: int
-    normals: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
-
-    ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
-    their heights, ``spacing`` the angle (a tangent) between neighbours. ``edge_share`` is the share of the view's own pixels in
-    which something ends, ``crosses`` are some of those.
-    """
-
-    buffer: GeometryBuffer
-    eye_frame_m: np.ndarray
-    points_frame_m: np.ndarray
-    away_m: np.ndarray
-    height_m: np.ndarray
-    spacing: float
-    edge_share: float
-    crosses: Crosses
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,12 +22,14 @@ times their slope with it, so that
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.picture import solids_in
 from terrain.gbuffer.stand import stand_in_perspective
 from terrain.geo.camera import PerspectiveView
@@ -35,9 +37,6 @@ from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
 from terrain.shading import daylight_of, sky_colors, srgb
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 CONTRAST = 0.02
 """What is left of a black object's contrast with the horizon at the distance called visibility."""

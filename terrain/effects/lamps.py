@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import STEP, Block, Effect, Look, Verdict
+from terrain.effects.effect import STEP, Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.shown import Cells, cells_shown, parts
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

@@ -6,20 +6,18 @@ what a map shows.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from terrain.casters.slopes import extent_on_grid
 from terrain.effects import cast_shadows
-from terrain.effects.effect import Effect, Fact, Look, Verdict
+from terrain.effects.effect import Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
 from terrain.ground.shown import is_block
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

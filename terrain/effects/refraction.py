@@ -7,19 +7,17 @@ is at most ``SRGB_SLOPE`` on what the sky's light alone leaves by day.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from terrain.casters.reach import longest_shadow_m
-from terrain.effects.effect import STEP, Effect, Fact, Look, Verdict
+from terrain.effects.effect import STEP, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
+from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import exposure_of
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
-    from terrain.geo.camera import PerspectiveView
 
 SRGB_SLOPE = 2.5
 """Slope of sRGB at a linear value of 0.05."""

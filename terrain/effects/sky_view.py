@@ -12,12 +12,13 @@ the brightest ground in shadow. All shades up to it are encoded as a picture's a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.shown import cells_shown, parts
@@ -25,9 +26,6 @@ from terrain.ground.sky_horizons import SkyView, nodes_of, sky_view
 from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 SHADES = 4096
 """Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""

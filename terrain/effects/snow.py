@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -15,9 +16,6 @@ from terrain.ground.noise import fractal_at
 from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, up_centre
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of snow that has settled, and of the rock and scree that steep ground shows."""

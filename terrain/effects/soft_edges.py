@@ -5,16 +5,12 @@ How wide depends on how far a shadow is thrown: at most as far as the level's re
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from terrain.casters.reach import longest_shadow_m
 from terrain.effects.effect import Effect, Verdict
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.sun import SUN_RADIUS_DEG
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
 """The sun's diameter, radians: the penumbra's width as a share of the distance from caster to receiver, across the light."""

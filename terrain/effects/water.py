@@ -20,13 +20,15 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import erf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Fact, Look, Verdict
+from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.look import Look
+from terrain.facts.parts import Fact
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.picture import Visible
 from terrain.geo.camera import PerspectiveView
@@ -48,9 +50,6 @@ from terrain.shading import (
     water_in,
     zenith_share,
 )
-
-if TYPE_CHECKING:
-    from terrain.descriptor import Descriptor
 
 WIND_M_S = 3.0
 """A light breeze."""

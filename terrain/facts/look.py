@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Crosses, Look
 from terrain.gbuffer.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
+from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
 from terrain.gbuffer.picture import buffer_of, solids_in
 from terrain.gbuffer.visible import NEAR_M, Seen
@@ -28,6 +28,44 @@ from terrain.scene import Scene
 
 LOOK_PX = 8
 """Distance of the pixels from which a perspective view is described."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crosses:
+    """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
+
+    ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
+    ``terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
+    ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3) float32
+    those of the meshes' faces.
+    """
+
+    view: PerspectiveView
+    row: np.ndarray
+    col: np.ndarray
+    number: np.ndarray
+    away_m: np.ndarray
+    ground: int
+    normals: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
+
+    ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
+    their heights, ``spacing`` the angle (a tangent) between neighbours. ``edge_share`` is the share of the view's own pixels in
+    which something ends, ``crosses`` are some of those.
+    """
+
+    buffer: GeometryBuffer
+    eye_frame_m: np.ndarray
+    points_frame_m: np.ndarray
+    away_m: np.ndarray
+    height_m: np.ndarray
+    spacing: float
+    edge_share: float
+    crosses: Crosses
 
 
 class _Sight:

@@ -23,6 +23,9 @@ Count = Annotated[int, Field(ge=0)]
 Slope = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
 Point = tuple[Number, Number, Number]
 
+Fact = float | bool | str | None
+"""A fact that an effect goes by besides; ``None``: not known."""
+
 ROUNDING = 1e-6
 """How far shares that make up a whole may add up to more than one."""
 

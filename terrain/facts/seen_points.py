@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from terrain.effects.effect import Look
 from terrain.facts.leaf_rays import first_leaves
+from terrain.facts.look import Look
 from terrain.facts.mesh_rays import first_meshes
 from terrain.facts.probes import Probes, evenly, quasirandom
 from terrain.gbuffer.antialias import CROSS, ends_in_crosses

@@ -1,0 +1,4 @@
+"""Where things are: earth-fixed space and local frames, map grids, cameras, the sun and its light space, vector files.
+
+May import: level.
+"""

@@ -1,0 +1,4 @@
+"""Level files: what an author writes, as validated values, and the data sets that come with Skugga.
+
+May import: no other room.
+"""

@@ -1,0 +1,4 @@
+"""Solid things: buildings, models and generated bodies, set on the ground as one set of triangles.
+
+May import: geo, ground, level.
+"""

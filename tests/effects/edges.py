@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects import EFFECTS
 from terrain.level.level import LoadedLevel, load_level
 from terrain.scene import Scene, build_scene

@@ -8,8 +8,10 @@ import pytest
 import terrain.effects
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import Descriptor, describe
-from terrain.effects.effect import Block, Effect, Fact, Verdict
+from terrain.describe import describe
+from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import Fact
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

@@ -9,7 +9,7 @@ import pytest
 import configs
 from selector.planner.rules import choose
 from shadows.render import Frame, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 

@@ -12,7 +12,7 @@ from selector.measure.footprint import texel_footprint_px
 from shadows.render import FILLS
 from shadows.truth.metrics import INTERIOR_PX, edge_distances, interior
 from shadows.truth.truth import Truth, sub_views
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView, look_at
 from tests.hard_cases.cases import Seen

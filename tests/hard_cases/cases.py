@@ -29,7 +29,7 @@ from shadows.render import FILLS
 from shadows.truth.metrics import Errors, errors_of
 from shadows.truth.truth import Truth, truth_of
 from terrain.casters.reach import Casters, casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of

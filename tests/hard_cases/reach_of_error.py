@@ -20,7 +20,7 @@ from shadows.plan import PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.render import FILLS
 from shadows.truth.truth import ALL_KINDS, ray_scene
 from terrain.casters.casting import caster_trees
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView

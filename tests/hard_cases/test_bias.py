@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from selector.measure.footprint import texel_footprint_px
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.resolve import RELIEF
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene

@@ -10,7 +10,7 @@ from shadows.maps.drawing import draw_map
 from shadows.maps.windows import DepthMap, distances, steps_of, sun_maps
 from shadows.passes import PassRecord
 from shadows.plan import Settings, ShadowMapSettings
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gl.device import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from selector.measure.footprint import texel_footprint_px
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import apparent_position

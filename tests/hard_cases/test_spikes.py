@@ -6,7 +6,7 @@ import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
 from shadows.render import FILLS
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case

@@ -17,7 +17,7 @@ from shadows.passes import PassRecord
 from shadows.plan import ShadowMapSettings, Step
 from shadows.truth.metrics import flicker
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView

@@ -25,7 +25,8 @@ from selector.select import select
 from selector.steady import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.ground.made_ground import ENGINEERING
 from terrain.level.level import SUN, Level, SunSpec, load_level

@@ -22,7 +22,7 @@ from selector.candidates import MOST, candidates
 from selector.planner.rules import choose
 from shadows.registry import ALGORITHMS, GroundKind, LightKind, Part, ViewKind, able
 from shadows.render import FILLS, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView

@@ -17,8 +17,9 @@ from selector.planner.rules import Planner, planner_of
 from selector.predict import Option, options_of, predicted_plan
 from selector.words import duration, percent
 from shadows.plan import Plan
-from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
 from terrain.errors import InputError, UnsupportedError
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
 
 TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"

@@ -26,7 +26,8 @@ from selector.steady import (
 )  # fmt: skip
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import Level, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 

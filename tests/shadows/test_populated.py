@@ -25,7 +25,8 @@ from shadows.render import render_frame
 from shadows.truth.metrics import block_shares, coverage_error, errors_of
 from shadows.truth.truth import coverage_truth, fill, truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.level.level import SUN, load_level

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 
 from selector.picks import Asked
 from selector.planner.rules import choose
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import nearest_triangles
 from terrain.level.level import Shadows, load_level
 from terrain.level.parts import SunSpec
@@ -142,7 +143,7 @@ def test_the_example_of_the_page_is_valid():
 
 
 def test_the_page_names_every_field():
-    from terrain.descriptor import CastBand, CasterFacts, Casting, LampFacts, LightFacts
+    from terrain.facts.parts import CastBand, CasterFacts, Casting, LampFacts, LightFacts
 
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
     models = (Descriptor, CasterFacts, LightFacts, Casting, CastBand, LampFacts)

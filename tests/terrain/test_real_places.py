@@ -15,7 +15,7 @@ import shapely
 from configs import LEVELS_FOLDER
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from terrain.trees.canopy import LEAST_HEIGHT_M

@@ -17,7 +17,7 @@ from api.report.plan_words import expectation, in_words, overshoot
 from scripts.write_schemas import DOCS, MODELS, schema_text
 from selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
 from shadows.plan import Plan, Predicted, Target
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import load_level
 
 

@@ -15,7 +15,7 @@ from api.workers.render_worker import Desk, TilePlans, block_view, tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
 from shadows.plan import Plan
-from terrain.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor
 from terrain.level.level import load_level
 from terrain.scene import build_scene
 from tests.api.conftest import ZOOM, Client

@@ -11,7 +11,8 @@ from benchmarks.selection.fit import KINDS, MAPS, START, Case, _model, _Terms, c
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
 from selector.cost.error_model import DECIMATED, LEAST, LEAST_INTERIOR, LEAST_SPREAD, MANNERS, Counted, ErrorModel
 from shadows.plan import Cascade, PerspectiveMapSettings, ShadowMapSettings, Step, SweepSettings, VolumeSettings
-from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, CasterKind
 
 CAST = 0.4

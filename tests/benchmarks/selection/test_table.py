@@ -13,7 +13,8 @@ from selector.cost.device_profile import DeviceProfile
 from selector.picks import Asked
 from selector.planner.rules import planner_of
 from selector.portfolio import MOST, portfolio
-from terrain.descriptor import CastBand, Casting, Descriptor, LightFacts
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, Shadows
 
 DEVICE = DeviceProfile(

@@ -17,8 +17,9 @@ from selector.planner.map_settings import sun_map_settings
 from selector.planner.rules import choose
 from selector.portfolio import portfolio
 from shadows.plan import Cascade, HybridSettings, LampMapSettings, ShadowMapSettings, SweepSettings, VolumeSettings
-from terrain.descriptor import Band, CasterFacts, Descriptor, LampFacts, LightFacts
 from terrain.errors import InputError
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import Band, CasterFacts, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
 
 BODIES = CasterFacts(kind="meshes", count=10, triangles=1000, closed_share=1.0, height_m=4.0, width_m=5.0)

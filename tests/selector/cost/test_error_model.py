@@ -37,7 +37,8 @@ from shadows.plan import (
     SweepSettings,
     VolumeSettings,
 )
-from terrain.descriptor import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, Descriptor, LampFacts, LightFacts
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN
 

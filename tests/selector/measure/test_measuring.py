@@ -18,7 +18,7 @@ from selector.picks import Pick
 from selector.winning import Figures
 from shadows.render import render_frame
 from shadows.truth.metrics import errors_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import BLOCK_PX, blocks_of
 from terrain.level.level import SunSpec, load_level

@@ -30,7 +30,8 @@ from selector.planner.advice_rules import (
 )
 from selector.planner.rules import choose
 from selector.serves import SWEPT_M, serves
-from terrain.descriptor import Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CasterFacts, LightFacts
 from terrain.level.level import Shadows, load_level
 from terrain.scene import build_scene

@@ -10,7 +10,7 @@ from shadows import render as render_module
 from shadows.maps import shadow_map
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import RenderError, UnsupportedError
 from terrain.level.level import Level, Shadows, SunSpec, load_level
 from terrain.scene import Scene, build_scene

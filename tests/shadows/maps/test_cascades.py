@@ -19,7 +19,9 @@ from shadows.plan import Plan
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import Band, Descriptor, describe
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import Band
 from terrain.gbuffer.picture import geometry_of
 from terrain.level.level import Level, load_level
 from terrain.level.parts import SunSpec

@@ -16,7 +16,7 @@ from shadows.plan import Plan
 from shadows.truth.metrics import errors_of, flicker
 from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView, look_at

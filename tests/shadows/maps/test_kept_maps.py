@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gl.depth_targets import MOST_BYTES, MOST_TARGETS, DepthTargets, depth_bytes
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec

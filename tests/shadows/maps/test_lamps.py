@@ -15,7 +15,7 @@ from shadows.render import Frame
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING

@@ -19,7 +19,7 @@ from shadows.plan import PerspectiveMapSettings
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import coverage_truth, truth_of
 from terrain.casters.reach import casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of

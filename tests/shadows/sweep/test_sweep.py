@@ -15,7 +15,7 @@ from shadows.truth.metrics import errors_of, soft_error
 from shadows.truth.truth import ray_scene, soft_truth, truth_of
 from terrain.casters import reach
 from terrain.casters.reach import Casters, casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import RELIEF

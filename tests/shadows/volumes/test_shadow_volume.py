@@ -24,7 +24,7 @@ from shadows.truth.truth import Truth, truth_of
 from shadows.truth.truth import fill as truth_fill
 from shadows.volumes import shadow_volume
 from terrain.casters.reach import NO_CASTERS, Casters, casters_of
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.antialias import sampled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of

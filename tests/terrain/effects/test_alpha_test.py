@@ -11,7 +11,7 @@ from pyogrio import raw
 
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.gbuffer.stand import any_in_map, stand_in_map
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from selector.planner.rules import choose
 from shadows.plan import Plan
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects import clouds
 from terrain.effects.clouds import EDGE, HIGHEST, LAYER_M, STEEPEST, TOP, density_at, layer_of, shade_clouds, threshold_of
 from terrain.effects.effect import Block

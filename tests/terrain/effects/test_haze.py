@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects.effect import Block
 from terrain.effects.haze import (
     BIN,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects.effect import Block
 from terrain.effects.sky_view import EFFECT, darkened_steps, hide
 from terrain.gbuffer.picture import frame_of, geometry_of

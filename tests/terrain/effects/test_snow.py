@@ -9,7 +9,7 @@ import pytest
 
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects import snow
 from terrain.effects.effect import Block
 from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, lie_on

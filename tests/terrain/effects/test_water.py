@@ -12,7 +12,7 @@ from scipy.integrate import dblquad
 
 from selector.planner.rules import choose
 from shadows.render import render_frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.effects import water
 from terrain.effects.effect import Block
 from terrain.gbuffer.picture import geometry_of

@@ -14,10 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrain.casters.rays import RayScene, trees_as_mesh
-from terrain.descriptor import TEXEL_LADDER_PX, Descriptor, describe
+from terrain.describe import describe
 from terrain.facts.caster_facts import trees_of
+from terrain.facts.descriptor import Descriptor
 from terrain.facts.leaf_rays import first_leaves
 from terrain.facts.mesh_rays import meets, tree_of
+from terrain.facts.parts import TEXEL_LADDER_PX
 from terrain.facts.probes import evenly, quasirandom
 from terrain.facts.silhouettes_seen import edges_of, layers_before, length_px
 from terrain.level.level import load_level

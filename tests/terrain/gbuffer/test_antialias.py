@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from api.catalogue import find_level
 from shadows import render as render_module
 from shadows.render import Frame
-from terrain.descriptor import describe
+from terrain.describe import describe
 from terrain.facts.look import LOOK_PX, look_at_scene
 from terrain.gbuffer.antialias import Sampled, ends_in_crosses, sampled
 from terrain.gbuffer.picture import geometry_of

@@ -1,0 +1,132 @@
+"""The ``Descriptor``: what is known of a scene and a view, as one value. A pure type; ``terrain.describe`` makes it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from terrain.facts.parts import (
+    AtLeastZero,
+    Band,
+    CasterFacts,
+    Fact,
+    Facts,
+    LampFacts,
+    LightFacts,
+    Positive,
+    Share,
+    Slope,
+    shares_add_up,
+)
+from terrain.geo.grid import BLOCK_PX
+from terrain.level.level import SUN, CasterKind
+from terrain.level.parts import Weather
+
+
+def _number_of_text(fact: object) -> object:
+    return {"Infinity": np.inf, "-Infinity": -np.inf}.get(fact, fact) if isinstance(fact, str) else fact
+
+
+def _a_number(fact: Fact) -> Fact:
+    if isinstance(fact, float) and np.isnan(fact):
+        raise PydanticCustomError("nan", "a number that is one")
+    return fact
+
+
+class Descriptor(Facts):
+    """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
+
+    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent);
+    ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view, of which
+    ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
+    (``terrain.gbuffer.antialias``; 0 in a map). ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
+    what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
+    ``moves`` whether anything does by the clock. ``receivers_light_m`` is the largest extent of a block's receivers in light
+    space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows under the
+    sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how far a map lies
+    off what a camera could see of it (``terrain.casters.clip_space``). ``tallest_m`` is how far anything rises above its ground.
+    ``facts`` are what effects go by besides, by effect; JSON has no infinity: there it is written as text.
+    """
+
+    model_config = ConfigDict(ser_json_inf_nan="strings")
+
+    view: str
+    view_kind: Literal["map", "perspective"]
+    flat_world: bool
+    pixel_m: Positive
+    pixel: Positive | None = None
+    rows: Annotated[int, Field(ge=1)] = BLOCK_PX
+    cols: Annotated[int, Field(ge=1)] = BLOCK_PX
+    pixels: Annotated[int, Field(ge=1)] = BLOCK_PX**2
+    seen_share: Share = 1.0
+    edge_share: Share = 0.0
+    node_m: Positive
+    casters: tuple[CasterKind, ...]
+    stands: tuple[CasterFacts, ...] = ()
+    lamps: tuple[LampFacts, ...] = ()
+    lights: dict[str, LightFacts] = {}
+    relief_m: AtLeastZero
+    block_relief_m: AtLeastZero
+    mean_slope_deg: Slope = 0.0
+    p95_slope_deg: Slope = 0.0
+    highest_slope_deg: Slope = 0.0
+    sun_azimuth_deg: Annotated[float, Field(ge=-360, le=720, allow_inf_nan=False)] | None
+    sun_altitude_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] | None
+    highest_sun_deg: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] | None
+    receivers_light_m: tuple[AtLeastZero, AtLeastZero, AtLeastZero] | None
+    bands: tuple[Band, ...] = ()
+    bend_px: AtLeastZero = 0.0
+    tallest_m: AtLeastZero = 0.0
+    moves: bool = False
+    weather: Weather = Weather()
+    facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_number_of_text), AfterValidator(_a_number)]]] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "pixels" not in data:
+            rows, cols = (data.get(key, BLOCK_PX) for key in ("rows", "cols"))
+            if isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0:
+                return {**data, "pixels": rows * cols}
+        return data
+
+    @model_validator(mode="after")
+    def _of_one_piece(self) -> Descriptor:
+        _once("casters", list(self.casters), None)
+        _once("stands", [its.kind for its in self.stands], self.casters)
+        _once("lamps", [lamp.name for lamp in self.lamps], None)
+        sun = () if self.highest_sun_deg is None else (SUN,)
+        _once("lights", list(self.lights), (*sun, *(lamp.name for lamp in self.lamps)))
+        for name, light in self.lights.items():
+            _once(f"lights.{name}.casts", list(light.casts), self.casters)
+        given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
+        if any(given) != all(given):
+            raise PydanticCustomError("sun", "a sun takes sun_azimuth_deg, sun_altitude_deg and highest_sun_deg; no sun, none")
+        if not self.mean_slope_deg <= self.highest_slope_deg or not self.p95_slope_deg <= self.highest_slope_deg:
+            raise PydanticCustomError(
+                "slope", "highest_slope_deg {highest} lies below another slope", {"highest": self.highest_slope_deg}
+            )
+        shares_add_up([band.share for band in self.bands], "bands")
+        return self
+
+
+def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise PydanticCustomError("twice", "{key}: '{name}' stands there twice", {"key": key, "name": name})
+        if allowed is not None and name not in allowed:
+            what = ", ".join(allowed) or "nothing"
+            raise PydanticCustomError(
+                "unknown", "{key}: '{name}' is not allowed; allowed: {what}", {"key": key, "name": name, "what": what}
+            )
+
+
+def joined(bands: tuple[Band, ...]) -> Band:
+    """The band of neighbouring bands."""
+    low = np.min([band.low_light_m for band in bands], axis=0)
+    high = np.max([band.high_light_m for band in bands], axis=0)
+    bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
+    return Band(near_m=bands[0].near_m, far_m=bands[-1].far_m, share=min(sum(band.share for band in bands), 1.0), **bounds)

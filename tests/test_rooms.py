@@ -1,0 +1,194 @@
+"""The house: which room may import which. Floors import floors below; no circle; each folder's ``__init__`` says what it may."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+FLOORS = ("terrain", "shadows", "selector", "api")
+"""From the ground up: a floor imports only those before it."""
+
+LEAVES = {"terrain.errors", "terrain.compiled", "terrain.cache", "terrain.same"}
+"""What every module may import; they import one another at most."""
+
+MAY_IMPORT = {
+    "terrain.level": "",
+    "terrain.geo": "level",
+    "terrain.ground": "geo level",
+    "terrain.meshes": "geo ground level",
+    "terrain.trees": "geo ground level",
+    "terrain.lights": "ground level",
+    "terrain.population": "geo ground level meshes trees",
+    "terrain.scene": "geo ground level lights population",
+    "terrain.gl": "ground",
+    "terrain.gbuffer": "geo gl ground level meshes population scene trees",
+    "terrain.casters": "gbuffer geo ground level population scene trees",
+    "terrain.shading": "gbuffer geo scene",
+    "terrain.facts": "casters gbuffer geo ground level lights meshes population scene trees",
+    "terrain.effects": "casters facts gbuffer geo ground level lights population scene shading",
+    "terrain.describe": "casters effects facts gbuffer geo ground scene",
+    "shadows.plan": "",
+    "shadows.passes": "",
+    "shadows.attached": "",
+    "shadows.kept_layers": "passes",
+    "shadows.evidence": "passes",
+    "shadows.maps": "attached passes plan",
+    "shadows.volumes": "attached passes plan",
+    "shadows.hybrid": "attached kept_layers maps passes plan volumes",
+    "shadows.planar": "attached maps passes",
+    "shadows.sweep": "passes plan",
+    "shadows.truth": "attached passes plan",
+    "shadows.registry": "hybrid maps passes planar sweep truth volumes",
+    "shadows.render": "attached evidence hybrid kept_layers maps passes plan planar registry sweep truth volumes",
+    "selector.words": "",
+    "selector.picks": "",
+    "selector.serves": "",
+    "selector.winning": "words",
+    "selector.wager": "winning",
+    "selector.portfolio": "picks serves",
+    "selector.planner": "picks serves",
+    "selector.cost": "planner serves winning",
+    "selector.candidates": "planner",
+    "selector.pin": "picks planner",
+    "selector.measure": "candidates picks planner portfolio winning words",
+    "selector.predict": "cost picks planner portfolio serves wager winning words",
+    "selector.select": "cost measure picks planner predict",
+    "selector.steady": "cost picks planner select winning",
+    "api.errors": "",
+    "api.layers": "",
+    "api.settings": "",
+    "api.catalogue": "",
+    "api.report": "",
+    "api.calibrated": "report",
+    "api.workers": "calibrated errors layers settings",
+    "api.http": "errors layers settings workers",
+    "api.cli": "calibrated catalogue errors http layers report settings",
+}
+"""Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
+
+
+def room_of(path: Path) -> str:
+    """``terrain.geo`` for ``terrain/geo/sun.py``, ``terrain.scene`` for ``terrain/scene.py``."""
+    return f"{path.parts[0]}.{Path(path.parts[1]).stem}"
+
+
+def imports_of(root: Path) -> Iterator[tuple[Path, str]]:
+    """Every import of one of our modules: the file and the room that it is from. Imports inside of functions count too."""
+    for floor in FLOORS:
+        for path in sorted((root / floor).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    names = [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom):
+                    # "from terrain import scene" is of terrain.scene, "from terrain.geo import sun" of terrain.geo
+                    names = [f"{node.module}.{alias.name}" for alias in node.names]
+                    assert node.level == 0, f"{path}: relative import"
+                else:
+                    continue
+                for name in names:
+                    words = name.split(".")
+                    if words[0] in FLOORS and len(words) > 1:
+                        yield path.relative_to(root), ".".join(words[:2])
+
+
+def complaints(root: Path, may_import: dict[str, str]) -> list[str]:
+    """What is wrong with the imports of a tree."""
+    found: list[str] = []
+    used: dict[str, set[str]] = {room: set() for room in may_import}
+    for path, other in imports_of(root):
+        if len(path.parts) == 2 and path.stem == "__init__":
+            found.append(f"{path}: a floor's own __init__ imports nothing")
+            continue
+        room = room_of(path)
+        ours, theirs = room.split(".")[0], other.split(".")[0]
+        if room == other:
+            continue
+        if room in LEAVES:
+            if other not in LEAVES:
+                found.append(f"{path}: a leaf imports {other}")
+        elif FLOORS.index(theirs) > FLOORS.index(ours):
+            found.append(f"{path}: {other} is on a floor above")
+        elif theirs == ours and other not in LEAVES:
+            if room not in may_import:
+                found.append(f"{path}: {room} is in no table")
+            elif other.split(".")[1] not in may_import[room].split():
+                found.append(f"{path}: {room} may not import {other}")
+            else:
+                used[room].add(other.split(".")[1])
+    for room, names in may_import.items():
+        found += [f"{room}: may import {name}, and does not" for name in names.split() if name not in used[room]]
+    try:
+        graph = {room: {f"{room.split('.')[0]}.{name}" for name in names.split()} for room, names in may_import.items()}
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        found.append(f"a circle: {' -> '.join(error.args[1])}")
+    return found
+
+
+def test_rooms_import_what_they_may_and_in_no_circle():
+    assert complaints(ROOT, MAY_IMPORT) == []
+
+
+def test_every_room_says_what_lives_there_and_what_it_may_import():
+    rooms = {
+        f"{floor}.{folder.parent.name}": folder
+        for floor in FLOORS
+        for folder in sorted((ROOT / floor).glob("*/__init__.py"))
+    }  # fmt: skip
+    assert rooms
+    for room, path in rooms.items():
+        said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        expected = ", ".join(sorted(MAY_IMPORT[room].split())) or "no other room"
+        assert re.search(r"^May import: (.*)\.$", said, re.MULTILINE), path
+        assert f"May import: {expected}." in said, path
+
+
+def test_every_room_and_module_is_in_the_table():
+    there = {room_of(path.relative_to(ROOT)) for floor in FLOORS for path in (ROOT / floor).glob("*.py")}
+    there |= {f"{floor}.{path.parent.name}" for floor in FLOORS for path in (ROOT / floor).glob("*/__init__.py")}
+    there -= {f"{floor}.__init__" for floor in FLOORS}
+    assert there == set(MAY_IMPORT) | LEAVES
+
+
+def test_raw_opengl_is_in_one_room():
+    for floor in FLOORS:
+        for path in (ROOT / floor).rglob("*.py"):
+            raw = re.search(r"^\s*(?:from|import) OpenGL\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+            assert raw is None or room_of(path.relative_to(ROOT)) == "terrain.gl", path
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "complaint"),
+    [
+        ("terrain/low/a.py", "from shadows.x import y", "floor above"),
+        ("terrain/low/a.py", "def f():\n    from terrain.high.b import y", "may not import terrain.high"),
+        ("terrain/low/a.py", "from terrain import high", "may not import terrain.high"),
+        ("terrain/low/a.py", "import terrain.high.b", "may not import terrain.high"),
+        ("terrain/errors.py", "from terrain.low.a import y", "a leaf imports"),
+        ("terrain/new/c.py", "from terrain.low.a import y", "in no table"),
+        ("terrain/__init__.py", "from terrain.low.a import y", "imports nothing"),
+        ("terrain/high/b.py", "", "may import low, and does not"),
+    ],
+)
+def test_what_is_wrong_is_noticed(tmp_path, file, line, complaint):
+    table = {"terrain.low": "", "terrain.high": "low"}
+    for path, text in {"terrain/low/a.py": "", "terrain/high/b.py": "from terrain.low.a import x", file: line}.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(text, encoding="utf-8")
+    (found,) = complaints(tmp_path, table)
+    assert complaint in found
+
+
+def test_a_circle_is_noticed(tmp_path):
+    for path, text in {"terrain/a/x.py": "import terrain.b.y", "terrain/b/y.py": "import terrain.a.x"}.items():
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_text(text, encoding="utf-8")
+    (found,) = complaints(tmp_path, {"terrain.a": "b", "terrain.b": "a"})
+    assert found.startswith("a circle")
