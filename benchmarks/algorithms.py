@@ -46,7 +46,8 @@ from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import FILLS, Frame, forget_kept, render_frame
+from shadows.render import Frame, forget_kept, render_frame
+from shadows.visibility import fill_steps
 from shadows.volumes.tiles import marked_tiles
 from terrain.casters.reach import Casters
 from terrain.describe import describe
@@ -236,11 +237,8 @@ class Shot:
         return np.concatenate([picture.own.there for picture, _ in self.bands])
 
     def _of_band(self, picture: Sampled, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
-        out = np.ones(picture.buffer.there.shape, np.float32)
-        for step in plan.steps:
-            if step.algorithm in FILLS:
-                out *= FILLS[step.algorithm](picture.buffer, self.scene, step.light, step.kinds, casters, step.settings, log)
-        return out
+        (light,) = self.scene.light_names
+        return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.runs, log)
 
 
 def shot(level: str, name: str, size: tuple[int, int]) -> Shot:

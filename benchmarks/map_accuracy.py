@@ -22,9 +22,9 @@ from selector.measure.footprint import texel_footprint_px
 from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.render import FILLS
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
+from shadows.visibility import fill_steps
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.errors import SkuggaError
@@ -63,7 +63,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         step = next((step for step in plan.steps if step.algorithm == algorithm), None)
         if step is None:
             continue
-        visibility = FILLS[algorithm](buffer, lit, step.light, step.kinds, casters, step.settings, PassLog())
+        visibility = fill_steps([step], buffer, lit, casters, plan.runs, PassLog())
         visibility[attached(buffer, lit)] = 0.0
         found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))

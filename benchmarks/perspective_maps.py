@@ -23,7 +23,7 @@ from selector.measure.compare import measure
 from selector.planner.rules import choose
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import FILLS
+from shadows.visibility import fill_steps
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
@@ -80,9 +80,8 @@ def times(given: argparse.Namespace) -> list[Row]:
             for map_name in [*todo][:: 1 if number % 2 else -1]:
                 device().depth_targets.forget()
                 log, start = PassLog(), time.perf_counter()
-                for step in todo[map_name].steps:
-                    if step.algorithm in FILLS:
-                        FILLS[step.algorithm](buffer, scene, step.light, step.kinds, casters, step.settings, log)
+                for light in todo[map_name].lights:
+                    fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].runs, log)
                 if number >= 2:  # the first ones compile and allocate
                     taken.setdefault(map_name, []).append(time.perf_counter() - start)
                 held[map_name] = max(record.bytes for record in log.records.values())

@@ -181,6 +181,10 @@ class Plan(_Value):
         """What is to be filled, in order."""
         return steps_of(self.algorithm, self.settings)
 
+    def steps_under(self, light: str) -> list[Step]:
+        """What is to be filled for a light, in order; ``none`` fills nothing."""
+        return [step for step in self.steps if step.light == light and step.algorithm != "none"]
+
     @property
     def headline(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""

@@ -8,24 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
-from shadows import planar
 from shadows.attached import attached
 from shadows.evidence import effects_ran
-from shadows.hybrid import hybrid
 from shadows.hybrid import maps as hybrid_maps
 from shadows.kept_layers import KeptLayers
-from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.sweep import sweep
 from shadows.sweep.rays import ground_of_level
-from shadows.truth import truth
-from shadows.volumes import shadow_volume, volumes
+from shadows.visibility import fill_steps, under_sky
+from shadows.volumes import volumes
 from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, Block, Stage
-from terrain.effects.haze import hides_beyond_m
 from terrain.errors import InputError, RenderError, UnsupportedError
 from terrain.gbuffer.antialias import Sampled, picture_of
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -43,12 +38,6 @@ SHADING_PASS = "shading"
 
 REFRACTION_PASS = "refraction"
 ATTACHED_PASS = "attached"
-
-FILLS = {
-    "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
-    "hybrid": hybrid.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill,
-}  # fmt: skip
-"""Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
 
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
@@ -200,11 +189,10 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
 
 
 def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
-    """The scene with the sun where it is seen, or, without refraction, where it is."""
     if REFRACTION_PASS not in plan.runs:
-        return scene.without_refraction
+        return under_sky(scene, plan.runs)
     with log.run(REFRACTION_PASS):
-        return scene
+        return under_sky(scene, plan.runs)
 
 
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
@@ -235,26 +223,14 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
 
 
 def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
-    """Each light's visibility (rows, cols) float32 at a buffer's points; past what haze hides, the sun's is not looked for."""
-    visibilities = {light: np.ones(buffer.there.shape, np.float32) for light in plan.lights}
-    not_hidden = _not_hidden(scene, buffer) if "haze" in plan.runs else buffer
-    for step in plan.steps:
-        if step.algorithm in FILLS:
-            fill, seen = FILLS[step.algorithm], not_hidden if step.light == SUN else buffer
-            visibilities[step.light] *= fill(seen, scene, step.light, step.kinds, casters, step.settings, log)
+    """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
+    visibilities = {
+        light: fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log) for light in plan.lights
+    }  # fmt: skip
     with log.run(ATTACHED_PASS):
         for light, visibility in visibilities.items():
             visibility[attached(buffer, scene, light)] = 0.0
     return visibilities
-
-
-def _not_hidden(scene: Scene, buffer: GeometryBuffer) -> GeometryBuffer:
-    """A perspective view's buffer without the points so far away that haze hides whether the sun shines on them."""
-    limit_m = hides_beyond_m(scene)
-    if isinstance(buffer.view, MapView) or np.isinf(limit_m):
-        return buffer
-    away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
-    return replace(buffer, there=buffer.there & (away_m < limit_m))
 
 
 def _shaded(block: Block, plan: Plan, log: PassLog) -> np.ndarray:

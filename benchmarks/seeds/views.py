@@ -19,10 +19,11 @@ from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan, Settings
-from shadows.render import FILLS, forget_kept
+from shadows.render import forget_kept
 from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import edge_distances, errors_of
 from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
+from shadows.visibility import fill_steps
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -85,12 +86,8 @@ class Held:
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
         """The light's visibility as a plan fills it, attached shadow included; NaN off the surface."""
-        out = np.ones(self.buffer.there.shape, np.float32)
-        for step in plan.steps:
-            if step.algorithm in FILLS:
-                fill = FILLS[step.algorithm]
-                out *= fill(self.buffer, self.scene, step.light, step.kinds, self.casters, step.settings, log or PassLog())
-        return self.finished(out)
+        steps = plan.steps_under(self.light)
+        return self.finished(fill_steps(steps, self.buffer, self.scene, self.casters, plan.runs, log or PassLog()))
 
     def finished(self, visibility: np.ndarray) -> np.ndarray:
         """A visibility with attached shadow in it, NaN off the surface."""
@@ -99,9 +96,8 @@ class Held:
     def texels_px(self, plan: Plan) -> np.ndarray:
         """How many pixels a texel of a plan's maps covers on level ground (rows, cols); 0 without maps."""
         out = np.zeros(self.buffer.there.shape)
-        for step in plan.steps:
-            if step.algorithm in FILLS:
-                out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
+        for step in plan.steps_under(self.light):
+            out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:

@@ -14,13 +14,12 @@ from benchmarks.selection.judge import GOALS, instances_of
 from benchmarks.selection.views import Instance
 from selector.candidates import name_of
 from selector.cost.device_profile import load_profile
-from selector.measure.compare import NO_CAST, compare, drawn_on, run_steps
+from selector.measure.compare import NO_CAST, compare, drawn_on, run_light
 from selector.measure.measuring import Wanted, confirmed, measured_rows, winners
 from selector.planner.rules import choose, planner_of
 from selector.portfolio import portfolio
 from selector.select import select
 from shadows.plan import Plan, Step
-from shadows.render import FILLS
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -52,17 +51,12 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     names: dict[str, str] = {}
     known: dict[str, list[tuple[list[Step], str]]] = {}
     for pick, plan in plans.items():
-        name, its = name_of(plan, light), _steps(plan, light)
+        name, its = name_of(plan, light), plan.steps_under(light)
         alike = known.setdefault(name, [])
         row = next((row for steps, row in alike if steps == its), f"{name} ({pick})" if alike else name)
         alike.append((its, row))
         names[pick] = row
     return names
-
-
-def _steps(plan: Plan, light: str) -> list[Step]:
-    """What a plan draws with under a light."""
-    return [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
 
 
 def measured(instance: Instance, data: Path) -> Figures:
@@ -117,11 +111,11 @@ def _timed(
 ) -> dict[str, Figures]:
     """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
     pictures = drawn_on(scene, view)
-    steps = {name: _steps(plans[pick], light) for pick, name in rows_of(plans, light).items()}
+    drawn = {name: plans[pick] for pick, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
         for name, its in times.items():
-            its.append(run_steps(scene, pictures, steps[name]).times[0])
+            its.append(run_light(scene, pictures, drawn[name], light).times[0])
     count = len(pictures) if isinstance(view, MapView) else 1
     return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
 

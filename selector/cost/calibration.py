@@ -25,7 +25,8 @@ from selector.planner.volume_settings import hybrid_settings, volume_settings
 from selector.serves import serves
 from shadows.passes import PassLog
 from shadows.plan import Settings, Step, SweepSettings, TruthSettings
-from shadows.render import FILLS, forget_kept
+from shadows.render import forget_kept
+from shadows.visibility import fill_steps
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -146,7 +147,7 @@ def _run(job: Job) -> None:
     """Run a job once, and note the times of its parts."""
     forget_kept()
     step, log, start = job.step, PassLog(), time.perf_counter()
-    FILLS[step.algorithm](job.buffer, job.scene, step.light, step.kinds, job.casters, step.settings, log)
+    fill_steps([step], job.buffer, job.scene, job.casters, (), log)
     left_ms = (time.perf_counter() - start) * 1000.0
     passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
     *others, last = sorted(job.work, key=lambda part: PASS_OF_PART.get(_plain(part)) is None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import BLOCK_PX as COVERAGE_PX
 from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
 from shadows.truth.truth import Truth, coverage_truth
+from shadows.visibility import looked_for
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
@@ -91,22 +92,33 @@ class ViewTruth:
         return float(np.mean([coverage_error(block_shares(1.0 - part), shares) for shares, part in pairs]))
 
 
-def truth_of_view(scene: Scene, view: View, light: str, samples: int = SAMPLES) -> ViewTruth:
-    """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel."""
-    real = truth_of_parts(scene, view, blocks_of(view) if isinstance(view, MapView) else bands_of(view), light, samples)
+def truth_of_view(
+    scene: Scene, view: View, light: str, samples: int = SAMPLES, effects: Collection[str] = frozenset()
+) -> ViewTruth:
+    """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel.
+
+    ``effects`` are those that run: points at which nobody looks for the light (``shadows.visibility``) count as no surface.
+    """
+    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    real = truth_of_parts(scene, view, parts, light, samples, effects)
     shares = [coverage_truth(one.buffer, scene, one.casters, COVERAGE_PX, light=light) for one in real.grounds]
     return replace(real, true_shares=shares)
 
 
 def truth_of_parts(
-    scene: Scene, view: View, parts: Sequence[tuple[View, int, int]], light: str, samples: int = SAMPLES
+    scene: Scene,
+    view: View,
+    parts: Sequence[tuple[View, int, int]],
+    light: str,
+    samples: int = SAMPLES,
+    effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
     """The truth of a view from that of parts of it, each with its first row and column in the view; without what coverage takes."""
-    grounds = [_ground(scene, light, part, row, col, samples) for part, row, col in parts]
-    return ViewTruth(view, grounds, joined_truth(view, grounds))
+    grounds = [_ground(scene, light, part, row, col, samples, effects) for part, row, col in parts]
+    return ViewTruth(view, grounds, _joined_truth(view, grounds))
 
 
-def joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
+def _joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
     """A view's truth in one piece."""
     fields = ("lit", "attached", "decidable", "there")
     return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
@@ -117,10 +129,12 @@ def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarr
     return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in steps or [None]], axis=0)
 
 
-def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int) -> Ground:
-    buffer = geometry_of(scene, block)
-    casters = casters_of(scene, buffer)
-    real = cached_truth(buffer, scene, casters, samples, light)
+def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> Ground:
+    whole = geometry_of(scene, block)
+    casters = casters_of(scene, whole)
+    real, buffer = cached_truth(whole, scene, casters, samples, light), looked_for(whole, scene, light, effects)
+    if buffer is not whole:
+        real = replace(real, decidable=real.decidable & buffer.there, there=real.there & buffer.there)
     return Ground(scene, buffer, light, casters, real, attached(buffer, scene, light), row, col)
 
 

@@ -12,10 +12,11 @@ import numpy as np
 from selector.candidates import candidates, name_of
 from selector.measure.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from shadows.passes import PassLog
-from shadows.plan import Plan, Step
-from shadows.render import FILLS, bands_of, forget_kept
+from shadows.plan import Plan
+from shadows.render import bands_of, forget_kept
 from shadows.truth import truth as truth_module
 from shadows.truth.metrics import errors_of
+from shadows.visibility import fill_steps, under_sky
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.errors import InputError
@@ -91,9 +92,9 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A plan's steps while they are measured: the row that is made of them, and the times of the first run and of later ones."""
+    """A plan while it is measured: the row that is made of it, and the times of the first run and of later ones."""
 
-    steps: list[Step]
+    plan: Plan
     row: Row
     first: Times
     later: list[Times] = field(default_factory=list)
@@ -123,7 +124,9 @@ def compare(
     plans = candidates(scene, view, name, light) if plans is None else plans
     total = len(plans) + REPEATS + 2
     step = on_step or (lambda done, of: None)
-    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES)
+    effects = frozenset().union(*(plan.runs for plan in plans))
+    scene = under_sky(scene, effects)
+    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES, effects)
     pictures = drawn_on(scene, view)
     step(1, total)
     first = real.grounds[0]
@@ -147,7 +150,7 @@ def compare(
     for turn in range(REPEATS):
         for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
-                trial.later.append(run_steps(scene, pictures, trial.steps).times)
+                trial.later.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + turn, total)
     rows = [_timed(trial) for trial in trials]
     _mark_pareto(rows, real.error)
@@ -159,10 +162,11 @@ def compare(
 
 def measure(scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0) -> Row:
     """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
-    real = truth_of_view(scene, view, _light(scene, light), FINE_SAMPLES if fine else SAMPLES)
+    scene, light = under_sky(scene, plan.runs), _light(scene, light)
+    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES, plan.runs)
     pictures = drawn_on(scene, view)
     trial = _trial(scene, real, pictures, plan, describe(scene, view, plan.view).pixel_m)
-    trial.later.extend(run_steps(scene, pictures, trial.steps).times for _ in range(repeats))
+    trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
     return _timed(trial)
 
 
@@ -201,12 +205,11 @@ def _noise_floor(scene: Scene, real: ViewTruth) -> float:
 def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[Drawn], plan: Plan, pixel_m: float) -> Trial:
     """A plan's first run, and its figures but for the times."""
     light, truth = real.grounds[0].light, real.whole
-    steps = [step for step in plan.steps if step.light == light and step.algorithm in FILLS]
-    run = run_steps(scene, pictures, steps)
+    run = run_light(scene, pictures, plan, light)
     for ground, part in zip(real.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
-    found = real.errors(run.parts, steps, pixel_m)
+    found = real.errors(run.parts, plan.steps_under(light), pixel_m)
     seen = np.nan_to_num(real.pasted(run.parts, np.nan), nan=1.0)
     dark, true_dark = seen < 0.5, ~truth.lit
     records = run.log.records.values()
@@ -222,7 +225,7 @@ def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[Drawn], plan: Plan,
     }
     levels = np.rint(255.0 * seen).astype(np.uint8)
     row = Row(figures, levels, truth.decidable & dark & ~true_dark, truth.decidable & ~dark & true_dark)
-    return Trial(steps, row, run.times)
+    return Trial(plan, row, run.times)
 
 
 def drawn_on(scene: Scene, view: View) -> list[Drawn]:
@@ -232,18 +235,16 @@ def drawn_on(scene: Scene, view: View) -> list[Drawn]:
     return [(picture, casters_of(scene, picture.own)) for picture in pictures]
 
 
-def run_steps(scene: Scene, pictures: Sequence[Drawn], steps: Sequence[Step]) -> Run:
-    """Execute a light's steps on what is drawn of a view, nothing kept from before. Samples take time as in any picture; the
-    visibilities are those of the picture's own pixels.
+def run_light(scene: Scene, pictures: Sequence[Drawn], plan: Plan, light: str) -> Run:
+    """Execute a plan's steps of a light on what is drawn of a view, nothing kept from before. Samples take time as in any picture;
+    the visibilities are those of the picture's own pixels.
     """
     forget_kept()  # every cost that a moving sun has is to be paid
+    steps = plan.steps_under(light)
     log, start = PassLog(), time.perf_counter()
     parts = []
     for picture, casters in pictures:
-        visibility = np.ones(picture.buffer.there.shape, np.float32)
-        for step in steps:
-            visibility *= FILLS[step.algorithm](picture.buffer, scene, step.light, step.kinds, casters, step.settings, log)
-        parts.append(visibility[: picture.rows])
+        parts.append(fill_steps(steps, picture.buffer, scene, casters, plan.runs, log)[: picture.rows])
     ms = (time.perf_counter() - start) * 1000.0 if steps else 0.0
     stages: dict[str, float] = {}
     for name, record in log.records.items():

@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.measure.against_truth import ErrorName, View, ViewTruth, joined_truth, truth_of_parts, truth_of_view
+from selector.measure.against_truth import ErrorName, View, ViewTruth, truth_of_parts, truth_of_view
 from selector.measure.thinned import ThinTruth, thin_truth, thinned
 from selector.picks import Pick
 from selector.winning import Figures
 from shadows.plan import Plan, Step
-from shadows.render import REFRACTION_PASS, Frame, bands_of, forget_kept, render_frame
-from terrain.effects.haze import hides_beyond_m
+from shadows.render import Frame, bands_of, forget_kept, render_frame
+from shadows.visibility import under_sky
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
-from terrain.level.level import SUN
 from terrain.scene import Scene
 
 PIXELS = 80_000
@@ -37,8 +36,8 @@ class Candidate:
 
     @property
     def steps(self) -> list[Step]:
-        """What the plan does for the light."""
-        return [step for step in self.plan.steps if step.light == self.light]
+        """What the plan fills for the light."""
+        return self.plan.steps_under(self.light)
 
     @property
     def ladder(self) -> tuple[object, ...]:
@@ -137,27 +136,14 @@ class Probe:
 
 def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -> Probe:
     """What the candidates of a light are held against: truth under the sky that ``plan`` shows, as far as its haze lets one see."""
-    part, sky = part_of(view), scene if REFRACTION_PASS in plan.runs else scene.without_refraction
+    part, sky = part_of(view), under_sky(scene, plan.runs)
     every = max(round((part.rows * part.cols / PIXELS) ** 0.5), 1)
     if every > 1:
         parts = [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part)
-        real = _unhidden(scene, plan, light, truth_of_parts(sky, part, parts, light))
+        real = truth_of_parts(sky, part, parts, light, effects=plan.runs)
         if real.error == "wrong_cast":
             return Probe(scene, real, pixel_m, thin_truth(real, every))
-    return Probe(scene, _unhidden(scene, plan, light, truth_of_view(sky, part, light)), pixel_m)
-
-
-def _unhidden(scene: Scene, plan: Plan, light: str, real: ViewTruth) -> ViewTruth:
-    """Truth without the points past which nobody looks for the sun (``shadows.render``): haze hides whether it shines there."""
-    if "haze" not in plan.runs or light != SUN or isinstance(real.view, MapView):
-        return real
-    grounds = []
-    for ground in real.grounds:
-        buffer, truth = ground.buffer, ground.truth
-        away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
-        near = away_m < hides_beyond_m(scene)
-        grounds.append(replace(ground, truth=replace(truth, decidable=truth.decidable & near, there=truth.there & near)))
-    return replace(real, grounds=grounds, whole=joined_truth(real.view, grounds))
+    return Probe(scene, truth_of_view(sky, part, light, effects=plan.runs), pixel_m)
 
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:

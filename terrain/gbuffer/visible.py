@@ -43,11 +43,13 @@ class Seen:
 
 @cache
 def shader(*parts: str) -> str:
-    """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of ``terrain``."""
+    """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of
+    ``terrain.gbuffer``.
+    """
     texts = {}
     for part in parts:
-        package, name = part.split("/")
-        texts[part] = files(package).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
+        folder, _, name = part.rpartition("/")
+        texts[part] = files(folder.replace("/", ".")).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
     return joined(texts)
 
 

@@ -9,7 +9,6 @@ import shapely
 import trimesh
 
 from selector.measure.footprint import texel_footprint_px
-from shadows.render import FILLS
 from shadows.truth.metrics import INTERIOR_PX, edge_distances, interior
 from shadows.truth.truth import Truth, sub_views
 from terrain.describe import describe
@@ -108,7 +107,7 @@ def figures_on_ground(seen: Seen, hulls: Sequence[shapely.Polygon]) -> dict[str,
     """
     truth, view = true_shade(seen, hulls), seen.view
     assert isinstance(view, PerspectiveView)
-    steps = [step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS]
+    steps = seen.plan.steps_under(seen.light)
     pixel_m = describe(seen.scene, view).pixel_m
     texels_px = np.max([texel_footprint_px(seen.scene, step, seen.buffer, pixel_m) for step in steps], axis=0)
     dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit

@@ -10,7 +10,6 @@ import trimesh
 from scipy.ndimage import binary_erosion
 
 from selector.measure.footprint import texel_footprint_px
-from shadows.render import FILLS
 from shadows.truth.metrics import Errors, errors_of
 from shadows.truth.truth import Truth
 from terrain.gbuffer.resolve import RELIEF
@@ -51,7 +50,7 @@ def errors(seen: Seen, truth: Truth | None = None) -> Errors:
     the ground alone.
     """
     truth = truth or seen.truth
-    steps = [step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS]
+    steps = seen.plan.steps_under(seen.light)
     if any(step.algorithm == "planar" for step in steps):
         truth = replace(truth, decidable=truth.decidable & (seen.buffer.kind == RELIEF))
     texels = [texel_footprint_px(seen.scene, step, seen.buffer, 1.0) for step in steps or [None]]

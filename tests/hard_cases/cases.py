@@ -25,9 +25,9 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.render import FILLS
 from shadows.truth.metrics import Errors, errors_of
 from shadows.truth.truth import Truth, truth_of
+from shadows.visibility import fill_steps
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
@@ -81,7 +81,7 @@ class Seen:
     def errors(self) -> Errors:
         """Every figure of ``shadows.truth.metrics`` against truth."""
         pixel_m = describe(self.scene, self.view).pixel_m
-        steps = [step for step in self.plan.steps if step.light == self.light and step.algorithm in FILLS]
+        steps = self.plan.steps_under(self.light)
         texels = [texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]]
         return errors_of(self.visibility, self.truth, pixel_m, np.max(texels, axis=0))
 
@@ -142,10 +142,7 @@ class Trial:
         light = light or scene.light_names[0]
         buffer = geometry_of(scene, view)
         casters, log = casters_of(scene, buffer), PassLog()
-        visibility = np.ones(buffer.there.shape, np.float32)
-        for step in plan.steps:
-            if step.light == light and step.algorithm in FILLS:
-                visibility *= FILLS[step.algorithm](buffer, scene, light, step.kinds, casters, step.settings, log)
+        visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log)
         visibility[attached(buffer, scene, light)] = 0.0
         visibility[~buffer.there] = np.nan
         return Seen(scene, view, plan, light, buffer, casters, visibility, log)

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Settings
-from shadows.render import FILLS
+from shadows.visibility import fill_steps
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 from tests.rasters import ENGINEERING
@@ -55,10 +55,8 @@ def changed(seen: Seen, change: Change) -> Seen:
     """The same picture by a plan whose settings were changed."""
     settings = {light: {kind: change(its) for kind, its in kinds.items()} for light, kinds in seen.plan.settings.items()}
     plan = seen.plan.model_copy(update={"settings": settings})
-    visibility, log = np.ones(seen.buffer.there.shape, np.float32), PassLog()
-    for step in plan.steps:
-        if step.algorithm in FILLS:
-            visibility *= FILLS[step.algorithm](seen.buffer, seen.scene, seen.light, step.kinds, seen.casters, step.settings, log)
+    log = PassLog()
+    visibility = fill_steps(plan.steps_under(seen.light), seen.buffer, seen.scene, seen.casters, plan.runs, log)
     visibility[attached(seen.buffer, seen.scene, seen.light)] = 0.0
     visibility[~seen.buffer.there] = np.nan
     return replace(seen, plan=plan, visibility=visibility, log=log)

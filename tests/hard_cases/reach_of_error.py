@@ -17,7 +17,6 @@ from shadows.maps.perspective_shadow_map import perspective_map
 from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
 from shadows.plan import PerspectiveMapSettings, ShadowMapSettings, Step
-from shadows.render import FILLS
 from shadows.truth.truth import ALL_KINDS, ray_scene
 from terrain.casters.casting import caster_trees
 from terrain.describe import describe
@@ -58,7 +57,7 @@ def beyond(seen: Seen) -> np.ndarray:
         assert seen.scene.sun is not None
         towards = buffer.frame.frame_from_earth @ seen.scene.sun.to_sun_earth
         rays = ray_scene(buffer, seen.scene, seen.casters, ALL_KINDS)
-        (step,) = (step for step in seen.plan.steps if step.light == seen.light and step.algorithm in FILLS)
+        (step,) = seen.plan.steps_under(seen.light)
         points, normals = (a.reshape(-1, 3).astype(np.float64) for a in (buffer.position_frame_m, buffer.normal_frame))
         for moves in _moves(seen, step, left, towards, points[left], normals[left]):
             lit = ~rays.blocked(points[left] + moves + rays.offset_m * normals[left], towards)

@@ -8,7 +8,8 @@ import numpy as np
 
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.render import FILLS
+from shadows.plan import Step
+from shadows.visibility import fill_steps
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
@@ -43,8 +44,8 @@ def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, 
     # level ground, where nothing rises, or meshes that are not there
     kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
     buffer, log = geometry_of(scene, scene.view(view, size=size)), PassLog()
-    fill = FILLS[step.algorithm]
-    visibility = fill(buffer, scene, step.light, kinds, casters_of(scene, buffer), step.settings, log)  # type: ignore[arg-type]
+    forced = Step(step.light, kinds, step.algorithm, step.settings)
+    visibility = fill_steps([forced], buffer, scene, casters_of(scene, buffer), (), log)
     receives = buffer.there & ~attached(buffer, scene, step.light)
     return visibility[receives], bool(buffer.there.any()), sum(record.draws for record in log.records.values())
 

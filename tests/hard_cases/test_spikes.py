@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
-from shadows.render import FILLS
 from terrain.describe import describe
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
@@ -25,7 +24,7 @@ def on_plain(trial: Trial, heights: np.ndarray) -> Scene:
 def texel_m(seen: Seen) -> float:
     """The widest texel on the ground of what was drawn with; 0 without maps."""
     pixel_m = describe(seen.scene, seen.view).pixel_m
-    steps = [step for step in seen.plan.steps if step.algorithm in FILLS]
+    steps = seen.plan.steps_under(seen.light)
     return pixel_m * max(float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) for step in steps)
 
 

@@ -21,7 +21,8 @@ from api.settings import Settings
 from selector.candidates import MOST, candidates
 from selector.planner.rules import choose
 from shadows.registry import ALGORITHMS, GroundKind, LightKind, Part, ViewKind, able
-from shadows.render import FILLS, render_frame
+from shadows.render import render_frame
+from shadows.visibility import FILLS
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from api.catalogue import find_level
 from selector.candidates import MOST, candidates, name_of
-from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_steps
+from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_light
 from selector.measure.footprint import texel_footprint_px, texel_on_level_ground_m
 from shadows.attached import attached
+from shadows.passes import PassLog
 from shadows.render import forget_kept, render_frame
+from shadows.visibility import fill_steps, looked_for
+from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.level.level import load_level
@@ -39,7 +42,7 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def compared(scene) -> Comparison:
-    return compare(scene, scene.view("eye"), "eye")
+    return compare(scene, scene.view("eye"), "eye", time_limit_s=600.0)  # compiling must cost no row
 
 
 def test_rows_have_names_of_their_own(gl, compared):
@@ -78,7 +81,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     pictures = drawn_on(scene, view)
-    run = run_steps(scene, pictures, plan.steps)
+    run = run_light(scene, pictures, plan, "sun")
     forget_kept()
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
@@ -88,6 +91,39 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     seen = run.parts[0].copy()
     seen[attached(picture.own, scene, "sun")] = 0.0
     np.testing.assert_array_equal(np.where(picture.own.there, seen, np.nan), frame.visibility)
+
+
+@pytest.fixture(scope="module")
+def hazy(tmp_path_factory) -> Scene:
+    """Bodies near and far in air so thick that haze hides what the sun does to the far ones."""
+    path = tmp_path_factory.mktemp("haze") / "hazy.yaml"
+    keys = {
+        "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
+        "meshes": [{"generate": "tetrahedra"}], "sun": {"azimuth": 200, "altitude": 12}, "weather": {"visibility": 25},
+    }  # fmt: skip
+    path.write_text(json.dumps(keys), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
+    """Where haze hides whether the sun shines, nobody looks for it: in no row, in no picture, and no error is counted there."""
+    view = hazy.view("eye")
+    asked = [{"algorithm": "shadow_map", "map_size": 256, "filter": 1}, {"algorithm": "shadow_volume"}]
+    plans = [plan_of(hazy, view, **each) for each in asked]
+    compared = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
+    buffer = geometry_of(hazy, view)
+    hidden = buffer.there & ~looked_for(buffer, hazy, "sun", {"haze"}).there
+    shadows = 0
+    for row, plan in zip(compared.rows, plans, strict=True):
+        frame = render_frame(hazy, view, plan)
+        shown = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
+        np.testing.assert_array_equal(row.visibility, np.where(hidden, 255, shown))
+        clear = fill_steps(plan.steps_under("sun"), buffer, hazy, casters_of(hazy, buffer), (), PassLog())
+        shadows += np.count_nonzero(clear[hidden] < 0.5)
+        assert not (row.false_shadow | row.missed_shadow)[hidden].any()
+        assert not compared.there[hidden].any()
+        assert row.figures["wrong_cast"] == measure(hazy, view, plan).figures["wrong_cast"]
+    assert shadows > 100, "haze hides shadows here, or nothing is tested"
 
 
 def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):

@@ -1,0 +1,64 @@
+"""Filling a light's visibility: the one place where a plan's steps are run, for pictures, comparisons, measuring and benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from shadows import planar
+from shadows.hybrid import hybrid
+from shadows.maps import perspective_shadow_map, shadow_map
+from shadows.passes import PassLog
+from shadows.plan import Step
+from shadows.sweep import sweep
+from shadows.truth import truth
+from shadows.volumes import shadow_volume
+from terrain.casters.reach import Casters
+from terrain.effects.haze import hides_beyond_m
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN
+from terrain.scene import Scene
+
+FILLS = {
+    "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
+    "hybrid": hybrid.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill,
+}  # fmt: skip
+"""Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
+
+
+def fill_steps(
+    steps: Iterable[Step], buffer: GeometryBuffer, scene: Scene, casters: Casters, effects: Collection[str], log: PassLog
+) -> np.ndarray:
+    """A light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of what its steps fill.
+
+    ``steps`` are of one light (``Plan.steps_under``), ``effects`` those that run (``Plan.runs``). Where nobody looks for the light
+    (``looked_for``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the algorithms do.
+    """
+    steps = list(steps)
+    visibility = np.ones(buffer.there.shape, np.float32)
+    if steps:
+        asked = looked_for(buffer, scene, steps[0].light, effects)
+        for step in steps:
+            visibility *= FILLS[step.algorithm](asked, scene, step.light, step.kinds, casters, step.settings, log)
+    return visibility
+
+
+def looked_for(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
+    """A buffer without the points at which nobody looks for a light: in a perspective view those so far away that haze hides
+    whether the sun shines on them.
+    """
+    if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
+        return buffer
+    limit_m = hides_beyond_m(scene)
+    if np.isinf(limit_m):
+        return buffer
+    away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
+    return replace(buffer, there=buffer.there & (away_m < limit_m))
+
+
+def under_sky(scene: Scene, effects: Collection[str]) -> Scene:
+    """The scene with the sun where it is seen, or, without refraction, where it is."""
+    return scene if "refraction" in effects else scene.without_refraction
