@@ -1,0 +1,81 @@
+"""Filling a light's visibility: the product of its steps, and nothing looked for where haze hides the answer."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from shadows.passes import PassLog
+from shadows.visibility import fill_steps, looked_for, under_sky
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of
+
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [240, 192]}
+
+
+@pytest.fixture(scope="module")
+def hazy(tmp_path_factory) -> Scene:
+    path = tmp_path_factory.mktemp("visibility") / "hazy.yaml"
+    keys = {
+        "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
+        "meshes": [{"generate": "tetrahedra"}], "sun": {"azimuth": 200, "altitude": 30}, "weather": {"visibility": 50},
+        "lights": {"lamp": {"kind": "omni", "position": [0, 0, 20]}},
+    }  # fmt: skip
+    path.write_text(json.dumps(keys), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.ndarray]:
+    """A light's visibility at the points of the view (n,), and whether haze hides each."""
+    view = scene.view("eye")
+    buffer = geometry_of(scene, view)
+    steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
+    found = fill_steps(steps, buffer, scene, casters_of(scene, buffer), effects, PassLog())
+    hidden = buffer.there & ~looked_for(buffer, scene, "sun", {"haze"}).there
+    return found[buffer.there], hidden[buffer.there]
+
+
+def test_the_sun_is_not_looked_for_where_haze_hides_the_answer(gl, hazy):
+    clear, hidden = filled(hazy, "sun", set())
+    cut, _ = filled(hazy, "sun", {"haze"})
+    assert np.count_nonzero(clear[hidden] < 0.5) > 50 and np.count_nonzero(clear[~hidden] < 0.5) > 50
+    assert (cut[hidden] == 1.0).all()
+    np.testing.assert_array_equal(cut[~hidden], clear[~hidden])
+
+
+def test_a_lamp_is_looked_for_however_thick_the_air(gl, hazy):
+    clear, _ = filled(hazy, "lamp", set())
+    cut, _ = filled(hazy, "lamp", {"haze"})
+    assert np.count_nonzero(clear < 0.5) > 50
+    np.testing.assert_array_equal(cut, clear)
+
+
+def test_a_map_is_seen_from_no_distance(hazy):
+    buffer = geometry_of(hazy, hazy.view(size=(32, 32)))
+    assert looked_for(buffer, hazy, "sun", {"haze"}) is buffer
+
+
+def test_kinds_that_are_filled_apart_multiply(gl, hazy):
+    view = hazy.view("eye")
+    buffer = geometry_of(hazy, view)
+    casters = casters_of(hazy, buffer)
+    asked = {"algorithm": {"sun": {"relief": "shadow_map", "meshes": "shadow_volume"}}}
+    steps = plan_of(hazy, view, **asked).steps_under("sun")
+    assert [step.algorithm for step in steps] == ["shadow_map", "shadow_volume"]
+    together = fill_steps(steps, buffer, hazy, casters, (), PassLog())
+    apart = [fill_steps([step], buffer, hazy, casters, (), PassLog()) for step in steps]
+    np.testing.assert_array_equal(together[buffer.there], (apart[0] * apart[1])[buffer.there])
+    assert (fill_steps([], buffer, hazy, casters, (), PassLog()) == 1.0).all()
+
+
+def test_without_refraction_the_sun_is_where_it_is(write_raster, make_scene):
+    raster = write_raster(np.zeros((8, 8), np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
+    scene = make_scene(raster).with_sun(SunSpec(time="2024-06-21T20:30:00+02:00"))
+    assert under_sky(scene, {"refraction"}) is scene
+    assert under_sky(scene, ()).sun.altitude_deg < scene.sun.altitude_deg - 0.05
