@@ -46,9 +46,10 @@ from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import Frame, forget_kept, render_frame
+from shadows.render import Frame, render_frame
 from shadows.visibility import fill_steps
 from shadows.volumes.tiles import marked_tiles
+from terrain.cache import forget
 from terrain.casters.reach import Casters
 from terrain.describe import describe
 from terrain.gbuffer.antialias import Sampled
@@ -285,7 +286,7 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
             its, plan = runs[key]
-            forget_kept()
+            forget("light")
             for how in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
                 visibility = its.visibility(plan, log)

@@ -43,7 +43,8 @@ from affine import Affine
 from api.catalogue import bundled_levels, find_level
 from selector.planner.rules import choose
 from shadows.attached import attached
-from shadows.render import SHADING_PASS, bands_of, forget_kept, render_frame
+from shadows.render import SHADING_PASS, bands_of, render_frame
+from terrain.cache import forget
 from terrain.describe import describe
 from terrain.effects import EFFECTS
 from terrain.gbuffer.antialias import picture_of
@@ -107,7 +108,7 @@ class Drawn:
 
 def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> Drawn:
     """A frame that pays for all that it needs, its plan among it."""
-    forget_kept()
+    forget("light")
     wall, start = time.perf_counter(), time.process_time()
     plan = choose(describe(scene, view, name), scene.loaded.level)
     chosen = time.process_time()

@@ -78,7 +78,7 @@ def times(given: argparse.Namespace) -> list[Row]:
         todo = plans(scene, view, name, given.map_size, given.filter)
         for number in range(given.repeats + 2):
             for map_name in [*todo][:: 1 if number % 2 else -1]:
-                device().depth_targets.forget()
+                device().depth_targets.clear()
                 log, start = PassLog(), time.perf_counter()
                 for light in todo[map_name].lights:
                     fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].runs, log)

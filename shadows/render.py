@@ -10,14 +10,11 @@ import numpy as np
 
 from shadows.attached import attached
 from shadows.evidence import effects_ran
-from shadows.hybrid import maps as hybrid_maps
 from shadows.kept_layers import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.sweep.rays import ground_of_level
 from shadows.visibility import fill_steps, under_sky
-from shadows.volumes import volumes
 from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, Block, Stage
@@ -27,7 +24,6 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
 from terrain.geo.world import LocalFrame
-from terrain.gl.device import device, is_open
 from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
 from terrain.shading import albedo_of, encoded, open_sky, shade, sky
@@ -171,15 +167,6 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
     for layer in sorted(layers - has):
         able = ", ".join(name for name, each in ALGORITHMS.items() if layer in each.layers) or "nothing"
         raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {able}")
-
-
-def forget_kept() -> None:
-    """Drop what algorithms keep from frame to frame while nothing changes: the next one pays all its costs."""
-    ground_of_level.cache_clear()
-    volumes.forget()
-    hybrid_maps.forget()
-    if is_open():
-        device().depth_targets.forget()
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from terrain.cache import MIB, kept
 from terrain.casters.clip_space import bend_px
 from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
@@ -155,7 +155,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
     return tuple(float(v) for v in np.maximum(widest, step_at_anchor_m(scene.world, view.grid)))  # type: ignore[return-value]
 
 
-@lru_cache(maxsize=32)
+@kept("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
     """The largest range of heights within a block's side anywhere on the level, from the overview."""
     overview = elevation.overview

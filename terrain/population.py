@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
 
+from terrain.cache import MIB, kept
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.level.level import CasterKind, LoadedLevel
@@ -116,7 +117,7 @@ class Population:
         return max(tree_m, float(np.nanmax(above, initial=0.0)))
 
 
-@lru_cache(maxsize=8)
+@kept("scene", 512 * MIB)
 def _on(population: Population, kind: str, crs: CRS) -> np.ndarray:
     points = population.solids.vertices_earth_m if kind == "solids" else population.trees.base_earth_m  # type: ignore[union-attr]
     return np.stack(population.world.map_position(crs, points), axis=-1)

@@ -11,6 +11,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
+from terrain.cache import forget_scene
 from terrain.errors import InputError, LevelError, SourceError
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
@@ -71,6 +72,11 @@ class Scene:
     def without_refraction(self) -> Scene:
         """The same ground under the sun as it would be seen without an atmosphere."""
         return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
+
+    def close(self) -> None:
+        """Close the level's raster, and forget all that was made from it under any sun: there is nothing left to draw with."""
+        forget_scene(self.elevation)
+        self.elevation.close()
 
     def at_second(self, seconds: float | None) -> Scene:
         """The same scene at another time of the clock of moving casters (``None`` keeps the level's)."""

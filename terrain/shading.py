@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
@@ -210,7 +210,7 @@ def tint_table(steps: int = 256) -> np.ndarray:
     return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def _srgb_table() -> np.ndarray:
     return np.rint(255.0 * srgb((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 

@@ -169,7 +169,7 @@ class ServedLevels:
         try:
             return _served(loaded, scene)
         finally:
-            scene.elevation.close()
+            scene.close()
 
 
 def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from functools import lru_cache
 
 import numpy as np
 from PIL import Image
@@ -11,6 +10,7 @@ from PIL import Image
 from api.http.matrices import BLOCK_TILES, TILE_PX
 from api.layers import MASK_NO_SURFACE, encode_picture, picture_of
 from api.workers.jobs import Block
+from terrain.cache import MIB, kept
 from terrain.errors import InputError
 
 MEDIA_TYPES = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
@@ -51,7 +51,7 @@ def encode(array: np.ndarray, layer: str, format: str) -> bytes:
     return encode_picture(array, f".{format}")
 
 
-@lru_cache(maxsize=32)
+@kept("process", 4 * MIB)
 def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
     """A tile without a surface."""
     side = tiles * TILE_PX

@@ -16,7 +16,7 @@ from api.settings import Settings, cores
 from api.workers.jobs import Answer, Block, Failure, Job, Result, Snapshot
 from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.worker_process import WorkerProcess, WorkerTarget
-from terrain.cache import ByteCache
+from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
 
 if TYPE_CHECKING:
@@ -58,7 +58,9 @@ class Pool:
         self._target = target
         self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
-        self._finished: ByteCache[Block | Snapshot] = ByteCache(settings.block_cache_bytes, lambda drawn: drawn.nbytes)
+        self._finished: Cache[Block | Snapshot] = Cache(
+            "api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
+        )
         self._flights: dict[Job, _Flight] = {}
         self._queue: OrderedDict[Job, _Flight] = OrderedDict()
         self._news = asyncio.Event()
@@ -92,7 +94,8 @@ class Pool:
 
     def finished(self, job: Job) -> Block | Snapshot | None:
         """A block or a snapshot that is kept."""
-        return self._finished.get(job)
+        drawn = self._finished.get(job)
+        return None if isinstance(drawn, Missing) else drawn
 
     def open(self) -> None:
         """Start the processes; returns at once."""
@@ -115,7 +118,7 @@ class Pool:
         ``RenderTimeoutError``, ``WorkerCrashError``, and what the work itself raises. A job that nobody waits for any
         more is dropped unless it has begun.
         """
-        kept = self._finished.get(job)
+        kept = self.finished(job)
         if kept is not None:
             return kept
         flight = self._flights.get(job) or self._enqueue(job)

@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 import time as clock
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -40,6 +39,7 @@ from api.workers.jobs import (
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
+from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
 from terrain.describe import describe
 from terrain.errors import GraphicsError, RenderError, SkuggaError
@@ -54,8 +54,11 @@ if TYPE_CHECKING:
 MAX_SCENES = 16
 """Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
 
-MAX_TILE_PLANS = 256
-"""Plans of tiles that a process keeps: some KiB each."""
+SCENES_BYTES = 2**30
+"""Bytes of their overviews, at most."""
+
+TILE_PLANS_BYTES = 16 * MIB
+"""Bytes of the plans of tiles that a process keeps: some 30 KiB each."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
@@ -83,9 +86,15 @@ class Scenes:
     """The scenes used last, by level file; a level of which a file has changed is opened anew."""
 
     def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
-        self._limit = limit
         self._process_bytes = process_bytes
-        self._scenes: OrderedDict[str, tuple[str, Scene]] = OrderedDict()
+        self._scenes: Cache[tuple[str, Scene]] = Cache(
+            "api.workers.scenes",
+            "process",
+            SCENES_BYTES,
+            lambda each: each[1].elevation.nbytes,
+            lambda each: each[1].close(),
+            limit,
+        )
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -93,33 +102,28 @@ class Scenes:
     def get(self, key: LevelKey) -> Scene:
         """The scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
         path = str(key.path)
-        version, scene = self._scenes.pop(path, (None, None))
-        if scene is not None and version != key.version:
-            scene.elevation.close()
-            scene = None
-        if scene is None:
-            scene = build_scene(load_level(key.path))
-        self._scenes[path] = key.version, scene
-        limit = 1 if self._process_bytes() > MAX_PROCESS_BYTES else self._limit
-        while len(self._scenes) > limit:
-            _, (_, oldest) = self._scenes.popitem(last=False)
-            oldest.elevation.close()
-        return scene
+        found = self._scenes.get(path)
+        if isinstance(found, Missing) or found[0] != key.version:
+            self._scenes.drop(path)
+            found = key.version, build_scene(load_level(key.path))
+            self._scenes.put(found, path)
+        if self._process_bytes() > MAX_PROCESS_BYTES:
+            self._scenes.trim(1)
+        return found[1]
 
 
 class TilePlans:
     """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
 
-    def __init__(self, limit: int = MAX_TILE_PLANS) -> None:
-        self._limit = limit
-        self._plans: OrderedDict[Hashable, Plan] = OrderedDict()
+    def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
+        self._plans: Cache[Plan] = Cache("api.workers.tile_plans", "process", limit_bytes)
 
     def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
         """The plan that was made for a key, or is made now."""
-        plan = self._plans.pop(key, None) or make()
-        self._plans[key] = plan
-        while len(self._plans) > self._limit:
-            self._plans.popitem(last=False)
+        plan = self._plans.get(key)
+        if isinstance(plan, Missing):
+            plan = make()
+            self._plans.put(plan, key)
         return plan
 
 

@@ -72,7 +72,7 @@ def _visibility_beside_wall() -> tuple[float, float]:
             grid, row // BLOCK_PX * BLOCK_PX, col // BLOCK_PX * BLOCK_PX, 1.0, 1.0, BLOCK_PX, BLOCK_PX
         )  # fmt: skip
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
-        scene.elevation.close()
+        scene.close()
     away = BESIDE_M / grid.step
     row, cols = int(row % BLOCK_PX), (int(np.rint(col % BLOCK_PX - away)), int(np.rint(col % BLOCK_PX + away)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])

@@ -12,7 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, encoded
 from benchmarks.seeds.views import Found, Held, Variant
 from selector.measure.compare import Row, false_colours
-from shadows.render import forget_kept, render_frame
+from shadows.render import render_frame
+from terrain.cache import forget
 from terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
@@ -37,7 +38,7 @@ def drawn(look: Held, variant: Variant, box: Box, shrink: int = 1) -> Image.Imag
     """A part of a view as it is rendered, ``shrink`` times smaller: of what does not go by the view's extent alone."""
     with variant.without():
         color = render_frame(look.scene, _part(look.perspective, box), look.plan(variant.asked)).color
-    forget_kept()
+    forget("light")
     return Image.fromarray(color).convert("RGB").reduce(shrink)
 
 

@@ -15,9 +15,9 @@ from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings
 from benchmarks.seeds.words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 from shadows.passes import PassLog
 from shadows.plan import Plan, ShadowMapSettings
-from shadows.render import forget_kept
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import coverage_truth
+from terrain.cache import forget
 
 REPEATS = 11
 FRAME = (800, 600)
@@ -77,7 +77,7 @@ def _passes_ms(look: Held, plans: dict[int, Plan]) -> dict[str, dict[str, float]
     """Median milliseconds of drawing a map and of looking it up, by the map's size; sizes take turns."""
 
     def drawn(plan: Plan) -> PassLog:
-        forget_kept()
+        forget("light")
         log = PassLog()
         look.visibility(plan, log)
         return log

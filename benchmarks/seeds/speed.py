@@ -37,7 +37,8 @@ from benchmarks.seeds.words import (
 )
 from selector.planner.rules import choose
 from shadows.plan import Plan
-from shadows.render import forget_kept, render_frame
+from shadows.render import render_frame
+from terrain.cache import forget
 from terrain.describe import describe
 
 HALF_SIZE = 640, 512
@@ -82,7 +83,7 @@ def whole_frames(level: str) -> Figures:
     plans = {key: choose(descriptor, scene.loaded.level, overrides) for key, overrides in asked.items()}
 
     def drawn(plan: Plan) -> float:
-        forget_kept()
+        forget("light")
         return sum(record.ms for record in render_frame(scene, view, plan).passes if record.name.endswith("depth map"))
 
     taken = in_turns({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)

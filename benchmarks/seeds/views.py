@@ -19,11 +19,11 @@ from selector.planner.rules import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan, Settings
-from shadows.render import forget_kept
 from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import edge_distances, errors_of
 from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
 from shadows.visibility import fill_steps
+from terrain.cache import forget
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -167,11 +167,11 @@ def found(look: Held, variant: Variant) -> Found:
     cast shadow alone, pixels, and ``marked``, the share of the surface's pixels that a hybrid leaves to its volumes.
     """
     log = PassLog()
-    forget_kept()
+    forget("light")
     with variant.without():
         plan = look.plan(variant.asked)
         visibility, texels_px = look.visibility(plan, log), look.texels_px(plan)
-    forget_kept()
+    forget("light")
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5
     edges_px = edge_distances(dark & look.receivers, ~look.truth.lit & look.receivers, look.receivers)
     records = log.records.values()

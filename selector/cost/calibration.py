@@ -25,8 +25,8 @@ from selector.planner.volume_settings import hybrid_settings, volume_settings
 from selector.serves import serves
 from shadows.passes import PassLog
 from shadows.plan import Settings, Step, SweepSettings, TruthSettings
-from shadows.render import forget_kept
 from shadows.visibility import fill_steps
+from terrain.cache import forget
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -145,7 +145,7 @@ def _steps(descriptor: Descriptor, stage: Stage) -> Iterator[Step]:
 
 def _run(job: Job) -> None:
     """Run a job once, and note the times of its parts."""
-    forget_kept()
+    forget("light")
     step, log, start = job.step, PassLog(), time.perf_counter()
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
     left_ms = (time.perf_counter() - start) * 1000.0

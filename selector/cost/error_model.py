@@ -22,7 +22,6 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from importlib.resources import files
 from math import exp, log, log2, radians, sqrt, tan
 from typing import Literal
@@ -33,6 +32,7 @@ from selector.cost.task import is_decimated
 from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
+from terrain.cache import MIB, kept
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.facts.probes import PROBES
@@ -123,7 +123,7 @@ class ErrorModel(BaseModel):
     interior_spread: dict[Manner, float]
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def fitted() -> ErrorModel:
     """The constants that come with the package."""
     return ErrorModel.model_validate_json(files("selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
@@ -212,7 +212,7 @@ def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
     return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
 
 
-@lru_cache(maxsize=1024)
+@kept("process", MIB)
 def pooled(differs: tuple[float, ...]) -> tuple[float, ...]:
     """``differs`` with less chance in it: what differs grows about as a texel's side does, so each texel's is told by the next
     ``POOLED`` together, of which the larger ones count most of what was seen.

@@ -13,10 +13,11 @@ from selector.candidates import candidates, name_of
 from selector.measure.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.render import bands_of, forget_kept
+from shadows.render import bands_of
 from shadows.truth import truth as truth_module
 from shadows.truth.metrics import errors_of
 from shadows.visibility import fill_steps, under_sky
+from terrain.cache import forget
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.errors import InputError
@@ -239,7 +240,7 @@ def run_light(scene: Scene, pictures: Sequence[Drawn], plan: Plan, light: str) -
     """Execute a plan's steps of a light on what is drawn of a view, nothing kept from before. Samples take time as in any picture;
     the visibilities are those of the picture's own pixels.
     """
-    forget_kept()  # every cost that a moving sun has is to be paid
+    forget("light")  # every cost that a moving sun has is to be paid
     steps = plan.steps_under(light)
     log, start = PassLog(), time.perf_counter()
     parts = []

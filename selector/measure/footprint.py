@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from shadows.attached import attached, lamp_in_frame
 from shadows.maps.perspective_shadow_map import perspective_map
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
+from terrain.cache import MIB, kept
 from terrain.casters.casting import caster_trees
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
@@ -39,7 +38,7 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
 
 
-@lru_cache(maxsize=1)
+@kept("scene", 512 * MIB)
 def _from_eye(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     """How far a perspective view's points are from the eye, and the side of a pixel at their depths: (rows, cols) metres each."""
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)  # type: ignore[union-attr]

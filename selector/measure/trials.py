@@ -11,8 +11,9 @@ from selector.measure.thinned import ThinTruth, thin_truth, thinned
 from selector.picks import Pick
 from selector.winning import Figures
 from shadows.plan import Plan, Step
-from shadows.render import Frame, bands_of, forget_kept, render_frame
+from shadows.render import Frame, bands_of, render_frame
 from shadows.visibility import under_sky
+from terrain.cache import forget
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
 from terrain.scene import Scene
@@ -147,7 +148,7 @@ def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -
 
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:
-    forget_kept()  # every cost that a moving sun has is to be paid
+    forget("light")  # every cost that a moving sun has is to be paid
     return render_frame(scene, view, candidate.plan)
 
 

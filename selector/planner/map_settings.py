@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from shadows.maps.windows import BORDER_TEXELS
 from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
+from terrain.cache import MIB, kept
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import Band, LampFacts
@@ -162,7 +162,7 @@ def _power(texels: float, most: int) -> int:
     return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * BORDER_TEXELS)), SMALLEST, most))
 
 
-@lru_cache(maxsize=4)
+@kept("process", 16 * MIB)
 def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of n bands, from one to another joined: extents in light space (n, n, 3), metres, rounded up, of a band before it NaN; where
     each begins (n,), metres from the eye; and the sums (n, n) of their shares by that.
@@ -176,7 +176,7 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, upto[None, 1:] - upto[:-1, None]
 
 
-@lru_cache(maxsize=128)
+@kept("process", 16 * MIB)
 def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """All ways to join neighbouring bands to ``count`` runs (as many as there are bands, if those are fewer): numbers of the first
     and of the last band of each run, int64 (ways, runs).

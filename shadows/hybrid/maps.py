@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 
@@ -22,14 +21,14 @@ from shadows.kept_layers import beside_one_another
 from shadows.maps.windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
 from shadows.volumes.volumes import Volumes, light_in_frame
+from terrain.cache import MIB, Cache, Missing
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import MESHES
 from terrain.level.level import SUN, CasterKind
-from terrain.same import Same
 from terrain.scene import Scene
 
-__all__ = ["LIT", "MASKED", "SHADED", "decided", "forget", "pictures"]
+__all__ = ["LIT", "MASKED", "SHADED", "decided", "pictures"]
 
 BORDER_TEXELS = 1
 """Texels round the points, so that none lies on the rim."""
@@ -39,9 +38,6 @@ NEAR_SHARE = 1e-6
 
 FINEST_ERRORS = 256.0
 """Texels are never less than so many times what float32 makes of a caster's place: their margin is a share of them."""
-
-KEPT = 8
-"""So many maps are kept, the ones used last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +66,7 @@ class _Window:
         return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
 
-_kept: OrderedDict[Hashable, ConservativeMap] = OrderedDict()
-
-
-def forget() -> None:
-    """Drop the maps that are kept."""
-    _kept.clear()
+_kept: Cache[ConservativeMap] = Cache("shadows.hybrid.maps", "light", 256 * MIB)
 
 
 def decided(
@@ -135,17 +126,15 @@ def pictures(
 
 def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """The map of a window, and whether it was kept from before."""
-    key = (window.key, *(Same(each) for each in volumes))
-    was_kept = key in _kept
-    if not was_kept:
-        corners = [_in_texels(window, each.vertices[each.caps], clipped_triangles) for each in volumes]
-        edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
-        none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
-        _kept[key] = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
-        while len(_kept) > KEPT:
-            _kept.popitem(last=False)
-    _kept.move_to_end(key)
-    return _kept[key], was_kept
+    found = _kept.get(window.key, *volumes)
+    if not isinstance(found, Missing):
+        return found, True
+    corners = [_in_texels(window, each.vertices[each.caps], clipped_triangles) for each in volumes]
+    edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
+    none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
+    found = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
+    _kept.put(found, window.key, *volumes)
+    return found, False
 
 
 def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:  # type: ignore[no-untyped-def]

@@ -11,6 +11,7 @@ from moderngl import Framebuffer
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
 from shadows.plan import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from terrain.cache import Same
 from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -19,7 +20,6 @@ from terrain.gbuffer.visible import set_uniforms, shader
 from terrain.gl.device import Device
 from terrain.ground.surface import sheet_triangles
 from terrain.level.level import CasterKind
-from terrain.same import Same
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
 

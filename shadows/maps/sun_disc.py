@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.casting import caster_meshes, caster_sheets
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -33,7 +32,7 @@ DISC_TAPS = 3
 """Taps a side that what is near is compared by: the disc is never taken for narrower than two texels."""
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
     """For each of ``EDGES + 1`` places in [-1, 1] the bits (4 words, uint32) of the samples right of the first and up that lie
     before it. The samples are Vogel's spiral (1979), equal areas each.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from shadows.sweep.grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
+from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -160,7 +160,7 @@ def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft:
     return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
 
 
-@lru_cache(maxsize=1)
+@kept("light", 1024 * MIB)
 def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, Ground]:
     """The ground that a perspective view draws, as heights of its grid's nodes, and the rays over it; the last one is kept."""
     nodes = ground_nodes(scene)

@@ -7,13 +7,13 @@ for every picture: a share of nothing is 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
 from scipy.spatial import KDTree
 
 from shadows.truth.truth import Truth
+from terrain.cache import MIB, kept
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
@@ -126,7 +126,7 @@ def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
 
 
-@lru_cache(maxsize=1)
+@kept("light", 512 * MIB)
 def _from_edges_px(truth: Truth) -> np.ndarray:
     """The distances from the edges of a truth that many pictures are held against."""
     return from_edges_px(~truth.lit & truth.there, truth.there)

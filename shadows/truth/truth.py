@@ -11,7 +11,6 @@ changes when the ground is cut from north-west to south-east, instead of as draw
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import get_args
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from shadows.attached import attached, lamp_in_frame, turned_away
 from shadows.passes import PassLog
 from shadows.plan import TruthSettings
+from terrain.cache import MIB, kept
 from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
 from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.casters.reach import Casters, casters_of
@@ -252,7 +252,7 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
     return MapView(grid, part.row0 * scale, part.col0 * scale, part.row_step * scale, part.col_step * scale, part.rows, part.cols)
 
 
-@lru_cache(maxsize=1)
+@kept("light", 2048 * MIB)
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
     """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
     return _build_rays(buffer, scene, casters, kinds)

@@ -18,10 +18,7 @@ manifold, all triangles; and so of a body that a lamp stands in, and of ground w
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -32,12 +29,12 @@ from shadows.passes import PassRecord
 from shadows.volumes.edges import Edges, closed_parts, edges_of, parts_of
 from shadows.volumes.layers import batches
 from shadows.volumes.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from terrain.cache import MIB, Cache, Missing, kept
 from terrain.casters.casting import Mesh, caster_sheets, caster_solids
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import ground_nodes
 from terrain.level.level import SUN, CasterKind
-from terrain.same import Same
 from terrain.scene import Scene
 
 MOST_LAYERS = 127
@@ -45,9 +42,6 @@ MOST_LAYERS = 127
 
 TOUCH_M = 1e-3
 """A lamp so near to a body's bounds counts as in it, and so near to a face's plane as on it."""
-
-KEPT = 8
-"""So many volumes are kept, the ones used last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +91,7 @@ def light_in_frame(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarr
     return np.append(lamp_in_frame(buffer, scene.lamps[light])[0], 1.0)
 
 
-_kept: OrderedDict[Hashable, list[Volumes]] = OrderedDict()
-
-
-def forget() -> None:
-    """Drop the volumes that are kept."""
-    _kept.clear()
+_kept: Cache[list[Volumes]] = Cache("shadows.volumes.volumes", "light", 1024 * MIB)
 
 
 def volumes_of(
@@ -127,15 +116,14 @@ def volumes_of(
     if "meshes" in kinds and scene.population.solids is not None:
         meshes.append((caster_solids(scene.population, buffer.frame), None))
     for mesh, rule in meshes:
-        key = (*(Same(array) for array in mesh), tuple(light_frame), rule)
-        if key in _kept:
-            _kept.move_to_end(key)
-            record.kept += len(_kept[key])
+        key = (*mesh, tuple(light_frame), rule)
+        its = _kept.get(*key)
+        if isinstance(its, Missing):
+            its = _of_mesh(*mesh, light_frame, rule)
+            _kept.put(its, *key)
         else:
-            _kept[key] = _of_mesh(*mesh, light_frame, rule)
-            while len(_kept) > KEPT:
-                _kept.popitem(last=False)
-        found += _kept[key]
+            record.kept += len(its)
+        found += its
     record.edges += sum(len(each.edges) for each in found)
     record.bytes = max(record.bytes, sum(each.nbytes for each in found))
     return found
@@ -145,12 +133,12 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
     """Whether a ray may go into a buffer's ground where there is none, and come out of it from below."""
     if buffer.surface is not None:
         return has_gaps(np.isfinite(buffer.surface.position_frame_m[..., 2]))
-    return _has_gaps(Same(ground_nodes(scene).height_m))
+    return _has_gaps(ground_nodes(scene).height_m)
 
 
-@lru_cache(maxsize=4)
-def _has_gaps(height_m: Same) -> bool:
-    return has_gaps(np.isfinite(height_m()))
+@kept("scene", MIB)
+def _has_gaps(height_m: np.ndarray) -> bool:
+    return has_gaps(np.isfinite(height_m))
 
 
 def has_gaps(there: np.ndarray) -> bool:
@@ -174,24 +162,24 @@ class _Structure:
     part_of_vertex: np.ndarray
 
 
-@lru_cache(maxsize=4)
-def _structure(vertices: Same, triangles: Same, ground_rule: int | None) -> _Structure:
-    edges, count = edges_of(vertices(), triangles()), len(vertices())
+@kept("scene", 1024 * MIB)
+def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _Structure:
+    edges, count = edges_of(vertices, triangles), len(vertices)
     if ground_rule is not None:
-        return _Structure(edges, np.full(len(triangles()), ground_rule, np.int8), np.zeros(count, np.int32))
-    part, corners = parts_of(edges), vertices()[triangles()] - vertices().mean(axis=0)
+        return _Structure(edges, np.full(len(triangles), ground_rule, np.int8), np.zeros(count, np.int32))
+    part, corners = parts_of(edges), vertices[triangles] - vertices.mean(axis=0)
     volume_m3 = np.bincount(part, np.linalg.det(corners) / 6.0)
     rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING, ALL).astype(np.int8)
-    first, has_edge = triangles()[:, :1], edges.of_triangle >= 0
+    first, has_edge = triangles[:, :1], edges.of_triangle >= 0
     welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
-    others = np.concatenate([triangles()[:, 1:], welded.reshape(-1, 6)], axis=1)
+    others = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
     pairs = np.broadcast_to(first, others.shape).ravel(), others.ravel()
     graph = coo_array((np.ones(others.size, bool), pairs), (count, count))
     return _Structure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
 
 
 def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
-    structure = _structure(Same(vertices), Same(triangles), ground_rule)
+    structure = _structure(vertices, triangles, ground_rule)
     edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.stand import Stand
@@ -57,7 +57,7 @@ def trees_in_the_way(stand: Stand, rotation: np.ndarray, translation: np.ndarray
     return stand.some(stand.reaching(rotation, translation, before, high))
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 64 * MIB)
 def closed_casters(population: Population) -> np.ndarray:
     """Which triangles (m,) of what stands for the meshes bound a closed body with its faces outwards, bool."""
     placement = population.placement
@@ -68,7 +68,7 @@ def closed_casters(population: Population) -> np.ndarray:
     return np.repeat(np.array([closed[id(placed.body)] for placed in casting], bool), counts)
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 512 * MIB)
 def caster_solids(population: Population, frame: LocalFrame) -> Mesh:
     """What stands for the meshes in a frame; the last ones are kept."""
     solids = population.solids

@@ -7,10 +7,9 @@ A camera's is a projection. A map has no camera: its pixels are a curved functio
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.reach import overview_on_grid
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import Grid, MapView
@@ -62,7 +61,7 @@ def map_clip(
     return clip
 
 
-@lru_cache(maxsize=32)
+@kept("scene", MIB)
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
     """How far, in pixels, the affine camera of a part lies off the map at worst: over parts at the level's corners and middle.
 

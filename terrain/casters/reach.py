@@ -10,11 +10,11 @@ finer than the raster.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from pyproj import CRS
 
+from terrain.cache import MIB, kept
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
@@ -157,7 +157,7 @@ def _towards_m(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> float:
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
-@lru_cache(maxsize=8)
+@kept("light", 256 * MIB)
 def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
     """Light-space points of the overview's cells at their highest ground (NaN in holes), and a cell's diameter, metres."""
     point, up = _overview_on_earth(scene.world, scene.elevation)
@@ -166,7 +166,7 @@ def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
     return scene.light.from_earth(top), _overview_cell_m(scene) * 1.5
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 256 * MIB)
 def _overview_on_earth(world, elevation) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
     return world.ground(elevation.crs, *_overview_xy(elevation))
 
@@ -183,7 +183,7 @@ def _overview_cell_m(scene: Scene) -> float:
     return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.level
 
 
-@lru_cache(maxsize=8)
+@kept("scene", 256 * MIB)
 def overview_on_grid(world, elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
     """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
 

@@ -7,10 +7,9 @@ all facets the right side is largest and least at a corner of the convex hull of
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.reach import overview_on_grid
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import quad_normals
@@ -56,7 +55,7 @@ def above_mesh(
     return (None, None) if np.isnan(least) else (float(least), float(most))
 
 
-@lru_cache(maxsize=8)
+@kept("scene", 64 * MIB)
 def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
     """How far the slopes of a map's ground, all of the level's, reach, (``DIRECTIONS``,); ``None`` if it cannot be said."""
     surface, reach, directions = Surface(world, elevation, grid), _nothing(), _directions()
@@ -73,7 +72,7 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
     return _known(reach)
 
 
-@lru_cache(maxsize=16)
+@kept("scene", MIB)
 def nodes_of(world: World, elevation: Elevation, grid: Grid) -> int:
     """How many nodes of a grid lie on a raster, about."""
     rows, cols = extent_on_grid(world, elevation, grid)

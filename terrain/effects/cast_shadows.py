@@ -11,10 +11,9 @@ once per ground and zoom: with the slopes (a, b) that a facet's normal (-a, -b, 
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Verdict
@@ -139,7 +138,7 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
     return above_slopes(grid_slopes(scene.world, scene.elevation, view.grid), to_sun)
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 256 * MIB)
 def _trees(population: Population, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
     """The trees round an eye, and whether leaves of any are in view."""
     stand = stand_in_perspective(population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
@@ -197,7 +196,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
 
 
-@lru_cache(maxsize=2)
+@kept("light", 256 * MIB)
 def _boxes_of_meshes(population: Population, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
     assert population.solids is not None

@@ -8,11 +8,11 @@ and frame. Clouds are no terrain: they change the colour, and no layer of visibi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
 from terrain.effects.haze import farthest_mesh_m
@@ -117,7 +117,7 @@ def layer_of(scene: Scene) -> CloudLayer:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=32)
+@kept("scene", MIB)
 def _mean_height_m(elevation: Elevation) -> float:
     return float(np.nanmean(elevation.overview.heights_m))
 
@@ -129,7 +129,7 @@ def threshold_of(cover: float) -> float:
     return float(np.interp(cover, [0.0, *shares, 1.0], [beyond, *values, -beyond]))
 
 
-@lru_cache(maxsize=1)
+@kept("process", 16 * MIB)
 def _distribution() -> tuple[np.ndarray, np.ndarray]:
     """Shares of a plane (n,) and the values of the noise exceeded there: measured on 195 x 195 coarsest wavelengths."""
     # The golden section shares no period with the lattice.
@@ -362,7 +362,7 @@ def _all_places(points, height, layer_m, to_sun, centre, drift):  # type: ignore
     return out
 
 
-@lru_cache(maxsize=256)
+@kept("process", MIB)
 def _densest(west: float, east: float, south: float, north: float, threshold: float) -> float:
     """Largest density of the clouds over a box, from above."""
     return float(_density(_largest(west, east, south, north, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold))

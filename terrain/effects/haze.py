@@ -21,10 +21,9 @@ times their slope with it, so that
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
@@ -155,7 +154,7 @@ def _shows_from_m(scene: Scene, visibility_m: float) -> float:
     return float(-np.log1p(-_showing_share(tuple(sky_colors(scene)[0]))) / extinction(visibility_m))
 
 
-@lru_cache(maxsize=64)
+@kept("process", MIB)
 def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
     """The largest share of light that arrives without telling sun from shadow."""
     air = (1.0 - SHARES)[:, None] * np.array(horizon)
@@ -164,7 +163,7 @@ def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float
     return float(SHARES[hidden].max(initial=SHARES[0]))
 
 
-@lru_cache(maxsize=64)
+@kept("process", MIB)
 def _showing_share(horizon: tuple[float, ...]) -> float:
     """The largest share of the horizon's light that shows neither on black nor on white."""
     black = np.zeros((1, 3))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
@@ -77,7 +76,7 @@ def _least_light(scene: Scene) -> float:
     return float(more[np.argmax(srgb(least + more) - srgb(np.array(least)) > 0.75 * STEP)])
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 16 * MIB)
 def _points_of_cells(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed points (n, 3) of the overview's cells, and how far ground of a cell lies from its point, metres (n,)."""
     overview, elevation = scene.elevation.overview, scene.elevation

@@ -18,12 +18,12 @@ Mirror images of the terrain and of lamps are not simulated: the sky is there in
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import erf
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
@@ -122,7 +122,7 @@ def _wet_at(scene: Scene, view: MapView) -> bool:
     return cells is not None and _wet_in(scene.elevation, scene.surface(view.grid).level, cells)
 
 
-@lru_cache(maxsize=32)
+@kept("scene", MIB)
 def _wet_in(elevation: Elevation, level: int, cells: Cells) -> bool:
     """Whether any of a raster's cells that are shown lies under water, read at a level; of too many, it is taken to."""
     side = 2**level

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.casters.casting import closed_casters
 from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
 from terrain.facts.parts import CasterFacts
@@ -74,7 +73,7 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
     return int(total)
 
 
-@lru_cache(maxsize=4)
+@kept("scene", MIB)
 def _meshes(population: Population) -> CasterFacts:
     assert population.placement is not None
     casting = population.placement.casting
@@ -86,7 +85,7 @@ def _meshes(population: Population) -> CasterFacts:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=4)
+@kept("scene", MIB)
 def _forest(trees: Stand) -> CasterFacts:
     """The facts of trees as drawn: where they are thinned out, what is left is larger."""
     sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
@@ -97,7 +96,7 @@ def _forest(trees: Stand) -> CasterFacts:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def leaf_gaps() -> np.ndarray:
     """For each picture of a tree (2 * looks,) the mean length of runs of leaf and of gap along its rows within the tree's outline,
     as a share of the picture's side.
@@ -112,7 +111,7 @@ def leaf_gaps() -> np.ndarray:
     return np.array(means)
 
 
-@lru_cache(maxsize=4)
+@kept("scene", MIB)
 def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]:
     """Mean, 95th percentile and largest slope of the overview's ground between neighbouring cells, degrees; 0 without any."""
     cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level

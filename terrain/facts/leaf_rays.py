@@ -8,10 +8,10 @@ A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.facts.probes import Rays
 from terrain.gbuffer.stand import Stand
@@ -43,7 +43,7 @@ class Grid:
     disc: np.ndarray
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 64 * MIB)
 def grid_of(trees: Stand) -> Grid:
     """The grid of some trees; the last ones are kept."""
     reach = 1.4143 * trees.shape[:, :2].max(axis=1)
@@ -84,7 +84,7 @@ def _sorted(base, shape, reach, low, cell, rows, cols):  # type: ignore[no-untyp
     return top, first, tree, disc
 
 
-@lru_cache(maxsize=1)
+@kept("process", 64 * MIB)
 def leaves() -> np.ndarray:
     """Where each picture of a tree (2 * looks, side, side) has a leaf, bool."""
     return foliage().levels[0][..., 3] >= THRESHOLD * 255

@@ -12,10 +12,10 @@ its neighbours in the full picture, not on those of the coarse one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -68,21 +68,6 @@ class Look:
     crosses: Crosses
 
 
-class _Sight:
-    """A view of what stands on a ground, whatever its light: equal to others that look the same way at the same things."""
-
-    def __init__(self, scene: Scene, view: PerspectiveView) -> None:
-        camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
-        self.scene, self.view = scene, view
-        self._key = (scene.population, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Sight) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-
 @dataclass(frozen=True, eq=False)
 class _Coarse:
     """What ``terrain.gbuffer.picture`` resolves to points: the same as its ``Visible``, without trees."""
@@ -94,15 +79,17 @@ class _Coarse:
     stand: None = None
 
 
+def _sight(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    """What a look goes by: what stands on the ground, and which way it is looked at, whatever the light."""
+    camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
+    return scene.population, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
+
+
+@kept("scene", 1024 * MIB, key=_sight)
 def look_at_scene(scene: Scene, view: PerspectiveView) -> Look:
-    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone. The last ones are kept."""
-    return _kept(_Sight(scene, view))
-
-
-@lru_cache(maxsize=4)
-def _kept(sight: _Sight) -> Look:
-    look = _look_every(sight.scene, sight.view, LOOK_PX)
-    return look if len(look.points_frame_m) else _look_every(sight.scene, sight.view, 1, look.crosses)
+    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone."""
+    look = _look_every(scene, view, LOOK_PX)
+    return look if len(look.points_frame_m) else _look_every(scene, view, 1, look.crosses)
 
 
 def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses | None = None) -> Look:

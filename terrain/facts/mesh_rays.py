@@ -8,10 +8,10 @@ hierarchies"). The test of a triangle is that of T. Moeller and B. Trumbore 1997
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.facts.probes import Probes, Rays
 from terrain.geo.world import LocalFrame
@@ -85,7 +85,7 @@ def _met_by(
     return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 512 * MIB)
 def _tree_of(population: Population) -> Tree:
     solids = population.solids
     assert solids is not None

@@ -8,11 +8,11 @@ whose highest ground lies below it at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.facts.probes import Probes, Rays
 from terrain.geo.world import EARTH_RADIUS_M, World
@@ -39,7 +39,7 @@ class Placed:
     col_from_frame: np.ndarray
 
 
-@lru_cache(maxsize=8)
+@kept("scene", 64 * MIB)
 def placed(world: World, elevation: Elevation, probes: Probes) -> Placed:
     """Probes on the overview of a raster; rows and columns are not finite where its CRS does not reach. The last are kept."""
     x, y, height = world.map_position(elevation.crs, probes.point_earth_m)
@@ -80,7 +80,7 @@ def over_relief(world: World, elevation: Elevation, at: Placed, probes: Probes, 
     )  # fmt: skip
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 256 * MIB)
 def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """The overview's heights, lowest in holes, and the highest of each block of cells and the ring of cells round it."""
     heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)

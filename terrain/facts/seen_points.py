@@ -5,10 +5,10 @@ view's pixels something ends.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.facts.leaf_rays import first_leaves
 from terrain.facts.look import Look
 from terrain.facts.mesh_rays import first_meshes
@@ -43,7 +43,7 @@ def points_in_look(look: Look, view: PerspectiveView, trees: Stand | None) -> Pr
     return _points_in_look(look, view.pixel) if trees is None else _among_leaves(look, view.pixel, trees)
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 64 * MIB)
 def _points_in_look(look: Look, pixel: float) -> Probes:
     there = look.buffer.there
     return Probes(
@@ -52,7 +52,7 @@ def _points_in_look(look: Look, pixel: float) -> Probes:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 64 * MIB)
 def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
     bare, coarse, there = _points_in_look(look, pixel), look.buffer.view, look.buffer.there.ravel()
     some = evenly(there.size, AMONG_LEAVES)
@@ -78,7 +78,7 @@ def edge_share(look: Look, trees: Stand | None) -> float:
     return look.edge_share if trees is None else _edge_share_among_leaves(look, trees)
 
 
-@lru_cache(maxsize=4)
+@kept("scene", MIB)
 def _edge_share_among_leaves(look: Look, trees: Stand) -> float:
     """The share without the trees, known from many pixels, and what they change about it in some of these."""
     its = look.crosses
@@ -109,7 +109,7 @@ def _joined(bare: Probes, leaves: Probes) -> Probes:
     return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 64 * MIB)
 def _points_in_map(population: Population, trees: Stand | None) -> Probes:
     bare, tallest_m = ground_points(population.world, population.elevation), population.tallest_m
     away = population.world.curvature * bare.point_frame_m[:, :2]
@@ -143,7 +143,7 @@ def _with_roofs(
     ), length  # fmt: skip
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 64 * MIB)
 def ground_points(world: World, elevation: Elevation) -> Probes:
     """Points of a level's bare ground, bilinear between the cells of its overview."""
     heights, factor = elevation.overview.heights_m, 2**elevation.overview.level

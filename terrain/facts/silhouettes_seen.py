@@ -9,10 +9,10 @@ graphics").
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.meshes.assemble import Placement
 from terrain.population import Population
@@ -48,7 +48,7 @@ def edges_of(vertex: np.ndarray, triangles: np.ndarray) -> Edges:
     return Edges(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 256 * MIB)
 def _edges_of_bodies(placement: Placement) -> Edges:
     """The edges of what casts, whatever the clock says: bodies share none."""
     vertex, triangles, places, vertices = [], [], 0, 0
@@ -61,7 +61,7 @@ def _edges_of_bodies(placement: Placement) -> Edges:
     return edges_of(np.concatenate(vertex), np.concatenate(triangles))
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 256 * MIB)
 def _faces(population: Population) -> tuple[np.ndarray, np.ndarray]:
     """Normals (m, 3), as long as twice the area, and corners (m, 3) of the triangles that cast, earth-fixed."""
     solids = population.solids

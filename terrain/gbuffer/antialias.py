@@ -6,10 +6,10 @@ The samples are rows of pixels below the picture's own in one buffer, so that al
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
@@ -116,7 +116,7 @@ def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
     return Sampled(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 128 * MIB)
 def mesh_normals(population: Population) -> np.ndarray:
     """Unit normals (m, 3) float32 of the faces of a population's meshes."""
     solids = population.solids

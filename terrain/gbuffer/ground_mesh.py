@@ -8,11 +8,11 @@ the direction of view, so that turning the camera changes no triangle. What is d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from pyproj import CRS
 
+from terrain.cache import MIB, kept
 from terrain.geo.camera import FRAME_SHARE, PerspectiveView
 from terrain.geo.grid import Grid, map_grid
 from terrain.geo.world import World, transformer
@@ -91,7 +91,7 @@ def ground_nodes(scene: Scene) -> GroundNodes:
     return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_TRIANGLES)
 
 
-@lru_cache(maxsize=3)
+@kept("scene", 1024 * MIB)
 def _ground_mesh(
     world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
 ) -> GroundMesh:
@@ -115,7 +115,7 @@ def _ground_mesh(
     )  # fmt: skip
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 1024 * MIB)
 def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
     grid, row0, col0, rows, cols = _window(world, elevation, crs)
     surface = Surface(world, elevation, grid)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from functools import lru_cache
 from typing import get_args
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from terrain.cache import MIB, kept
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
 from terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
@@ -18,6 +18,7 @@ from terrain.gbuffer.visible import Seen, seen_in_map, seen_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
+from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
 from terrain.ground.surface import step_at_anchor_m
 from terrain.level.level import CasterKind
@@ -160,7 +161,7 @@ def solids_in(population: Population, frame: LocalFrame) -> np.ndarray | None:
     return None if solids is None else (solids.vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T
 
 
-@lru_cache(maxsize=4)
+@kept("scene", 512 * MIB)
 def _solid_faces(population: Population, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Triangles, albedo, corner normals in a frame, and crease of a population's meshes."""
     solids = population.solids
@@ -192,9 +193,9 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 
 
-@lru_cache(maxsize=4)
-def _imagery(source: str, stamp: tuple[int, int]) -> Imagery:
-    """Imagery by its file's path and time and size: a file that is rewritten is read again."""
+@kept("scene", 512 * MIB)
+def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
+    """Imagery of a ground by its file's path and time and size: a file that is rewritten is read again."""
     return Imagery(source)
 
 
@@ -207,11 +208,11 @@ def imagery_of(scene: Scene) -> Imagery | None:
     try:
         status = os.stat(path)
     except OSError:  # no file of this machine, or one that will be missed with a sentence
-        return _imagery(path, (0, 0))
-    return _imagery(path, (status.st_mtime_ns, status.st_size))
+        return _imagery(scene.elevation, path, (0, 0))
+    return _imagery(scene.elevation, path, (status.st_mtime_ns, status.st_size))
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 256 * MIB)
 def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
     return image.cells(ground.grid.crs, ground.x, ground.y)
 

@@ -11,10 +11,10 @@ In perspective k follows the distance from the eye (not the direction of view); 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.geo.world import LocalFrame
 from terrain.population import Population
@@ -90,7 +90,7 @@ class Stand:
         return corners[:, :, :1] + at[..., :1] * right[:, :, None] + at[..., 1:] * up[:, :, None]
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 512 * MIB)
 def stand_in_map(population: Population, frame: LocalFrame, pixel_m: float) -> Stand | None:
     """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
     trees = population.trees
@@ -102,7 +102,7 @@ def any_in_map(trees: Trees, pixel_m: float) -> bool:
     return bool((trees.rank < _share(trees.crown_m / (pixel_m * WHOLE_CROWN_PX))).any())
 
 
-@lru_cache(maxsize=2)
+@kept("scene", 512 * MIB)
 def stand_in_perspective(
     population: Population, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> Stand | None:

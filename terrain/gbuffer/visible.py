@@ -7,12 +7,12 @@ a tree. Alpha-tested texels are looked up with coverage-preserving mipmaps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 
 import moderngl
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.gbuffer.ground_mesh import GroundMesh
 from terrain.gbuffer.stand import Stand
 from terrain.geo.camera import PerspectiveView
@@ -41,7 +41,7 @@ class Seen:
     depth: np.ndarray
 
 
-@cache
+@kept("process", 8 * MIB)
 def shader(*parts: str) -> str:
     """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of
     ``terrain.gbuffer``.

@@ -9,11 +9,11 @@ kilometre, is far below what any raster's heights are good for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
+from terrain.cache import MIB, kept
 from terrain.errors import UnsupportedError
 
 WGS84 = Geod(ellps="WGS84")
@@ -28,13 +28,13 @@ FRAME_PITCH_M = 16384.0
 """Spacing of frame origins in a flat world."""
 
 
-@lru_cache(maxsize=64)
+@kept("process", 8 * MIB)
 def transformer(source: CRS, target: CRS) -> Transformer:
     """A cached coordinate transformation, x before y."""
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-@lru_cache(maxsize=64)
+@kept("process", MIB)
 def epsg_of(crs: CRS) -> int | None:
     """A CRS's EPSG code, if it has one: kept, since looking for one in vain takes PROJ 0.2 s."""
     return crs.to_epsg()
@@ -168,7 +168,7 @@ class World:
         return 0.0 if self.flat else 1.0 / EARTH_RADIUS_M
 
 
-@lru_cache(maxsize=256)
+@kept("process", MIB)
 def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
     """A frame of the lattice; kept, so that what is made for a frame can be kept by it."""
     if world.flat:
@@ -205,6 +205,6 @@ def geodetic(point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return _geodetic().transform(x, y, z)
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def _geodetic() -> Transformer:
     return Transformer.from_crs("EPSG:4978", "OGC:CRS84h", always_xy=True)

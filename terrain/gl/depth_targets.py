@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from moderngl import Framebuffer
 
+from terrain.cache import register
+
 MOST_TARGETS, MOST_BYTES = 16, 2**28
 """So many are held, of so many bytes together: the one used last at any size, those used before it while there is room."""
 
@@ -23,9 +25,17 @@ class DepthTargets:
 
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
+        self.name, self.lasts, self.limit_bytes = "terrain.gl.depth_targets", "light", MOST_BYTES
         self._held: list[_Target] = []  # the one used last at the end
+        register(self)
 
     def __len__(self) -> int:
+        """How many contents are kept."""
+        return sum(each.content is not None for each in self._held)
+
+    @property
+    def count(self) -> int:
+        """How many are held, whether or not their content is."""
         return len(self._held)
 
     @property
@@ -64,10 +74,14 @@ class DepthTargets:
         self._held.append(found)
         return found.framebuffer
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Forget what is drawn in them, so that everything is drawn anew; the framebuffers stay for reuse."""
         for each in self._held:
             each.content = None
+
+    def clear_of(self, owner: object) -> None:
+        """Forget all, whatever it was drawn for: that costs other scenes no more than one drawing."""
+        self.clear()
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
         return len(self._held) < MOST_TARGETS and self.nbytes + depth_bytes(*shape) <= MOST_BYTES

@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -21,6 +20,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
+from terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from terrain.errors import GraphicsError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
@@ -32,7 +32,8 @@ _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
-_INDEX_BUFFERS = 2
+PROGRAM_BYTES = 64 * KIB
+"""About what a compiled program takes."""
 
 
 class Device:
@@ -52,15 +53,21 @@ class Device:
         info = self.ctx.info
         self.vendor, self.renderer, self.version = info["GL_VENDOR"], info["GL_RENDERER"], info["GL_VERSION"]
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
-        self._programs: dict[tuple[str, str, tuple[tuple[str, bool | int], ...]], moderngl.Program] = {}
-        self._indices: OrderedDict[tuple[int, int], moderngl.Buffer] = OrderedDict()
+        self._programs: Cache[moderngl.Program] = Cache(
+            "terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
+        )
+        self._indices: Cache[moderngl.Buffer] = Cache(
+            "terrain.gl.device.indices", "process", 128 * MIB, lambda buffer: buffer.size, moderngl.Buffer.release
+        )
         self.depth_targets = DepthTargets(
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
         )
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_target: moderngl.Framebuffer | None = None
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
-        self._layers: OrderedDict[int, moderngl.TextureArray] = OrderedDict()
+        self._layers: Cache[moderngl.TextureArray] = Cache(
+            "terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
+        )
         self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
 
@@ -83,7 +90,8 @@ class Device:
         """
         self.require_current()
         key = (vertex, fragment, tuple((constants or {}).items()))
-        if key not in self._programs:
+        program = self._programs.get(*key)
+        if isinstance(program, Missing):
             text, made = with_constants(fragment, constants or {})
             try:
                 program = self.ctx.program(vertex_shader=vertex, fragment_shader=text)
@@ -91,13 +99,13 @@ class Device:
                 _ = self.ctx.error  # the failed program leaves one behind; it is reported here and nowhere else
                 raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
             program.extra = linked(program, (vertex, fragment), made)
-            self._programs[key] = program
-        return self._programs[key]
+            self._programs.put(program, *key)
+        return program
 
     @property
     def programs(self) -> tuple[str, ...]:
         """The labels of all programs that were compiled, in order (``terrain.gl.programs``)."""
-        return tuple(program.extra.label for program in self._programs.values())
+        return tuple(program.extra.label for program in self._programs.values)
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:
         """A float32 texture of an array (rows, cols) or (rows, cols, 1 to 4); texel (col, row) is element (row, col)."""
@@ -206,13 +214,13 @@ class Device:
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
         """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.
 
-        Textures are kept by the identity of ``levels``, which must live on.
+        Textures are kept as long as ``levels[0]`` lives.
         """
         from OpenGL import GL
 
         self.require_current()
-        key = id(levels)
-        if key not in self._layers:
+        texture = self._layers.get(levels[0])
+        if isinstance(texture, Missing):
             count, side = levels[0].shape[:2]
             texture = self.ctx.texture_array((side, side, count), 4)
             GL.glBindTexture(_TEXTURE_2D_ARRAY, texture.glo)
@@ -228,8 +236,8 @@ class Device:
             texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
             texture.repeat_x = texture.repeat_y = False
             self.check("layers")
-            self._layers[key] = texture
-        return self._layers[key]
+            self._layers.put(texture, levels[0])
+        return texture
 
     def render(
         self, array: moderngl.VertexArray, mode: int = moderngl.TRIANGLES, vertices: int = -1, first: int = 0, instances: int = -1
@@ -345,13 +353,17 @@ class Device:
             item.release()
 
     def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
-        key = rows, cols
-        if key not in self._indices:
-            if len(self._indices) >= _INDEX_BUFFERS:
-                self._indices.popitem(last=False)[1].release()
-            self._indices[key] = self.ctx.buffer(sheet_triangles(rows, cols))
-        self._indices.move_to_end(key)
-        return self._indices[key]
+        buffer = self._indices.get(rows, cols)
+        if isinstance(buffer, Missing):
+            buffer = self.ctx.buffer(sheet_triangles(rows, cols))
+            self._indices.put(buffer, rows, cols)
+        return buffer
+
+
+def _layers_bytes(texture: moderngl.TextureArray) -> int:
+    """Bytes of a texture array with its mipmaps."""
+    width, height, count = texture.size
+    return 4 * width * height * count * 4 // 3
 
 
 _device: Device | None = None

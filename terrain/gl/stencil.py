@@ -8,7 +8,6 @@ Depths of these passes go from 0, infinitely far away, to 1, and the nearer one 
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
@@ -16,11 +15,13 @@ from typing import Literal
 import moderngl
 import numpy as np
 
+from terrain.cache import MIB, Cache, Missing
+
 _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
-KEPT = 2
-"""So many framebuffers are kept: that of a view and that of its samples."""
+LIMIT_BYTES, PIXEL_BYTES = 128 * MIB, 12
+"""Framebuffers are kept up to so many bytes (that of a view and that of its samples, say), and a pixel of one takes so many."""
 
 MARK = 0x80
 """The bit that marks pixels; what is marked counts to 127, everything else to 255."""
@@ -47,20 +48,19 @@ class Stencil:
         self, ctx: moderngl.Context, require_current: Callable[[], None], check: Callable[[str], None], park: Callable[[], None]
     ) -> None:
         self._ctx, self._require_current, self._check, self._park = ctx, require_current, check, park
-        self._targets: OrderedDict[tuple[int, int], tuple[moderngl.Framebuffer, int]] = OrderedDict()
+        self._targets: Cache[tuple[moderngl.Framebuffer, int]] = Cache(
+            "terrain.gl.stencil", "process", LIMIT_BYTES, lambda held: PIXEL_BYTES * held[0].width * held[0].height, self._let_go
+        )
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
         """A framebuffer of an eight-bit stencil beside float depths; the last ones are kept. It holds 0, infinitely far away."""
         from OpenGL import GL
 
         self._require_current()
-        if (width, height) not in self._targets:
-            if len(self._targets) >= KEPT:
-                _, (old, storage) = self._targets.popitem(last=False)
-                self._park()  # moderngl would bind a released framebuffer again if it was the current one
-                for item in (old, *old.color_attachments):
-                    item.release()
-                GL.glDeleteRenderbuffers(1, [storage])
+        found = self._targets.get(width, height)
+        if not isinstance(found, Missing):
+            target = found[0]
+        else:
             target = self._ctx.framebuffer([self._ctx.renderbuffer((width, height), 1)])  # moderngl needs a colour
             target.color_mask, target.depth_mask = (False,) * 4, True  # it knows of no depth, and would not write any
             storage = int(GL.glGenRenderbuffers(1))
@@ -70,13 +70,20 @@ class Stencil:
             target.use()
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, storage)
             self._check("the stencil's target")
-            self._targets[width, height] = target, storage
-        self._targets.move_to_end((width, height))
-        target = self._targets[width, height][0]
+            self._targets.put((target, storage), width, height)
         target.use()
         GL.glStencilMask(0xFF)
         GL.glClearBufferfi(GL.GL_DEPTH_STENCIL, 0, 0.0, 0)
         return target
+
+    def _let_go(self, held: tuple[moderngl.Framebuffer, int]) -> None:
+        from OpenGL import GL
+
+        old, storage = held
+        self._park()  # moderngl would bind a released framebuffer again if it was the current one
+        for item in (old, *old.color_attachments):
+            item.release()
+        GL.glDeleteRenderbuffers(1, [storage])
 
     def clear(self, target: moderngl.Framebuffer, bits: int = 0xFF) -> None:
         """Make some bits of a stencil 0."""

@@ -27,6 +27,7 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from terrain.cache import bytes_of
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import WGS84
@@ -151,6 +152,11 @@ class Elevation:
         gt = self._dataset.transform
         square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
         return float(gt.a) if square else None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it holds in memory: its overview; the rest is read as it is asked for."""
+        return bytes_of(self.overview)
 
     def close(self) -> None:
         """Close the raster."""

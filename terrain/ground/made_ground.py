@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 
 import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.ground.erosion import drained
 from terrain.ground.noise import fractal, noise_at, ridged_at
@@ -58,7 +58,7 @@ def made_ground(terrain: Terrain) -> MemoryFile:
     return _made(spec)
 
 
-@lru_cache(maxsize=2)
+@kept("process", 640 * MIB)
 def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells

@@ -13,10 +13,11 @@ the sky is. The earth's curvature lowers what is far away by half the distance's
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
@@ -79,7 +80,7 @@ class SkyView:
         return pyramid(self.hidden, np.max)
 
 
-@lru_cache(maxsize=8)
+@kept("scene", 256 * MIB)
 def sky_view(elevation: Elevation, world: World) -> SkyView:
     """What ground hides of the sky, of a raster and its world; kept for the last eight. Raises ``SourceError``.
 

@@ -9,11 +9,11 @@ window that shares its frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
@@ -160,7 +160,7 @@ def sheet_triangles(rows: int, cols: int, cut: Cut = "SW-NE") -> np.ndarray:
     return _sheet_triangles(rows, cols, cut)
 
 
-@lru_cache(maxsize=2)
+@kept("process", 256 * MIB)
 def _sheet_triangles(rows: int, cols: int, cut: Cut) -> np.ndarray:
     node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 import rasterio
@@ -11,6 +10,8 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.warp import Resampling, calculate_default_transform, reproject
+
+from terrain.cache import MIB, kept
 
 
 def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
@@ -24,7 +25,7 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
     return memory
 
 
-@lru_cache(maxsize=1)
+@kept("process", 64 * MIB)
 def _jacksboro() -> MemoryFile:
     """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
     from matplotlib.cbook import get_sample_data
@@ -35,7 +36,7 @@ def _jacksboro() -> MemoryFile:
         return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
 
 
-@lru_cache(maxsize=1)
+@kept("process", 64 * MIB)
 def _jacksboro_utm() -> MemoryFile:
     """The same heights warped to 30 m in UTM zone 16N, bicubic."""
     with _jacksboro().open() as source:

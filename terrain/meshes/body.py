@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import trimesh
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 
 NEUTRAL = (0.6, 0.6, 0.6)
@@ -158,7 +159,7 @@ def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return double_area > 1e-12 * longest
 
 
-@lru_cache(maxsize=256)
+@kept("scene", 256 * MIB)
 def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     places = body.merged_triangles
     count = int(places.max(initial=-1)) + 1

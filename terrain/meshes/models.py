@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import warnings
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +37,8 @@ def read_model(source: str) -> Body:
     Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_TRIANGLES`` or has
     coordinates that are no numbers.
     """
-    try:
-        state = Path(source).stat()
-    except OSError:
-        raise SourceError(source, "no such file", ALLOWED) from None
-    return _read(source, state.st_mtime_ns, state.st_size)
-
-
-@lru_cache(maxsize=16)
-def _read(source: str, changed_ns: int, size: int) -> Body:
-    """A model of a state of its file: kept, since a moving one is asked for at every second of the clock."""
+    if not Path(source).exists():
+        raise SourceError(source, "no such file", ALLOWED)
     parts = [part for part in _loaded(source).dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
         raise SourceError(source, "no triangle", ALLOWED)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.errors import InputError
 from terrain.trees.foliage_paint import Clumped, Whorled, paint
@@ -232,7 +232,7 @@ OUTLINE_CELLS = 16
 """Cells a side of a picture by which its outline is told."""
 
 
-@lru_cache(maxsize=1)
+@kept("process", 256 * MIB)
 def foliage() -> Foliage:
     """The pictures of ``LOOKS``, painted once in a process and the same on every machine."""
     layers = [
@@ -243,7 +243,7 @@ def foliage() -> Foliage:
     return Foliage(levels=tuple(np.stack(level) for level in zip(*layers, strict=True)))
 
 
-@lru_cache(maxsize=1)
+@kept("process", MIB)
 def leaf_outlines() -> np.ndarray:
     """For each picture (2 * looks, k, 2) the corners of a convex polygon that holds all of its leaves, the last one repeated: right
     and up from the lower left corner, in [0, 1]; a sixteenth of the picture is what it may be too large by.

@@ -60,7 +60,7 @@ def cut_outs(share: float) -> Foliage:
 @contextmanager
 def painted(pictures: Foliage) -> Iterator[None]:
     """Trees of other pictures; maps that are kept know them not."""
-    device().depth_targets.forget()
+    device().depth_targets.clear()
     with patch.multiple(map_drawing, foliage=lambda: pictures), patch.multiple(planar, foliage=lambda: pictures), \
          patch.multiple(rays, foliage=lambda: pictures), patch.multiple(visible, foliage=lambda: pictures):  # fmt: skip
         yield
@@ -180,7 +180,7 @@ def coverage_of(seen: Seen, blocks: int) -> tuple[float, float]:
 @contextmanager
 def whole_stands() -> Iterator[None]:
     """No stand is thinned, however small its trees are."""
-    forget = stand.stand_in_perspective.cache_clear, stand.stand_in_map.cache_clear
+    forget = stand.stand_in_perspective.cache.clear, stand.stand_in_map.cache.clear
     [each() for each in forget]
     try:
         with patch.object(stand, "LEAST_SHARE", 1.0):

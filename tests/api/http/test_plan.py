@@ -15,6 +15,7 @@ from api.workers.render_worker import Desk, TilePlans, block_view, tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
 from shadows.plan import Plan
+from terrain.cache import bytes_of
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import load_level
 from terrain.scene import build_scene
@@ -241,7 +242,7 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
 
 
 def test_plans_that_were_not_used_for_long_are_forgotten():
-    kept, made = TilePlans(limit=2), []
+    kept, made = TilePlans(limit_bytes=2 * bytes_of("plan 1")), []
 
     def plan_of(key: int) -> str:
         return kept.get(key, lambda: made.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]

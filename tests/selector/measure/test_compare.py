@@ -15,8 +15,9 @@ from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, me
 from selector.measure.footprint import texel_footprint_px, texel_on_level_ground_m
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.render import forget_kept, render_frame
+from shadows.render import render_frame
 from shadows.visibility import fill_steps, looked_for
+from terrain.cache import forget
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
@@ -82,7 +83,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     pictures = drawn_on(scene, view)
     run = run_light(scene, pictures, plan, "sun")
-    forget_kept()
+    forget("light")
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
     assert len(picture.buffer.there) > picture.rows == view.rows

@@ -74,7 +74,7 @@ def draws(frame: Frame) -> tuple[int, int]:
 
 
 def test_a_frame_that_repeats_another_draws_no_map_and_looks_the_same(gl, build):
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     scene = build()
     first, again = drawn(scene), drawn(scene)
     assert draws(first) == (3, 0) and draws(again) == (0, 1)
@@ -86,14 +86,14 @@ def test_a_frame_that_repeats_another_draws_no_map_and_looks_the_same(gl, build)
 def test_what_is_forgotten_is_drawn_anew(gl, build):
     scene = build()
     first = drawn(scene)
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     again = drawn(scene)
     assert draws(again) == (3, 0)
     np.testing.assert_array_equal(first.visibility, again.visibility)
 
 
 def test_cascades_and_lamps_are_kept_each_by_itself(gl, build):
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     scene = build(lights={"lamp": LAMP})
     plan = planned(scene, cascades=3)
     count, _ = draws(drawn(scene, plan))
@@ -114,7 +114,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_each_changed_setting_draws_anew(gl, build, name):
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     scene = build()
     before = drawn(scene)
     changed = drawn(scene, **CHANGES[name])
@@ -125,7 +125,7 @@ def test_each_changed_setting_draws_anew(gl, build, name):
 
 def test_each_change_of_the_scene_draws_anew(gl, build):
     """The sun, the clock of what moves, the camera's place, a tree more: under one and the same plan, so that it is they."""
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     scene = build()
     plan = planned(scene)
     drawn(scene, plan)
@@ -140,7 +140,7 @@ def test_a_change_shows(gl, build):
     plan = planned(scene)
     drawn(scene, plan)
     turned = drawn(scene.at_second(1.0), plan)
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     np.testing.assert_array_equal(turned.visibility, drawn(scene.at_second(1.0), plan).visibility)
     assert (turned.visibility != drawn(scene, plan).visibility).any()
 
@@ -190,10 +190,10 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
         drawn_in[taken] = content
         if content is not None:
             targets.keep(taken, (shape, content))
-        assert len(targets) == len(alive) <= MOST_TARGETS
+        assert targets.count == len(alive) <= MOST_TARGETS
         assert targets.nbytes == sum(depth_bytes(*each) for each in alive.values())
-        assert targets.nbytes <= MOST_BYTES or len(targets) == 1
-    targets.forget()
+        assert targets.nbytes <= MOST_BYTES or targets.count == 1
+    targets.clear()
     assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
 
 

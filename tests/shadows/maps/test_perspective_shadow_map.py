@@ -185,7 +185,7 @@ def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
 
 
 def test_a_map_is_kept_while_nothing_changes(gl, tmp_path):
-    gl.depth_targets.forget()
+    gl.depth_targets.clear()
     scene = surroundings(tmp_path, 120, 30)
     buffer = geometry_of(scene, scene.view("eye"))
     (first, drawn), (again, found) = fill(buffer, scene, "sun"), fill(buffer, scene, "sun")

@@ -17,12 +17,12 @@ from shadows.attached import attached
 from shadows.hybrid import hybrid
 from shadows.passes import PassLog
 from shadows.plan import SweepSettings, TruthSettings, VolumeSettings
-from shadows.render import forget_kept
 from shadows.sweep import sweep
 from shadows.truth.metrics import Errors, errors_of
 from shadows.truth.truth import Truth, truth_of
 from shadows.truth.truth import fill as truth_fill
 from shadows.volumes import shadow_volume
+from terrain.cache import forget
 from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.describe import describe
 from terrain.gbuffer.antialias import sampled
@@ -403,7 +403,7 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
     keys = {"version": 1, "terrain": {"flat": {"size": [2e5, 2e5], "cells": [20, 20]}}, "meshes": meshes, "views": views}
     path.write_text(json.dumps(keys | {"sun": {"azimuth": 200, "altitude": 35}}), encoding="utf-8")
     scene = build_scene(load_level(path))
-    forget_kept()
+    forget("light")
     first, edges = kept(look(scene), mask)
     assert first == 0 and edges > 0
     assert kept(look(scene), mask)[0] > 0 and kept(look(scene, scene.view("near")), mask)[0] > 0
@@ -414,7 +414,7 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
     moved = look(scene.at_second(1.0))
     assert kept(moved, mask)[0] == 0 and kept(look(scene), mask)[0] > 0
     later = moved.seen(mask)
-    forget_kept()
+    forget("light")
     assert kept(look(scene), mask)[0] == 0
     np.testing.assert_array_equal(moved.seen(mask), later)
     assert (later != look(scene).seen(mask))[moved.buffer.there].any()

@@ -169,5 +169,5 @@ def test_depth_targets_and_textures_do_not_pile_up(gl):
     """A bounded number of targets is kept; the others are released."""
     for size in range(16, 16 + 8 * MOST_TARGETS, 4):
         gl.depth_target(size, size, 16)
-    assert len(gl.depth_targets) <= MOST_TARGETS
+    assert gl.depth_targets.count <= MOST_TARGETS
     assert gl.depth_target(80, 80, 16) is gl.depth_target(80, 80, 16)

@@ -57,7 +57,7 @@ def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
 def test_a_seed_is_one_ground_and_another_seed_another(kind):
     first = generated(kind, seed=7)
     assert not np.array_equal(first, generated(kind, seed=8))
-    _made.cache_clear()
+    _made.cache.clear()
     np.testing.assert_array_equal(first, generated(kind, seed=7))
 
 
