@@ -33,6 +33,12 @@ class Population:
     elevation: Elevation
     seconds: float = 0.0
 
+    def close(self) -> None:
+        """Let go of the trees and meshes that were read."""
+        for name, attribute in vars(type(self)).items():
+            if isinstance(attribute, cached_property):
+                self.__dict__.pop(name, None)
+
     def at_second(self, seconds: float) -> Population:
         """The population at another second; what the clock does not change is shared, so that no file is read again."""
         level = self.loaded.level

@@ -74,8 +74,9 @@ class Scene:
         return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
 
     def close(self) -> None:
-        """Close the level's raster, and forget all that was made from it under any sun: there is nothing left to draw with."""
+        """Close the level's raster, let go of what stands on it, and forget all that was made from either, under any sun."""
         forget_scene(self.elevation)
+        self.population.close()
         self.elevation.close()
 
     def at_second(self, seconds: float | None) -> Scene:

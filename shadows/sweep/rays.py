@@ -170,7 +170,7 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, 
         row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
         corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
         height_m = _heights_of(corner, drawn.height_m, drawn.triangles, rows, cols)
-    rays = rays_over(scene, nodes.surface.grid, nodes.row0 + rows / 2, nodes.col0 + cols / 2)
+    rays = rays_over(scene, nodes.grid, nodes.row0 + rows / 2, nodes.col0 + cols / 2)
     return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft)
 
 

@@ -70,11 +70,11 @@ class GroundMesh:
 
 @dataclass(frozen=True, eq=False)
 class GroundNodes:
-    """All nodes of a level's ground from row ``row0`` and column ``col0`` of a surface's grid on: heights (rows, cols), NaN where
-    there is none, and, where they are too many to be drawn, their decimation errors.
+    """All nodes of a level's ground from row ``row0`` and column ``col0`` of a grid on: heights (rows, cols), NaN where there is
+    none, and, where they are too many to be drawn, their decimation errors.
     """
 
-    surface: Surface
+    grid: Grid
     row0: int
     col0: int
     height_m: np.ndarray
@@ -96,7 +96,7 @@ def _ground_mesh(
     world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
 ) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
-    grid, tolerance = nodes.surface.grid, 0.0
+    grid, tolerance = nodes.grid, 0.0
     if nodes.errors is None:
         row, col, triangles = _whole(nodes.height_m)
     else:
@@ -107,7 +107,7 @@ def _ground_mesh(
         triangles, tolerance = found.triangles, found.tolerance * focal_px
     height = nodes.height_m[row, col]
     frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_SHARE)
-    position = nodes.surface.positions(row + nodes.row0, col + nodes.col0, height, frame)
+    position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces = face_normals(position, triangles)
     return GroundMesh(
         position, height, smooth_normals(faces, triangles, len(position)), triangles, creases(position, faces, triangles, 2.0),
@@ -122,7 +122,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
     whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_TRIANGLES else max_triangles)
-    return GroundNodes(surface, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
+    return GroundNodes(grid, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:

@@ -1,0 +1,172 @@
+"""What is kept: bounds, keys, how long values last, and that no module keeps anything in a way of its own."""
+
+from __future__ import annotations
+
+import ast
+import gc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrain.cache import MISSING, Cache, bytes_of, caches, forget, forget_scene, kept
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Ground:
+    """Compares by identity, as scenes and what they are made of do."""
+
+
+class Standing:
+    """Something that stands on a ground."""
+
+    def __init__(self, elevation: Ground) -> None:
+        self.elevation = elevation
+
+
+def test_the_values_used_last_stay_within_the_bytes():
+    cache: Cache[bytes] = Cache("test", "process", 30, len)
+    for number in range(3):
+        cache.put(bytes(10), number)
+    assert cache.get(0) == bytes(10)
+    cache.put(bytes(10), 3)
+    assert [cache.get(number) is not MISSING for number in range(4)] == [True, False, True, True]
+    assert (cache.nbytes, len(cache)) == (30, 3)
+    cache.put(bytes(31), 4)
+    assert cache.get(4) is MISSING, "larger than the limit: handed through"
+    cache.put(bytes(1), 0)
+    assert cache.nbytes == 21, "the same key again replaces its value"
+    cache.clear()
+    assert (cache.nbytes, len(cache)) == (0, 0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 40)), max_size=30), st.integers(1, 60))
+def test_bytes_are_counted_whatever_comes_and_goes(puts, limit):
+    cache: Cache[bytes] = Cache("test", "process", limit, len)
+    for key, size in puts:
+        cache.put(bytes(size), key)
+        assert cache.nbytes == sum(map(len, cache.values)) <= limit
+
+
+def test_what_is_let_go_is_released_and_the_newest_one_is_not():
+    released: list[str] = []
+    cache: Cache[str] = Cache("test", "process", 5, len, released.append, most=2)
+    for word in ("ab", "cd", "e", "longer than that"):
+        cache.put(word, word)
+    assert released == ["ab", "cd", "e"] and cache.values == ["longer than that"]
+    cache.drop("longer than that")
+    assert released[-1] == "longer than that"
+
+
+def test_a_value_goes_with_what_it_was_made_from():
+    @kept("scene", 1000)
+    def double(ground: Ground, row: np.ndarray, factor: int) -> np.ndarray:
+        return factor * row
+
+    ground, row = Ground(), np.arange(4)
+    first = double(ground, row, 2)
+    assert double(ground, row, 2) is first and double(ground, row, 3) is not first
+    assert double(ground, row.copy(), 2) is not first, "arrays go by identity; the copy is gone already"
+    assert len(double.cache) == 2 and double.cache.nbytes == 2 * first.nbytes
+    del row
+    assert len(double.cache) == 0 == double.cache.nbytes
+
+
+def test_a_value_may_be_none_and_keys_may_be_named():
+    calls = []
+
+    @kept("process", 1000)
+    def nothing(number: int, word: str = "") -> None:
+        calls.append((number, word))
+
+    for _ in range(2):
+        assert nothing(1) is None and nothing(1, word="a") is None
+    assert calls == [(1, ""), (1, "a")]
+
+
+def test_a_key_of_ones_own():
+    @kept("process", 1000, key=lambda number: (number % 2,))
+    def parity(number: int) -> str:
+        return f"like {number}"
+
+    assert [parity(number) for number in (1, 2, 3, 4)] == ["like 1", "like 2", "like 1", "like 2"]
+
+
+def test_what_lasts_for_a_light_is_forgotten_by_itself_and_a_scene_with_what_stands_on_it():
+    of_light, of_scene, of_process = (Cache(f"test {lasts}", lasts, 1000) for lasts in ("light", "scene", "process"))
+    mine, other = Ground(), Ground()
+    all_of_them = of_light, of_scene, of_process
+    standing = [Standing(mine), Standing(other)]
+
+    def fill() -> None:
+        for cache in all_of_them:
+            for part in (mine, other, *standing):
+                cache.put(1.0, part, "something")
+
+    fill()
+    forget_scene(mine)
+    assert [len(cache) for cache in all_of_them] == [2, 2, 4]
+    fill()
+    forget("light")
+    assert [len(cache) for cache in all_of_them] == [0, 4, 4]
+    forget("light", "scene")
+    assert [len(cache) for cache in all_of_them] == [0, 0, 4]
+
+
+def test_caches_are_listed_by_name_while_they_live():
+    cache: Cache[int] = Cache("a test's own", "light", 1)
+    assert cache in caches("light") and cache in caches() and cache not in caches("scene", "process")
+    assert [each.name for each in caches()] == sorted(each.name for each in caches())
+    del cache
+    gc.collect()
+    assert "a test's own" not in [each.name for each in caches()]
+
+
+def test_bytes_of_all_that_a_value_holds():
+    array = np.zeros(1000)
+    assert bytes_of(array) == 8000
+    assert 8000 < bytes_of((array, array)) < 8200, "the same array counts once"
+    assert 16000 < bytes_of({"a": [array], "b": np.zeros(1000)}) < 16800
+    assert bytes_of(None) == 0
+
+
+def keeps(source: str) -> list[str]:
+    """How a module keeps values in a way of its own: names of what it uses for that."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module in ("functools", "cachetools"):
+            found += [alias.name for alias in node.names if alias.name in ("lru_cache", "cache") or node.module == "cachetools"]
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "functools":
+            found += [node.attr] if node.attr in ("lru_cache", "cache") else []
+        elif isinstance(node, ast.Name) and node.id in ("OrderedDict", "WeakKeyDictionary", "WeakValueDictionary"):
+            found.append(node.id)
+    for node in ast.parse(source).body:  # a module's own dictionary that is filled as it goes
+        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict) and not node.value.keys:
+            found.append("a dictionary")
+    return found
+
+
+QUEUES = {"api/workers/pool.py"}
+"""Modules with an ordered dictionary of jobs that wait, which keeps nothing that is done."""
+
+
+def test_no_module_keeps_values_in_a_way_of_its_own():
+    for floor in ("terrain", "shadows", "selector", "api"):
+        for path in sorted((ROOT / floor).rglob("*.py")):
+            name = str(path.relative_to(ROOT))
+            if name != "terrain/cache.py" and name not in QUEUES:
+                assert keeps(path.read_text(encoding="utf-8")) == [], name
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from functools import lru_cache", "from functools import cache", "import functools\n@functools.lru_cache\ndef f(): ...",
+        "from cachetools import TTLCache", "_kept: dict[str, int] = {}", "import collections\n_kept = OrderedDict()",
+    ],
+)  # fmt: skip
+def test_other_ways_of_keeping_are_noticed(source):
+    assert keeps(source)

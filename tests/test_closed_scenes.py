@@ -1,0 +1,115 @@
+"""A scene that is closed leaves nothing behind in any cache: all of them are filled first, by drawing with everything there is."""
+
+from __future__ import annotations
+
+import gc
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from selector.measure.against_truth import truth_of_view
+from selector.measure.footprint import texel_footprint_px
+from selector.planner.rules import choose
+from shadows.render import render_frame
+from terrain.cache import caches, forget
+from terrain.describe import describe
+from terrain.facts.relief_rays import placed
+from terrain.facts.seen_points import points_in_map
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView
+from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import write_geotiff
+
+X, Y = 500_000.0, 5_300_480.0
+"""North-west corner of the ground."""
+
+
+def place(east_m: float, south_m: float) -> list[float]:
+    """Degrees of a place so far from the corner."""
+    return list(transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform(X + east_m, Y - south_m))
+
+
+@pytest.fixture
+def scene(scene_of_its_own) -> Scene:
+    return scene_of_its_own()
+
+
+@pytest.fixture
+def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
+    """Hills with a pond, a wood, a house, a lamp, clouds, haze and imagery."""
+    rows, cols = np.mgrid[0:48, 0:48]
+    heights = (20.0 * np.sin(rows / 6.0) * np.cos(cols / 7.0)).astype(np.float32)
+    for name, cells in (("dem", heights), ("ortho", np.full((3, 48, 48), 90, np.uint8))):
+        write_geotiff(tmp_path / f"{name}.tif", cells, "EPSG:32633", X, Y, 10.0)
+    house = [[200, 200], [220, 200], [220, 215], [200, 215], [200, 200]]
+    wood = [[250, 150], [330, 150], [330, 230], [250, 230], [250, 150]]
+    for name, ring, tags in (("houses", house, {"height_m": 9}), ("woods", wood, {})):
+        polygon = {"type": "Polygon", "coordinates": [[place(*corner) for corner in ring]]}
+        feature = {"type": "Feature", "properties": tags, "geometry": polygon}
+        collection = {"type": "FeatureCollection", "features": [feature]}
+        (tmp_path / f"{name}.geojson").write_text(json.dumps(collection), encoding="utf-8")
+    level = {
+        "version": 1, "terrain": {"source": "dem.tif", "imagery": "ortho.tif"}, "water": {"level": -15},
+        "meshes": [{"source": "houses.geojson", "height": "height_m"}],
+        "forest": [{"source": "woods.geojson", "density": 300, "height": [8, 12]}],
+        "lights": {"lamp": {"kind": "omni", "position": [*place(240, 190), 12]}},
+        "sun": {"azimuth": 235, "altitude": 25}, "weather": {"visibility": 3000, "cloud_cover": 0.4},
+        "views": {"eye": {"kind": "perspective", "eye": [*place(150, 120), 25], "target": [*place(240, 200), 5], "fov": 60, "size": [96, 64]}},
+    }  # fmt: skip
+    path = tmp_path / "level.yaml"
+    path.write_text(json.dumps(level), encoding="utf-8")
+    return lambda: build_scene(load_level(path))
+
+
+KINDS = ("relief", "meshes")
+EVERYTHING = [
+    {"algorithm": "shadow_map", "filter": "sun"},
+    {"algorithm": {"sun": dict.fromkeys((*KINDS, "forest"), "perspective_shadow_map")}},
+    {"algorithm": {"sun": {"relief": "sweep"}}},
+    {"algorithm": {"sun": dict.fromkeys(KINDS, "shadow_volume")}},
+    {"algorithm": {"sun": dict.fromkeys(KINDS, "hybrid")}},
+    {"algorithm": "truth"},
+]
+
+
+def draw_with_everything(scene: Scene) -> list[object]:
+    """Fill all caches; what some of them go by is handed back, for they end with it."""
+    for view in (scene.view(size=(64, 64)), scene.view("eye")):
+        descriptor = describe(scene, view)
+        for asked in EVERYTHING:
+            if "perspective_shadow_map" not in str(asked) or not isinstance(view, MapView):
+                render_frame(scene, view, choose(descriptor, scene.loaded.level, asked))
+    probes = points_in_map(scene, descriptor.pixel_m, None)
+    placed(scene.world, scene.elevation, probes)
+    plan = choose(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
+    buffer, real = geometry_of(scene, view), truth_of_view(scene, view, "sun")
+    texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
+    real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
+    return [probes, buffer, real]
+
+
+def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
+    forget("light", "scene")
+    alive = draw_with_everything(scene)
+    assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], "not filled, so not tested"
+    scene.close()
+    del alive
+    gc.collect()
+    assert {cache.name: len(cache) for cache in caches("light", "scene") if len(cache)} == {}
+    assert sum(cache.nbytes for cache in caches("light", "scene") if cache.name != "terrain.gl.depth_targets") == 0
+
+
+def test_a_scene_that_nobody_holds_any_more_leaves_nothing_either(gl, scene_of_its_own):
+    forget("light", "scene")
+    scene = scene_of_its_own()
+    for view in (scene.view(size=(64, 64)), scene.view("eye")):
+        render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"}))
+    assert sum(len(cache) for cache in caches("scene")) > 20
+    del scene, view
+    gc.collect()
+    assert {cache.name: len(cache) for cache in caches("scene") if len(cache)} == {}
