@@ -53,13 +53,14 @@ def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
         feature = {"type": "Feature", "properties": tags, "geometry": polygon}
         collection = {"type": "FeatureCollection", "features": [feature]}
         (tmp_path / f"{name}.geojson").write_text(json.dumps(collection), encoding="utf-8")
+    towards = {"eye": [*place(150, 120), 25], "target": [*place(240, 200), 5]}
     level = {
         "version": 1, "terrain": {"source": "dem.tif", "imagery": "ortho.tif"}, "water": {"level": -15},
         "meshes": [{"source": "houses.geojson", "height": "height_m"}],
         "forest": [{"source": "woods.geojson", "density": 300, "height": [8, 12]}],
         "lights": {"lamp": {"kind": "omni", "position": [*place(240, 190), 12]}},
         "sun": {"azimuth": 235, "altitude": 25}, "weather": {"visibility": 3000, "cloud_cover": 0.4},
-        "views": {"eye": {"kind": "perspective", "eye": [*place(150, 120), 25], "target": [*place(240, 200), 5], "fov": 60, "size": [96, 64]}},
+        "views": {"eye": {"kind": "perspective", **towards, "fov": 60, "size": [96, 64]}},
     }  # fmt: skip
     path = tmp_path / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
