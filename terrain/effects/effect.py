@@ -69,8 +69,8 @@ class Effect:
         What the predicate needs to know besides: numbers of a scene and a view (and of what a perspective view shows), by name.
         Evaluated per (level, zoom, sun) or per view, never per tile.
     stage, part
-        What it changes, and the function that does: a pass of the effect's name. ``None`` for effects that are a way of drawing
-        shadows (``shadows`` does what they say) or of placing the sun.
+        What it changes, and the function that does: a pass of the effect's name. ``None`` for switches of the pipeline
+        (``terrain.effects.SWITCHES`` says what each of them switches, and where).
     needs
         Effects without which it has nothing to do.
     unknown

@@ -1,0 +1,22 @@
+"""Effects without a part of their own: each says which code does what it says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from terrain.effects import EFFECTS, SWITCHES
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_what_paints_nothing_is_a_switch():
+    assert set(SWITCHES) == {name for name, effect in EFFECTS.items() if effect.part is None}
+    assert all((effect.part is None) == (effect.stage is None) for effect in EFFECTS.values())
+
+
+def test_the_code_that_a_switch_names_knows_of_it():
+    for name, what in SWITCHES.items():
+        found = re.search(r"\((\S+\.py)\)$", what)
+        assert found is not None, name
+        assert f'"{name}"' in (ROOT / found[1]).read_text(encoding="utf-8"), name
