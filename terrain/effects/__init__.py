@@ -25,6 +25,6 @@ SWITCHES: dict[EffectName, str] = {
     "soft_edges": "a filter that is left open takes three taps a side, not one (selector/planner/rules.py)",
     "outside_casters": "ground beyond a map's block is looked for and casts into it (shadows/render.py)",
 }
-"""Effects without a part of their own: switches of the pipeline, each with what it switches, and where. They are planned, forced and
-told like all others; what they do is done by the code that is named here.
+"""Effects without a part of their own: switches of the pipeline, each with what it switches, and where. They are planned, forced
+and told like all others; what they do is done by the code that is named here.
 """
