@@ -18,7 +18,7 @@ import shapely
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.cache import forget
+from terrain.cache import MIB, Cache, forget
 from terrain.gl import device as gl_module
 from terrain.gl.programs import Linked, note_draw
 from terrain.level.level import load_level
@@ -209,7 +209,7 @@ def test_a_depth_map_reads_a_texture_for_its_leaves_alone(gl, build):
 
 def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
     """The sun's disc where soft edges are asked for, the leaves where there are trees."""
-    monkeypatch.setattr(gl, "_programs", {})
+    monkeypatch.setattr(gl, "_programs", Cache("programs of this test", "process", 64 * MIB, lambda program: 1))
     frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
     assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
     without = {part for label in gl.programs for part in label.split()}
