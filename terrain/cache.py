@@ -109,7 +109,7 @@ class Cache(Generic[V]):
             self._values.move_to_end(key)
             return found[0]
 
-    def put(self, value: V, *parts: object) -> None:
+    def put(self, *parts: object, value: V) -> None:
         """Keep a value under a key, and let go of the oldest ones until the bounds hold."""
         size = self._size_of(value)
         key = self._key(parts)
@@ -186,7 +186,7 @@ class Kept(Generic[P, V]):
         found = self.cache.get(*parts)
         if isinstance(found, Missing):
             found = self._function(*args, **kwargs)
-            self.cache.put(found, *parts)
+            self.cache.put(*parts, value=found)
         return found
 
 

@@ -220,7 +220,7 @@ class Pool:
         else:
             self.tally.answered += 1
             if isinstance(answer, Block | Snapshot):
-                self._finished.put(answer, flight.job)
+                self._finished.put(flight.job, value=answer)
             flight.answer.set_result(answer)
 
     def _fail_all(self, error: SkuggaError, flights: list[_Flight]) -> None:

@@ -106,7 +106,7 @@ class Scenes:
         if isinstance(found, Missing) or found[0] != key.version:
             self._scenes.drop(path)
             found = key.version, build_scene(load_level(key.path))
-            self._scenes.put(found, path)
+            self._scenes.put(path, value=found)
         if self._process_bytes() > MAX_PROCESS_BYTES:
             self._scenes.trim(1)
         return found[1]
@@ -123,7 +123,7 @@ class TilePlans:
         plan = self._plans.get(key)
         if isinstance(plan, Missing):
             plan = make()
-            self._plans.put(plan, key)
+            self._plans.put(key, value=plan)
         return plan
 
 

@@ -133,7 +133,7 @@ def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool
     edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
     none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
     found = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
-    _kept.put(found, window.key, *volumes)
+    _kept.put(window.key, *volumes, value=found)
     return found, False
 
 

@@ -120,7 +120,7 @@ def volumes_of(
         its = _kept.get(*key)
         if isinstance(its, Missing):
             its = _of_mesh(*mesh, light_frame, rule)
-            _kept.put(its, *key)
+            _kept.put(*key, value=its)
         else:
             record.kept += len(its)
         found += its

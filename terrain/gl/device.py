@@ -99,7 +99,7 @@ class Device:
                 _ = self.ctx.error  # the failed program leaves one behind; it is reported here and nowhere else
                 raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
             program.extra = linked(program, (vertex, fragment), made)
-            self._programs.put(program, *key)
+            self._programs.put(*key, value=program)
         return program
 
     @property
@@ -236,7 +236,7 @@ class Device:
             texture.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
             texture.repeat_x = texture.repeat_y = False
             self.check("layers")
-            self._layers.put(texture, levels[0])
+            self._layers.put(levels[0], value=texture)
         return texture
 
     def render(
@@ -356,7 +356,7 @@ class Device:
         buffer = self._indices.get(rows, cols)
         if isinstance(buffer, Missing):
             buffer = self.ctx.buffer(sheet_triangles(rows, cols))
-            self._indices.put(buffer, rows, cols)
+            self._indices.put(rows, cols, value=buffer)
         return buffer
 
 

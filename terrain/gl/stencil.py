@@ -70,7 +70,7 @@ class Stencil:
             target.use()
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, storage)
             self._check("the stencil's target")
-            self._targets.put((target, storage), width, height)
+            self._targets.put(width, height, value=(target, storage))
         target.use()
         GL.glStencilMask(0xFF)
         GL.glClearBufferfi(GL.GL_DEPTH_STENCIL, 0, 0.0, 0)

@@ -30,14 +30,14 @@ class Standing:
 def test_the_values_used_last_stay_within_the_bytes():
     cache: Cache[bytes] = Cache("test", "process", 30, len)
     for number in range(3):
-        cache.put(bytes(10), number)
+        cache.put(number, value=bytes(10))
     assert cache.get(0) == bytes(10)
-    cache.put(bytes(10), 3)
+    cache.put(3, value=bytes(10))
     assert [cache.get(number) is not MISSING for number in range(4)] == [True, False, True, True]
     assert (cache.nbytes, len(cache)) == (30, 3)
-    cache.put(bytes(31), 4)
+    cache.put(4, value=bytes(31))
     assert cache.get(4) is MISSING, "larger than the limit: handed through"
-    cache.put(bytes(1), 0)
+    cache.put(0, value=bytes(1))
     assert cache.nbytes == 21, "the same key again replaces its value"
     cache.clear()
     assert (cache.nbytes, len(cache)) == (0, 0)
@@ -47,7 +47,7 @@ def test_the_values_used_last_stay_within_the_bytes():
 def test_bytes_are_counted_whatever_comes_and_goes(puts, limit):
     cache: Cache[bytes] = Cache("test", "process", limit, len)
     for key, size in puts:
-        cache.put(bytes(size), key)
+        cache.put(key, value=bytes(size))
         assert cache.nbytes == sum(map(len, cache.values)) <= limit
 
 
@@ -55,7 +55,7 @@ def test_what_is_let_go_is_released_and_the_newest_one_is_not():
     released: list[str] = []
     cache: Cache[str] = Cache("test", "process", 5, len, released.append, most=2)
     for word in ("ab", "cd", "e", "longer than that"):
-        cache.put(word, word)
+        cache.put(word, value=word)
     assert released == ["ab", "cd", "e"] and cache.values == ["longer than that"]
     cache.drop("longer than that")
     assert released[-1] == "longer than that"
@@ -104,7 +104,7 @@ def test_what_lasts_for_a_light_is_forgotten_by_itself_and_a_scene_with_what_sta
     def fill() -> None:
         for cache in all_of_them:
             for part in (mine, other, *standing):
-                cache.put(1.0, part, "something")
+                cache.put(part, "something", value=1.0)
 
     fill()
     forget_scene(mine)
