@@ -6,6 +6,7 @@ makes it, since the presence of a library file says little about whether a drive
 
 import importlib
 import sys
+from typing import Any
 
 import moderngl
 
@@ -17,7 +18,8 @@ def main() -> int:
         for name in COMPILED:
             importlib.import_module(name)
         # The names are given because finding them needs ldconfig or a compiler, which slim machines lack.
-        context = moderngl.create_context(standalone=True, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1")
+        settings: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+        context = moderngl.create_context(standalone=True, **settings)
     except Exception as error:  # whatever is wrong, the caller needs it as one line
         print(f"skugga: {type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

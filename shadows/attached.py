@@ -42,7 +42,7 @@ def lamp_in_frame(buffer: GeometryBuffer, lamp: Lamp) -> tuple[np.ndarray, np.nd
 
 
 @compiled
-def turned_away(normal, leaves, to_light):  # type: ignore[no-untyped-def]
+def turned_away(normal, leaves, to_light):
     """Where unit normals (rows, cols, 3) do not face a direction (3,); True where a normal is NaN."""
     out = np.empty(normal.shape[:2], np.bool_)
     for i in range(normal.shape[0]):
@@ -54,7 +54,7 @@ def turned_away(normal, leaves, to_light):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _beside_lamp(point, normal, leaves, position, axis, cosine):  # type: ignore[no-untyped-def]
+def _beside_lamp(point, normal, leaves, position, axis, cosine):
     out = np.ones(normal.shape[:2], np.bool_)
     for i in range(normal.shape[0]):
         for j in range(normal.shape[1]):

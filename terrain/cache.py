@@ -38,11 +38,9 @@ class Same(weakref.ref[Any]):
     number: int
 
     def __new__(cls, of: object, gone: Callable[[Any], None] | None = None) -> Same:
-        return super().__new__(cls, of, gone)
-
-    def __init__(self, of: object, gone: Callable[[Any], None] | None = None) -> None:
-        super().__init__(of, gone)
+        self = super().__new__(cls, of, gone)
         self.number = id(of)
+        return self
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Same) and self() is not None and self() is other()

@@ -41,12 +41,14 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         for lamp in scene.lamps.values()
     )  # fmt: skip
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
-    own = _map_facts(scene, view) if isinstance(view, MapView) else _perspective_facts(scene, view, look)
     trees = trees_of(scene, view)
     if isinstance(view, MapView):
+        own = _map_facts(scene, view)
         seen = Seen(scene, None, points_in_map(scene, own["pixel_m"], trees), trees)
         rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
     else:
+        assert look is not None
+        own = _perspective_facts(scene, view, look)
         seen, rows, cols = Seen(scene, view, points_in_look(look, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
@@ -152,7 +154,8 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
         widest = np.maximum(widest, ends.max(axis=0))
     altitude = np.radians(scene.light.altitude_deg)
     widest += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
-    return tuple(float(v) for v in np.maximum(widest, step_at_anchor_m(scene.world, view.grid)))  # type: ignore[return-value]
+    right, up, along = np.maximum(widest, step_at_anchor_m(scene.world, view.grid)).tolist()
+    return right, up, along
 
 
 @kept("scene", MIB)

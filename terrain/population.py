@@ -125,5 +125,10 @@ class Population:
 
 @kept("scene", 512 * MIB)
 def _on(population: Population, kind: str, crs: CRS) -> np.ndarray:
-    points = population.solids.vertices_earth_m if kind == "solids" else population.trees.base_earth_m  # type: ignore[union-attr]
+    if kind == "solids":
+        assert population.solids is not None
+        points = population.solids.vertices_earth_m
+    else:
+        assert population.trees is not None
+        points = population.trees.base_earth_m
     return np.stack(population.world.map_position(crs, points), axis=-1)

@@ -119,7 +119,7 @@ def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 
 @compiled
-def _open_sky(there, normal, position, centre):  # type: ignore[no-untyped-def]
+def _open_sky(there, normal, position, centre):
     out = np.zeros(there.shape, np.float32)
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
@@ -169,13 +169,13 @@ def sky_colors(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def zenith_share(sine):  # type: ignore[no-untyped-def]
+def zenith_share(sine):
     """How far the sky's colour is the zenith's, and not the horizon's, at the sine of an altitude."""
     return 1.0 - np.exp(-4.0 * max(sine, 0.0))
 
 
 @compiled
-def _sky(rows, cols, tangents, up, horizon, zenith):  # type: ignore[no-untyped-def]
+def _sky(rows, cols, tangents, up, horizon, zenith):
     out = np.empty((rows.size, 3), np.float32)
     for n in range(rows.size):
         x, y = tangents[0] + cols[n] * tangents[2], tangents[1] + rows[n] * tangents[2]
@@ -228,7 +228,7 @@ def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
 
 
 @compiled
-def dusk_of(sine):  # type: ignore[no-untyped-def]
+def dusk_of(sine):
     """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
     altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
     share = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
@@ -239,7 +239,7 @@ def dusk_of(sine):  # type: ignore[no-untyped-def]
 def _shade(
     there, kind, height, normal, albedo, sunlight, to_sun, centre, position, low, relief, tint, sun, sky, has_sun, night, glow,
     skylight, lamplight,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
@@ -278,7 +278,7 @@ def _shade(
 
 
 @compiled
-def _albedo(there, height, albedo, low, relief, tint):  # type: ignore[no-untyped-def]
+def _albedo(there, height, albedo, low, relief, tint):
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
     for i in range(rows):

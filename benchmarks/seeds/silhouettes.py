@@ -123,7 +123,7 @@ def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes
 
 
 @compiled
-def neighbours_by_search(ends):  # type: ignore[no-untyped-def]
+def neighbours_by_search(ends):
     """The neighbour (m, 3) of each side of triangles whose sides have ends (m, 3, 2), -1 for none: every side held against every
     other one.
     """

@@ -154,7 +154,7 @@ def _cut(ahead: np.ndarray, behind: np.ndarray, z_near_m: float) -> np.ndarray:
 
 
 @compiled
-def _decided(nearest, nearest_other, shaded_beyond, u, v, depth, slack, on_caster):  # type: ignore[no-untyped-def]
+def _decided(nearest, nearest_other, shaded_beyond, u, v, depth, slack, on_caster):
     rows, cols = nearest.shape
     out = np.full(len(depth), MASKED, np.uint8)
     for i in range(len(depth)):

@@ -39,7 +39,7 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 
 @compiled
-def certain_depths(cols, rows, corners, edges):  # type: ignore[no-untyped-def]
+def certain_depths(cols, rows, corners, edges):
     """What the runs of depth of texels tell.
 
     Parameters
@@ -82,7 +82,7 @@ def certain_depths(cols, rows, corners, edges):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _draw_triangle(runs, counts, corners):  # type: ignore[no-untyped-def]
+def _draw_triangle(runs, counts, corners):
     """Add a triangle's interval of depth to each texel that it touches: the extremes of its plane over the texel's square,
     limited to the extremes of its corners. A run's layers are the triangles that cover the probe.
     """
@@ -120,7 +120,7 @@ def _draw_triangle(runs, counts, corners):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _draw_edge(runs, counts, a, b):  # type: ignore[no-untyped-def]
+def _draw_edge(runs, counts, a, b):
     """Add an edge's interval of depth to each texel that it touches; a run that it belongs to is open."""
     rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
@@ -142,7 +142,7 @@ def _draw_edge(runs, counts, a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _insert(runs, count, near, far, layers):  # type: ignore[no-untyped-def]
+def _insert(runs, count, near, far, layers):
     """Add an interval to a texel's runs, joined with those that it overlaps or touches; gives their new number."""
     first = 0
     while first < count and runs[first, 1] < near:
@@ -169,7 +169,7 @@ def _insert(runs, count, near, far, layers):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _span(corners, low, high):  # type: ignore[no-untyped-def]
+def _span(corners, low, high):
     """Least and greatest u of the part of a triangle whose v is in [low, high]; inf and -inf where there is none.
 
     The part is convex, so that it meets exactly the squares of the row between these.
@@ -186,7 +186,7 @@ def _span(corners, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _part(a, b, low, high, start, stop):  # type: ignore[no-untyped-def]
+def _part(a, b, low, high, start, stop):
     """The part [start, stop] of the way from a to b, cut to where low <= value <= high; start > stop where it is empty."""
     if a == b:
         return (start, stop) if low <= a <= high else (1.0, 0.0)
@@ -195,6 +195,6 @@ def _part(a, b, low, high, start, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _texels(low, high, size):  # type: ignore[no-untyped-def]
+def _texels(low, high, size):
     """First texel and the one past the last of those, among ``size``, that [low, high] meets."""
     return int(np.floor(max(0.0, min(float(size), low)))), int(np.floor(max(-1.0, min(size - 1.0, high)))) + 1

@@ -137,7 +137,7 @@ def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool
     return found, False
 
 
-def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:
     """Triangles or edges (n, k, 4) of volumes in texels and depth (m, k, 3), a lamp's clipped at its near plane."""
     at = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.lamp:
@@ -189,7 +189,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
 
 
 @compiled
-def _in_light(points, pixels, rotation, translation, lamp):  # type: ignore[no-untyped-def]
+def _in_light(points, pixels, rotation, translation, lamp):
     """Some of points (m, 3) in a light's axes, a lamp's projected: x, y and depth (n,), their bounds (3,), and the largest
     coordinate of the points themselves.
     """
@@ -211,6 +211,6 @@ def _in_light(points, pixels, rotation, translation, lamp):  # type: ignore[no-u
 
 
 @compiled
-def _to_texels(at, first, texel):  # type: ignore[no-untyped-def]
+def _to_texels(at, first, texel):
     for k in range(len(at)):
         at[k] = (at[k] - first) / texel

@@ -136,7 +136,7 @@ def _drawn_pixels(
 
 
 @compiled
-def _gather(chosen, position, normal, crease, corners, points, facings, triangles):  # type: ignore[no-untyped-def]
+def _gather(chosen, position, normal, crease, corners, points, facings, triangles):
     """Some of a buffer's points (n, k), one after another, as float32: points, normals with creases, triangles."""
     for n in range(len(chosen)):
         i = chosen[n]

@@ -213,7 +213,7 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 
 @compiled
-def _bounds(matrix, plain, nearest, position, chosen):  # type: ignore[no-untyped-def]
+def _bounds(matrix, plain, nearest, position, chosen):
     """Least and largest (4,) of x, y and z in a map, and of w as a share of another plane's (4,), of the chosen of some points
     (m, 3); and which points (5,) are outermost: in x, in y, and nearest to the map's horizon.
 

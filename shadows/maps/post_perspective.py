@@ -282,7 +282,7 @@ def _pixels(camera: Camera, seen: np.ndarray, aside: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _texel(matrix, points, aside, pixels):  # type: ignore[no-untyped-def]
+def _texel(matrix, points, aside, pixels):
     """The root mean square size in the picture, in tangents, of what half the width of a map covers along two directions."""
     total = 0.0
     for n in range(len(points)):

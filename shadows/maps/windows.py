@@ -165,7 +165,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 
 @compiled
-def _depths_seen(points, here, position, faces, tangent):  # type: ignore[no-untyped-def]
+def _depths_seen(points, here, position, faces, tangent):
     """The least and the greatest depth, metres, of points (rows, cols, 3) that are ``here``, in a lamp's faces (n, 3, 3) as far as
     ``tangent`` from their axes; infinity and 0 where none is seen.
     """
@@ -186,7 +186,7 @@ def _depths_seen(points, here, position, faces, tangent):  # type: ignore[no-unt
 
 
 @compiled
-def distances(points, eye):  # type: ignore[no-untyped-def]
+def distances(points, eye):
     """Distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN where there is no point."""
     out = np.empty(points.shape[:2], np.float32)
     for i in range(points.shape[0]):
@@ -197,7 +197,7 @@ def distances(points, eye):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nearer_m(normal, corners, position, here, rotation, aside_m):  # type: ignore[no-untyped-def]
+def _nearer_m(normal, corners, position, here, rotation, aside_m):
     """How much nearer to the sun than a point the map may hold the triangle that it lies on, at the texels' centres up to
     ``aside_m`` (2,) right and up of it: at most, over the points (rows, cols) that are ``here``.
 
@@ -229,7 +229,7 @@ def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
 
 
 @compiled
-def _farthest_corner(corners, here):  # type: ignore[no-untyped-def]
+def _farthest_corner(corners, here):
     """The largest coordinate of corners (rows, cols, 9) that are ``here``."""
     most = 0.0
     for i in range(here.shape[0]):

@@ -271,7 +271,7 @@ def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: fl
 
 
 @compiled
-def _levels(height, per_height, start, per_row, per_col, out):  # type: ignore[no-untyped-def]
+def _levels(height, per_height, start, per_row, per_col, out):
     rows, cols = height.shape
     for c0 in range(0, cols, 64):  # in blocks, for the cache: ``out`` may run down where this runs right
         for r in range(rows):

@@ -89,7 +89,7 @@ def slopes(
 
 
 @compiled
-def _grouped(key, count):  # type: ignore[no-untyped-def]
+def _grouped(key, count):
     """Where the groups of keys in [0, count) begin (count + 1,), and their members in their order: sorting by counting."""
     begins = np.zeros(count + 1, np.int64)
     for value in key:
@@ -104,7 +104,7 @@ def _grouped(key, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nodes_between(place, at, low, high, cols):  # type: ignore[no-untyped-def]
+def _nodes_between(place, at, low, high, cols):
     """Turned rows, columns and t of the nodes with t in [low, high), but for the first row, which has nothing before it."""
     rows = len(place)
     ends = np.empty((rows, 2), np.int64)
@@ -129,7 +129,7 @@ def _nodes_between(place, at, low, high, cols):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside):  # type: ignore[no-untyped-def]
+def _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside):
     """Walk the lines from the sun on, and answer the points to the right of each and, up to the next line, to its left."""
     rows, cols = level.shape
     hull = np.empty((4 * rows, 2))
@@ -168,7 +168,7 @@ def _walk(level, towards, place, mirrored, lines, first, start, stop, begins, or
 
 
 @compiled
-def _put(hull, size, level, towards, i, j, k, l, share):  # type: ignore[no-untyped-def]
+def _put(hull, size, level, towards, i, j, k, l, share):
     """Put what lies at a share of the way between two nodes on the hull; returns its size."""
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     if not np.isfinite(u):
@@ -188,7 +188,7 @@ def _put(hull, size, level, towards, i, j, k, l, share):  # type: ignore[no-unty
 
 
 @compiled
-def _tangent(hull, size, own):  # type: ignore[no-untyped-def]
+def _tangent(hull, size, own):
     """The largest slope from a point up to a hull: it grows along it up to where it touches."""
     best = LOWEST
     for n in range(size - 1, -1, -1):
@@ -203,7 +203,7 @@ def _tangent(hull, size, own):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _look_near(level, towards, place, mirrored, base, row, t, own, near):  # type: ignore[no-untyped-def]
+def _look_near(level, towards, place, mirrored, base, row, t, own, near):
     """The slopes up to what lies before points, from the row before them on; puts points without a level on the ground."""
     cols = level.shape[1]
     for n in range(len(row)):
@@ -237,7 +237,7 @@ def _look_near(level, towards, place, mirrored, base, row, t, own, near):  # typ
 
 
 @compiled
-def _steeper(best, own, level, towards, i, j, k, l, share):  # type: ignore[no-untyped-def]
+def _steeper(best, own, level, towards, i, j, k, l, share):
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
     if not d > own[1]:

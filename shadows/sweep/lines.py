@@ -39,7 +39,7 @@ STRAIGHT = 0.01
 
 
 @compiled
-def sweep_rows(level, place, at, lines, mirrored, first_cell, held, peaks, first, last, shade, lit, points):  # type: ignore[no-untyped-def]
+def sweep_rows(level, place, at, lines, mirrored, first_cell, held, peaks, first, last, shade, lit, points):
     """Take a strip of lines from before row ``first`` of a grid to before row ``last``, and see to what lies on the way.
 
     ``level`` (n, m) float32 are the nodes' levels between two columns of border (``sweep_grid.bordered``), NaN where there is no
@@ -70,14 +70,14 @@ def sweep_rows(level, place, at, lines, mirrored, first_cell, held, peaks, first
 
 
 @compiled
-def _run_along(p, low, high, times):  # type: ignore[no-untyped-def]
+def _run_along(p, low, high, times):
     """How many places from ``low`` to ``high`` a run may have, so that ``times`` their cubic is straight over it."""
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return RUN if bend * RUN * RUN <= 8.0 * STRAIGHT else max(int(np.sqrt(8.0 * STRAIGHT / bend)), 2)
 
 
 @compiled
-def _class_of(place, i, t, j):  # type: ignore[no-untyped-def]
+def _class_of(place, i, t, j):
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
     x = cubic(place[i], t)
     c = int(np.floor(x))
@@ -85,7 +85,7 @@ def _class_of(place, i, t, j):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _advance(level, place, lines, mirrored, first_cell, held, k, i):  # type: ignore[no-untyped-def]
+def _advance(level, place, lines, mirrored, first_cell, held, k, i):
     """Take the lines of number ``k`` from before row ``i`` to before row ``i + 1``."""
     cells, cols = held.size, level.shape[1]
     share = k / lines
@@ -117,7 +117,7 @@ def _advance(level, place, lines, mirrored, first_cell, held, k, i):  # type: ig
 
 
 @compiled
-def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):  # type: ignore[no-untyped-def]
+def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):
     """What a run of lines meets from a row on and before the next one.
 
     Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
@@ -138,7 +138,7 @@ def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):  # type: ignor
 
 
 @compiled
-def _two(a, b, c, d, held, p0, p1, q0, q1):  # type: ignore[no-untyped-def]
+def _two(a, b, c, d, held, p0, p1, q0, q1):
     """Raise a run of lines to what lies between two pairs of nodes: at shares from ``p0`` to ``p1`` of the way from a to b, and
     from ``q0`` to ``q1`` from c to d. Written so that it compiles to vector instructions (32-bit counts convert to float32).
     """
@@ -156,7 +156,7 @@ def _two(a, b, c, d, held, p0, p1, q0, q1):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i):  # type: ignore[no-untyped-def]
+def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i):
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
     here = at[i + 1]
@@ -181,7 +181,7 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, li
 
 
 @compiled
-def _remember(level, place, at, lines, first_cell, peaks, i):  # type: ignore[no-untyped-def]
+def _remember(level, place, at, lines, first_cell, peaks, i):
     """Raise the peaks between the lines to the nodes of row ``i``."""
     cols, cells = level.shape[1], peaks.shape[2]
     here = at[i]
@@ -198,7 +198,7 @@ def _remember(level, place, at, lines, first_cell, peaks, i):  # type: ignore[no
 
 
 @compiled
-def _raise_peaks(level, between, peak, peak_at):  # type: ignore[no-untyped-def]
+def _raise_peaks(level, between, peak, peak_at):
     """Remember nodes that stand higher between their lines than what was remembered there."""
     per = 1.0 / max(level.size - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -209,13 +209,13 @@ def _raise_peaks(level, between, peak, peak_at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sees(seen, level, lit):  # type: ignore[no-untyped-def]
+def _sees(seen, level, lit):
     for n in range(lit.size):
         lit[n] = not seen[n] > level[n]
 
 
 @compiled
-def _run_of_nodes(at, first, last, lines):  # type: ignore[no-untyped-def]
+def _run_of_nodes(at, first, last, lines):
     """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
     number = int(np.floor(cubic(at, first) * lines))
     if int(np.floor(cubic(at, last - 1) * lines)) - lines * (last - 1 - first) == number:
@@ -231,7 +231,7 @@ def _run_of_nodes(at, first, last, lines):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _first_from(place, at, t, cols):  # type: ignore[no-untyped-def]
+def _first_from(place, at, t, cols):
     """The first column of a row, borders apart, whose t is no less than one: by ``at`` alone, so that strips share all nodes."""
     column = min(max(int(np.ceil(cubic(place, t))), 1), cols - 1)
     while column > 1 and cubic(at, column - 1) >= t:
@@ -242,7 +242,7 @@ def _first_from(place, at, t, cols):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _see(above, here, first, left, right, peak, peak_at, between, aside, mirrored):  # type: ignore[no-untyped-def]
+def _see(above, here, first, left, right, peak, peak_at, between, aside, mirrored):
     """The level of the rays over a run of nodes from column ``first`` on: float32 (count,).
 
     ``between``: how far they stand between their lines, ``aside``: how far their rays come from the left, from first to last.

@@ -8,7 +8,7 @@ from terrain.compiled import compiled
 
 
 @compiled
-def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, row, t, own, rounding, lit, above_m):  # type: ignore[no-untyped-def]
+def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, row, t, own, rounding, lit, above_m):
     """Points of rows (i, i + 1], while the lines stand before row ``i``.
 
     Of the points ``first`` to ``last``: ``row`` and ``t`` say where they are, ``own`` their levels (NaN: on the ground there).
@@ -54,20 +54,20 @@ def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, 
 
 
 @compiled
-def cubic(p, x):  # type: ignore[no-untyped-def]
+def cubic(p, x):
     """The value of a cubic (4,) at a place."""
     return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
 
 
 @compiled
-def _higher(highest, a, b, share):  # type: ignore[no-untyped-def]
+def _higher(highest, a, b, share):
     """The higher of a level and of the one at a share of the way from ``a`` to ``b``, if there is ground."""
     value = np.float64(a) + share * (np.float64(b) - np.float64(a))
     return value if value > highest else highest
 
 
 @compiled
-def ground_at(above, below, c, u, v, mirrored, cols):  # type: ignore[no-untyped-def]
+def ground_at(above, below, c, u, v, mirrored, cols):
     """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below its row; NaN where there is none."""
     c += int(np.floor(u))
     u -= np.floor(u)

@@ -194,7 +194,7 @@ def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Groun
 
 
 @compiled
-def _heights_of(corner, height, triangles, rows, cols):  # type: ignore[no-untyped-def]
+def _heights_of(corner, height, triangles, rows, cols):
     """Heights (rows, cols) of the nodes on triangles whose corners (row, column) are nodes; NaN beside them."""
     out = np.full((rows, cols), np.nan, np.float32)
     for n in range(len(triangles)):
@@ -219,7 +219,7 @@ def _cubic_terms(p: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _placed(points, middle, scale, known):  # type: ignore[no-untyped-def]
+def _placed(points, middle, scale, known):
     """Sums of the terms of points (n, 3) with two columns of factors (13, 2)."""
     first, second = np.empty(len(points)), np.empty(len(points))
     for n in range(len(points)):
@@ -235,7 +235,7 @@ def _placed(points, middle, scale, known):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved(points, rotation, translation):  # type: ignore[no-untyped-def]
+def _moved(points, rotation, translation):
     """Three coordinates, each (n,), of points (n, 3) that are turned and moved."""
     out = np.empty((3, len(points)))
     for n in range(len(points)):

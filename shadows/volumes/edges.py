@@ -103,7 +103,7 @@ def _pairs(high: np.ndarray, low: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _numbered(keys):  # type: ignore[no-untyped-def]
+def _numbered(keys):
     """Numbers (n,) int32 of keys (n,) uint64, counted as they first appear, and where each appears first, int32.
 
     An open hash table at most half full; the keys' bits are mixed as in SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable

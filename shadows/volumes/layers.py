@@ -172,7 +172,7 @@ def _most_seen(seen: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | 
 
 
 @compiled
-def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):  # type: ignore[no-untyped-def]
+def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
     """The steps of N(phi_k, v) + P_k(v) in all lunes: where each is, the lune's number plus v as a share of 1, and by how much."""
     line = first + width * np.arange(lunes + 1)
     line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * width), np.sin(line + 0.5 * width)
@@ -209,13 +209,13 @@ def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):  # 
 
 
 @compiled
-def _height(lune, ahead, up):  # type: ignore[no-untyped-def]
+def _height(lune, ahead, up):
     """A lune's number, plus how high a direction is as a share between the poles."""
     return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2
 
 
 @compiled
-def _caps_at_lower_pole(seen, caps):  # type: ignore[no-untyped-def]
+def _caps_at_lower_pole(seen, caps):
     """How many triangles (c, 3) that face a lamp have the lower pole in them, or by rounding may have."""
     count = 0
     for t in range(len(caps)):

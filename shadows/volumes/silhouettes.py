@@ -143,7 +143,7 @@ def _caps(triangles: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _facing(vertices, triangles, light):  # type: ignore[no-untyped-def]
+def _facing(vertices, triangles, light):
     out = np.empty(len(triangles), np.bool_)
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]

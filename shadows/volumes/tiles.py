@@ -99,7 +99,7 @@ def culled(
 
 
 @compiled
-def _rectangles(tiles, cost):  # type: ignore[no-untyped-def]
+def _rectangles(tiles, cost):
     waiting = [(0, tiles.shape[0], 0, tiles.shape[1])]
     found = []
     while waiting:
@@ -139,7 +139,7 @@ def _rectangles(tiles, cost):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _best_cut(part):  # type: ignore[no-untyped-def]
+def _best_cut(part):
     """The cut between rows of tiles that leaves most tiles outside of what holds the two halves: how many, and where."""
     rows, cols = part.shape
     first, last = np.full(rows, cols), np.zeros(rows, np.int64)
@@ -167,7 +167,7 @@ def _best_cut(part):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _marked(rows, cols, down, across):  # type: ignore[no-untyped-def]
+def _marked(rows, cols, down, across):
     out = np.zeros((down, across), np.bool_)
     for n in range(len(rows)):
         out[rows[n] // TILE_PX, cols[n] // TILE_PX] = True
@@ -175,7 +175,7 @@ def _marked(rows, cols, down, across):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _tile_bounds(rows, cols, depth, down, across):  # type: ignore[no-untyped-def]
+def _tile_bounds(rows, cols, depth, down, across):
     out = np.empty((down, across, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
@@ -185,7 +185,7 @@ def _tile_bounds(rows, cols, depth, down, across):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):  # type: ignore[no-untyped-def]
+def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
     m, k = len(triangles), len(rectangles)
     lines, sign = _lines(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
@@ -229,7 +229,7 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):  
 
 
 @compiled
-def _place(lines, left, top, right, bottom):  # type: ignore[no-untyped-def]
+def _place(lines, left, top, right, bottom):
     """Where a triangle, by the lines of its sides, lies to a rectangle."""
     place = COVERS
     for n in range(3):
@@ -243,7 +243,7 @@ def _place(lines, left, top, right, bottom):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lines(points, triangles):  # type: ignore[no-untyped-def]
+def _lines(points, triangles):
     """Each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
@@ -267,7 +267,7 @@ def _lines(points, triangles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _range(line, left, top, right, bottom):  # type: ignore[no-untyped-def]
+def _range(line, left, top, right, bottom):
     """Least and greatest value of a linear function over a rectangle."""
     x, y, z = line
     return (

@@ -182,7 +182,7 @@ def _seen(
 
 
 @compiled
-def _depths(points, at, rows, origin):  # type: ignore[no-untyped-def]
+def _depths(points, at, rows, origin):
     """Depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
     out = np.empty(len(at))
     for n in range(len(at)):
@@ -194,7 +194,7 @@ def _depths(points, at, rows, origin):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _picture(row, col, drawn, depth, parts, rows, cols):  # type: ignore[no-untyped-def]
+def _picture(row, col, drawn, depth, parts, rows, cols):
     """Depths at their pixels, float32 (rows, cols): -1 where drawing gives them, NaN elsewhere in some parts (k, 4), anything else
     beside them.
     """

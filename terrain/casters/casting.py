@@ -10,6 +10,7 @@ from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.stand import Stand
+from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.level.level import CasterKind
 from terrain.population import Population
@@ -23,10 +24,11 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
     """The ground that casts on a map's block: sheets of nodes (rows, cols, 3) in its frame, its own first."""
     if buffer.surface is None or "relief" not in kinds:
         return
+    assert isinstance(buffer.view, MapView)
     yield buffer.surface.position_frame_m
     side = PATCH_QUADS + 1
     for patch in casters.patches:
-        surface = scene.surface(buffer.view.grid.coarser(patch.level))  # type: ignore[union-attr]
+        surface = scene.surface(buffer.view.grid.coarser(patch.level))
         yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).position_frame_m
 
 

@@ -95,7 +95,7 @@ def _samples(
     row, col = np.meshgrid(*(np.linspace(0.0, size, FIT_POINTS) for size in (view.rows, view.cols)), indexing="ij")
     x = view.grid.x(view.col0 + (col - 0.5) * view.col_step)
     y = view.grid.y(view.row0 + (row - 0.5) * view.row_step)
-    ground, up = world.ground(view.grid.crs, x.ravel(), y.ravel())  # type: ignore[union-attr]
+    ground, up = world.ground(view.grid.crs, x.ravel(), y.ravel())
     ground, up = (ground - frame.origin_earth_m) @ frame.frame_from_earth.T, up @ frame.frame_from_earth.T
     points = []
     for height in (low, max(high, low + 1.0)):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,8 @@ class RayScene:
         self._opaque = self._embree(opaque) if opaque else None
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
-    def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]):  # type: ignore[no-untyped-def]
+    def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
+        """Embree's scene, which has no type of its own, of some triangles."""
         try:
             from embreex import mesh_construction, rtcore_scene
         except ImportError:
@@ -96,17 +98,18 @@ class RayScene:
         stopped = np.zeros(len(start), bool)
         if not len(start):
             return stopped
-        if self._opaque is not None and length_m is None:
-            stopped |= self._opaque.run(start, along, query="OCCLUDED") != -1
-        elif self._opaque is not None:
-            stopped |= self._opaque.run(start, along, dists=length_m.astype(np.float32), query="OCCLUDED") != -1
+        if self._opaque is not None:
+            within = {} if length_m is None else {"dists": length_m.astype(np.float32)}
+            stopped |= self._opaque.run(start, along, query="OCCLUDED", **within) != -1
         for mesh, scene in zip(self._alpha_meshes, self._alpha, strict=True):
             going = np.flatnonzero(~stopped)
             length = np.full(len(going), np.inf) if length_m is None else length_m[going]
             stopped[going] = self._blocked_by_alpha(mesh, scene, start[going], along[going], length)
         return stopped
 
-    def _blocked_by_alpha(self, mesh: AlphaMesh, scene, start: np.ndarray, along: np.ndarray, length: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    def _blocked_by_alpha(
+        self, mesh: AlphaMesh, scene: Any, start: np.ndarray, along: np.ndarray, length: np.ndarray
+    ) -> np.ndarray:
         stopped = np.zeros(len(start), bool)
         going, start, left = np.arange(len(start)), start.copy(), length.astype(np.float64)
         for _ in range(MAX_LAYERS):

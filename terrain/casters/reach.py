@@ -19,7 +19,9 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
 from terrain.geo.sun import position_at
-from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, epsg_of, transformer
+from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, World, epsg_of, transformer
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import SurfaceWindow
 from terrain.scene import Scene
 
 PATCH_QUADS = 256
@@ -125,10 +127,15 @@ def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
     return Reach(limit_m, unknown_m, True)
 
 
+def _on_grid(buffer: GeometryBuffer) -> tuple[Grid, SurfaceWindow]:
+    """The grid of a map's block and its own ground on it."""
+    assert isinstance(buffer.view, MapView) and buffer.surface is not None
+    return buffer.view.grid, buffer.surface
+
+
 def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
     """The ground between a block and the level's lamps, on the block's own grid up to ``FULL_DETAIL_NODES`` from it."""
-    own, grid = buffer.surface, buffer.view.grid  # type: ignore[union-attr]
-    assert own is not None
+    grid, own = _on_grid(buffer)
     rows, cols = own.height_m.shape
     found: dict[Patch, None] = {}
     for lamp in scene.lamps.values():
@@ -167,11 +174,11 @@ def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
 
 
 @kept("scene", 256 * MIB)
-def _overview_on_earth(world, elevation) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     return world.ground(elevation.crs, *_overview_xy(elevation))
 
 
-def _overview_xy(elevation) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+def _overview_xy(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     overview = elevation.overview
     rows, cols = overview.heights_m.shape
     factor = 2**overview.level
@@ -184,7 +191,7 @@ def _overview_cell_m(scene: Scene) -> float:
 
 
 @kept("scene", 256 * MIB)
-def overview_on_grid(world, elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
 
     Columns run on across the antimeridian, in one piece.
@@ -217,12 +224,12 @@ def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tup
 
     A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
     """
-    row, col, half = overview_on_grid(scene.world, scene.elevation, buffer.view.grid)
+    grid, own = _on_grid(buffer)
+    row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
     can = can & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
     row, col, half = row[can], col[can], half[can]
-    own = buffer.surface
     rows, cols = own.height_m.shape
-    period = _columns_round_the_earth(buffer.view.grid)
+    period = _columns_round_the_earth(grid)
     if period is not None and len(col):
         col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
     away = np.maximum.reduce(
@@ -233,9 +240,9 @@ def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tup
     outside[can] = away > 0
     known_m = _towards_m(scene, buffer, outside)
     longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
-    farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(buffer.view.grid).step_m) + half.max(initial=0.0)
+    farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
     patches: list[Patch] = []
-    detail = _full_detail_nodes(scene, buffer.view.grid)
+    detail = _full_detail_nodes(scene, grid)
     level, near = 0, 0
     while near < farthest or level == 0:
         far, quads = detail * 2**level, PATCH_QUADS * 2**level
@@ -270,7 +277,7 @@ def _in_the_way(scene: Scene, buffer: GeometryBuffer, patches: list[Patch]) -> l
     if not patches:
         return []
     assert scene.light is not None
-    grid, quads = buffer.view.grid, PATCH_QUADS * 2 ** patches[0].level
+    (grid, _), quads = _on_grid(buffer), PATCH_QUADS * 2 ** patches[0].level
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
@@ -339,7 +346,7 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
     if scene.world.flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:
-        point, up = scene.world.ground(crs, *(np.float64(v) for v in middle))
+        point, up = scene.world.ground(crs, *middle)
         azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
     should_m = min(longest_shadow_m(relief, altitude, curved=not scene.world.flat), 1e6)
     along_m = np.linspace(0.0, should_m, 65)
@@ -350,8 +357,8 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
     else:
         lon, lat = scene.world.lon_lat(crs, x, y)
         shape = (lon.size, along_m.size)
-        start = [np.broadcast_to(v[:, None], shape).ravel() for v in (lon, lat)]
-        lon, lat, _ = WGS84.fwd(*start, np.full(start[0].size, azimuth), np.broadcast_to(along_m, shape).ravel())
+        lon, lat = (np.broadcast_to(v[:, None], shape).ravel() for v in (lon, lat))
+        lon, lat, _ = WGS84.fwd(lon, lat, np.full(lon.size, azimuth), np.broadcast_to(along_m, shape).ravel())
         x, y = np.reshape(lon, shape), np.reshape(lat, shape)
         if not scene.elevation.crs.is_geographic:
             x, y = transformer(LONGITUDE_LATITUDE, scene.elevation.crs).transform(x, y)

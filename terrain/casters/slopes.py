@@ -109,7 +109,7 @@ def _anchor_from_frame(world: World, frame: LocalFrame) -> np.ndarray:
 
 
 @compiled
-def _take(normals, anchor_from_frame, directions, reach):  # type: ignore[no-untyped-def]
+def _take(normals, anchor_from_frame, directions, reach):
     """Stretch ``reach`` to the slopes of normals (n, 3) of any length; all of it to infinity where one is too steep to have any."""
     inner = 0.0  # no slope shorter than this can stretch anything
     t = anchor_from_frame
@@ -137,7 +137,7 @@ def _take(normals, anchor_from_frame, directions, reach):  # type: ignore[no-unt
 
 
 @compiled
-def _above(position, triangles, rows, offsets, bounds, to_sun, upward):  # type: ignore[no-untyped-def]
+def _above(position, triangles, rows, offsets, bounds, to_sun, upward):
     least, most = np.inf, np.inf
     for t in range(len(triangles)):
         o, p, q = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]

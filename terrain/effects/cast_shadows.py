@@ -19,7 +19,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Verdict
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.parts import Fact, number
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.gbuffer.stand import Stand, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
@@ -86,7 +86,8 @@ def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
         return Verdict(False, f"no shadow of {kind} can fall on what is seen")
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "level ground cannot cast")
-    least, most, grazing = facts.get("least_slope"), facts.get("most_slope"), _grazing(descriptor.sun_altitude_deg or 0.0)
+    least, most = number(facts.get("least_slope")), number(facts.get("most_slope"))
+    grazing = _grazing(descriptor.sun_altitude_deg or 0.0)
     if least == np.inf:
         return Verdict(False, "no ground lies between what is seen and the sun")
     if least is not None and least > grazing:
@@ -204,7 +205,7 @@ def _boxes_of_meshes(population: Population, light: LightSpace) -> tuple[np.ndar
 
 
 @compiled
-def _boxes(points, triangles):  # type: ignore[no-untyped-def]
+def _boxes(points, triangles):
     """Least and largest coordinates (m, 3) of triangles (m, 3) of points (n, 3)."""
     first, last = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for m in range(len(triangles)):
@@ -215,7 +216,7 @@ def _boxes(points, triangles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _hide(first, last, points, slack, cells):  # type: ignore[no-untyped-def]
+def _hide(first, last, points, slack, cells):
     """Whether boxes (n, 3) from ``first`` to ``last`` lie before any of some points (m, 3), as the light sees them, or within its
     slack (m,) of one: points are entered in a grid of cells with the largest depth in each.
     """

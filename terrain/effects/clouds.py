@@ -18,7 +18,7 @@ from terrain.effects.effect import Block, Effect, Verdict
 from terrain.effects.haze import farthest_mesh_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.parts import Fact, number
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -138,7 +138,7 @@ def _distribution() -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _noise_on(x):  # type: ignore[no-untyped-def]
+def _noise_on(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
@@ -147,7 +147,7 @@ def _noise_on(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _noise(x_m, y_m, low, high):  # type: ignore[no-untyped-def]
+def _noise(x_m, y_m, low, high):
     """The octaves at a place; what the coarse ones put below ``low`` or over ``high`` for good is not worked out further."""
     # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
@@ -163,19 +163,19 @@ def _noise(x_m, y_m, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def density_at(x_m, y_m, threshold):  # type: ignore[no-untyped-def]
+def density_at(x_m, y_m, threshold):
     """Share of the densest cloud at a place of the layer: 0 in gaps, 1 inside of clouds."""
     return _density(_noise(x_m, y_m, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold)
 
 
 @compiled
-def _density(noise, threshold):  # type: ignore[no-untyped-def]
+def _density(noise, threshold):
     share = min(max((noise - threshold) / EDGE + 0.5, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 @compiled
-def _place(x, y, z, height, layer_m, to_sun, centre, drift):  # type: ignore[no-untyped-def]
+def _place(x, y, z, height, layer_m, to_sun, centre, drift):
     """Metres east and north of the anchor where the ray of a point to the sun meets the clouds, before they drifted."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
@@ -184,7 +184,7 @@ def _place(x, y, z, height, layer_m, to_sun, centre, drift):  # type: ignore[no-
 
 
 @compiled
-def _fade(pixel_m):  # type: ignore[no-untyped-def]
+def _fade(pixel_m):
     return min(max((pixel_m / WIDEST_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
 
 
@@ -222,7 +222,7 @@ def _map_pixel_m(scene: Scene, view: MapView | PerspectiveView) -> float:
 def _shade_clouds(
     sunlight, there, position, height, rotation, origin, layer_m, to_sun, centre, drift, threshold, cover, most, pixel_m, eye,
     spread,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     fade = _fade(pixel_m)
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
@@ -254,7 +254,9 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
         return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
-    taken = facts["taken"]
+    taken = number(facts["taken"])
+    if taken is None:
+        return Verdict(True, f"clouds over {cover:.3g} of the sky")
     if taken <= UNSEEN:
         return Verdict(False, f"clouds over {cover:.3g} of the sky take at most {taken:.1%} of the light of anything seen")
     return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken:.0%} of the light")
@@ -275,9 +277,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
         nearest = farthest = _fade(_map_pixel_m(scene, view))
     else:
+        assert isinstance(view, PerspectiveView)
         away_m = look.away_m if len(look.away_m) else np.zeros(1)
         boxes = _boxes_of_look(scene, layer, look)
-        nearest, farthest = (_fade(view.pixel * float(m)) for m in (away_m.min(), away_m.max()))  # type: ignore[union-attr]
+        nearest, farthest = (_fade(view.pixel * float(m)) for m in (away_m.min(), away_m.max()))
     densest = max((_densest(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
     return {"cover": cover, "taken": float(direct * layer.most * density)}
@@ -354,7 +357,7 @@ def _places(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer
 
 
 @compiled
-def _all_places(points, height, layer_m, to_sun, centre, drift):  # type: ignore[no-untyped-def]
+def _all_places(points, height, layer_m, to_sun, centre, drift):
     out = np.empty((len(points), 2))
     for n in range(len(points)):
         p = points[n]
@@ -369,7 +372,7 @@ def _densest(west: float, east: float, south: float, north: float, threshold: fl
 
 
 @compiled
-def _largest(west, east, south, north, low, high):  # type: ignore[no-untyped-def]
+def _largest(west, east, south, north, low, high):
     """Largest value of the noise over a box, from above, as far as it is between ``low`` and ``high``: by branch and bound.
 
     A cell whose middle's value and the steepest way from there to its corners stay below what is known already is done with;

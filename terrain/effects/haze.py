@@ -193,7 +193,7 @@ def veil(color: np.ndarray, block: Block) -> None:
 
 
 @compiled
-def _veil(color, there, position, eye, extinction, horizon):  # type: ignore[no-untyped-def]
+def _veil(color, there, position, eye, extinction, horizon):
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             if not there[i, j]:
@@ -206,7 +206,7 @@ def _veil(color, there, position, eye, extinction, horizon):  # type: ignore[no-
 
 
 @compiled
-def _farthest(position, triangles, eye, inward):  # type: ignore[no-untyped-def]
+def _farthest(position, triangles, eye, inward):
     """The largest distance from an eye of what lies within planes through it, of which ``inward`` (m, 3) are the normals."""
     away, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
     for n in range(len(position)):
@@ -231,7 +231,7 @@ def _farthest(position, triangles, eye, inward):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _farthest_corner(polygon, inward):  # type: ignore[no-untyped-def]
+def _farthest_corner(polygon, inward):
     """The largest squared distance of a triangle, cut off by planes one after another (I. Sutherland and G. Hodgman 1974).
 
     ``polygon`` is room for two polygons; the triangle is in the first.

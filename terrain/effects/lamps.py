@@ -82,7 +82,7 @@ def _points_of_cells(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.level
     shown = np.zeros(overview.high_m.shape, bool)
-    shown[parts(cells, factor, shown.shape)] = True
+    shown[parts(cells, factor, overview.high_m.shape)] = True
     row, col = np.nonzero(shown & np.isfinite(overview.high_m))
     high, mean = overview.high_m[row, col], overview.heights_m[row, col]
     point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
@@ -101,15 +101,17 @@ def shine(lamplight: np.ndarray, block: Block) -> None:
         position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
         axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
         color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
-        rim = np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
+        outer, inner = (
+            np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
+        )
         _shine(
             lamplight, buffer.there, buffer.kind, buffer.shading_normal_frame, buffer.position_frame_m, visibility, position, axis,
-            color, *rim, LEAF_GLOW,
+            color, outer, inner, LEAF_GLOW,
         )  # fmt: skip
 
 
 @compiled
-def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, outer, inner, glow):  # type: ignore[no-untyped-def]
+def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, outer, inner, glow):
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             n, p = normal[i, j], position[i, j]

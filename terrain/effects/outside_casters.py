@@ -40,8 +40,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
         return {}
     (first_row, last_row), (first_col, last_col) = extent_on_grid(scene.world, scene.elevation, view.grid)
     if is_block(view):
-        rows, cols = ((first // BLOCK_PX, last // BLOCK_PX) for first, last in ((first_row, last_row), (first_col, last_col)))
-        return {"outside": rows[0] != rows[1] or cols[0] != cols[1]}
+        ends = (first_row, last_row), (first_col, last_col)
+        return {"outside": any(first // BLOCK_PX != last // BLOCK_PX for first, last in ends)}
     rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])
     whole = len(blocks_of(view)) == 1  # what is drawn in parts is outside of all but one of them
     inside = whole and rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]

@@ -120,7 +120,7 @@ def _largest_seen(baked: SkyView, look: Look) -> float:
 
 
 @compiled
-def _highest_round(values, table, nodes, reach):  # type: ignore[no-untyped-def]
+def _highest_round(values, table, nodes, reach):
     """The largest value of a pyramid of maxima within a reach of any of some nodes: in 3 x 3 cells that are as wide as it."""
     largest = 0.0
     for n in range(len(nodes)):
@@ -147,7 +147,7 @@ def hide(skylight: np.ndarray, block: Block) -> None:
 
 
 @compiled
-def _hide(out, nodes, position, values, table, eye, tangent, width):  # type: ignore[no-untyped-def]
+def _hide(out, nodes, position, values, table, eye, tangent, width):
     """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -172,7 +172,7 @@ def _hide(out, nodes, position, values, table, eye, tangent, width):  # type: ig
 
 
 @compiled
-def _bilinear(values, begin, rows, cols, row, col, scale):  # type: ignore[no-untyped-def]
+def _bilinear(values, begin, rows, cols, row, col, scale):
     """A level's value at a place counted from the corner in the finest level's nodes; the outermost values beyond their middles."""
     r, c = min(max(row * scale - 0.5, 0.0), rows - 1.0), min(max(col * scale - 0.5, 0.0), cols - 1.0)
     r0, c0 = int(r), int(c)

@@ -58,7 +58,7 @@ def lie_on(albedo: np.ndarray, block: Block) -> None:
 @compiled
 def _lie_on(
     albedo, there, kind, position, height, normal, own, centre, rotation, origin, water_m, pixel_m, eye, spread
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             if not there[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
@@ -85,7 +85,7 @@ def _lie_on(
 
 
 @compiled
-def _held(slope_deg, x_m, y_m, pixel_m):  # type: ignore[no-untyped-def]
+def _held(slope_deg, x_m, y_m, pixel_m):
     """Share of the snow that a slope holds."""
     if HELD_DEG - 2.0 * ROUGH_DEG < slope_deg < BARE_DEG + 2.0 * ROUGH_DEG:
         slope_deg += ROUGH_DEG * _rough(x_m, y_m, ROUGH_M, pixel_m)
@@ -93,7 +93,7 @@ def _held(slope_deg, x_m, y_m, pixel_m):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _dusted(upright, x_m, y_m, height_m, pixel_m):  # type: ignore[no-untyped-def]
+def _dusted(upright, x_m, y_m, height_m, pixel_m):
     """Share of snow on a crown, at a point of its outside that is so upright."""
     if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
         upright += CLUMPS * (_rough(x_m, height_m, CLUMP_M, pixel_m) + _rough(height_m, y_m, CLUMP_M, pixel_m))
@@ -101,14 +101,14 @@ def _dusted(upright, x_m, y_m, height_m, pixel_m):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _rough(x_m, y_m, wave_m, pixel_m):  # type: ignore[no-untyped-def]
+def _rough(x_m, y_m, wave_m, pixel_m):
     """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
     return share * fractal_at(x_m / wave_m, y_m / wave_m, OCTAVES, SEED) if share > 0.0 else 0.0
 
 
 @compiled
-def _smooth(share):  # type: ignore[no-untyped-def]
+def _smooth(share):
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 

@@ -28,7 +28,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.parts import Fact, number
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.picture import Visible
 from terrain.geo.camera import PerspectiveView
@@ -84,7 +84,7 @@ of what lies between two directions the farthest is one degree off in a field of
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out without water, with none in view, and where the sky that it mirrors is as dark as the water itself."""
     facts = descriptor.facts["water"]
-    level_m, change = facts["level_m"], facts["change_steps"]
+    level_m, change = number(facts["level_m"]), number(facts["change_steps"])
     if level_m is None:
         return Verdict(False, "the level has no water")
     if not facts["covers"]:
@@ -225,6 +225,7 @@ def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
     if not scene.sun_is_up or scene.sun is None:
         return False
     if isinstance(view, MapView):
+        assert scene.highest_sun_deg is not None
         altitude = np.radians(scene.highest_sun_deg)
         to_sun, to_eye = np.array([0.0, np.cos(altitude), np.sin(altitude)]), np.array([[0.0, 0.0, 1.0]])
         up = np.array([0.0, 0.0, 1.0])
@@ -257,7 +258,7 @@ def mirror(color: np.ndarray, block: Block) -> None:
 
 
 @compiled
-def _seen_facets(cosine, square):  # type: ignore[no-untyped-def]
+def _seen_facets(cosine, square):
     """Area of the facets seen under a zenith angle, per area of the plane, and their mean slope towards the eye."""
     sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * square)
     a = cosine / (deviation * sine)
@@ -267,7 +268,7 @@ def _seen_facets(cosine, square):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sky_in(cosine, square):  # type: ignore[no-untyped-def]
+def _sky_in(cosine, square):
     """Of the sky in water under a zenith angle: its Fresnel share, how far its colour is the zenith's, and the facets' area."""
     area, slope = _seen_facets(cosine, square)
     deviation = np.sqrt(0.5 * square)
@@ -277,7 +278,7 @@ def _sky_in(cosine, square):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _glint(eye_up, sun_up, eye_sun, area, square):  # type: ignore[no-untyped-def]
+def _glint(eye_up, sun_up, eye_sun, area, square):
     """Glint per irradiance at normal incidence, from the cosines between eye, sun and up; ``area`` of the facets the eye sees.
 
     Over the first degree of the sun's altitude it fades in, as direct light does.
@@ -295,7 +296,7 @@ def _glint(eye_up, sun_up, eye_sun, area, square):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _largest_glint(to_eye, up, to_sun, square):  # type: ignore[no-untyped-def]
+def _largest_glint(to_eye, up, to_sun, square):
     largest = 0.0
     sun_up = up[0] * to_sun[0] + up[1] * to_sun[1] + up[2] * to_sun[2]
     for n in range(to_eye.shape[0]):
@@ -308,7 +309,7 @@ def _largest_glint(to_eye, up, to_sun, square):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun, sun, visibility):  # type: ignore[no-untyped-def]
+def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun, sun, visibility):
     # What is None is decided when this is compiled: an eye straight above, infinitely far; no glint.
     fresnel, share, area = _sky_in(1.0, square)
     for i in range(water.shape[0]):

@@ -50,9 +50,9 @@ def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
     if isinstance(view, PerspectiveView):
         ground, nodes = ground_mesh(scene, view), ground_nodes(scene).height_m.size
         return CasterFacts(kind="relief", triangles=len(ground.triangles), nodes=nodes, height_m=high - low)
-    nodes = [min(size, BLOCK_PX) * step for size, step in ((view.rows, view.row_step), (view.cols, view.col_step))]
-    outside = _outside_triangles(scene, step_at_anchor_m(scene.world, view.grid), *nodes)
-    return CasterFacts(kind="relief", triangles=int(2 * nodes[0] * nodes[1]), outside_triangles=outside, height_m=high - low)
+    rows, cols = (min(size, BLOCK_PX) * step for size, step in ((view.rows, view.row_step), (view.cols, view.col_step)))
+    outside = _outside_triangles(scene, step_at_anchor_m(scene.world, view.grid), rows, cols)
+    return CasterFacts(kind="relief", triangles=int(2 * rows * cols), outside_triangles=outside, height_m=high - low)
 
 
 def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) -> int:

@@ -57,7 +57,7 @@ def grid_of(trees: Stand) -> Grid:
 
 
 @compiled
-def _sorted(base, shape, reach, low, cell, rows, cols):  # type: ignore[no-untyped-def]
+def _sorted(base, shape, reach, low, cell, rows, cols):
     top = np.full((rows, cols), -np.inf)
     first = np.zeros(rows * cols + 1, np.int64)
     tree, disc = np.empty(0, np.int32), np.empty((0, 3), np.float32)
@@ -111,7 +111,7 @@ def first_leaves(trees: Stand, start: np.ndarray, direction: np.ndarray, length_
 
 
 @compiled
-def _first(low, cell, top, first, tree, disc, base, shape, turn, look, leaf, start, direction, length, nearest):  # type: ignore[no-untyped-def]
+def _first(low, cell, top, first, tree, disc, base, shape, turn, look, leaf, start, direction, length, nearest):
     rows, cols = top.shape
     side = leaf.shape[1]
     out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))

@@ -199,8 +199,11 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
 
 def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
     """The facts of the silhouette of the meshes."""
-    light = lamp.position_earth_m if lamp is not None else scene.sun.to_sun_earth  # type: ignore[union-attr]
-    at_place = lamp is not None
+    if lamp is None:
+        assert scene.sun is not None
+        light, at_place = scene.sun.to_sun_earth, False
+    else:
+        light, at_place = lamp.position_earth_m, True
     ends = silhouette_of(scene.population, light, at_place)
     if camera is None or not len(ends):
         return {"silhouette_edges": len(ends)}

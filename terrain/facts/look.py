@@ -143,7 +143,7 @@ def _through(
 
 
 @compiled
-def _projected(vertices, eye, rotation, tangents):  # type: ignore[no-untyped-def]
+def _projected(vertices, eye, rotation, tangents):
     """Vertices (n, 3) in the camera's axes, and columns and rows (n, 2) of those ahead of the eye."""
     at, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
     for n in range(len(vertices)):
@@ -156,7 +156,7 @@ def _projected(vertices, eye, rotation, tangents):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _beyond(a, b, c, tangents, reach, rows, cols):  # type: ignore[no-untyped-def]
+def _beyond(a, b, c, tangents, reach, rows, cols):
     """Whether a triangle lies beyond one side of the picture's pyramid as a whole, a share of a pixel wider on all sides."""
     for k in range(2):
         low = tangents[k] - reach * tangents[2]
@@ -169,7 +169,7 @@ def _beyond(a, b, c, tangents, reach, rows, cols):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):  # type: ignore[no-untyped-def]
+def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
     rows, cols, places = number.shape
     reach = np.abs(beside).max()
     for t in range(len(triangles)):

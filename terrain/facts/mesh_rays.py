@@ -79,9 +79,9 @@ def _met_by(
     tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances (...) to a triangle that rays meet, the nearest or any, infinite without one; and its number (...)."""
-    flat = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
+    start, way = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
-    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, *flat, np.ravel(length_m), nearest)
+    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, start, way, np.ravel(length_m), nearest)
     return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 
@@ -103,7 +103,7 @@ def tree_of(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
 
 
 @compiled
-def _built(box_low, box_high, leaf, bins):  # type: ignore[no-untyped-def]
+def _built(box_low, box_high, leaf, bins):
     """The order of triangles with boxes (m, 3), and the nodes of their tree: the first one is its root."""
     m = len(box_low)
     order = np.arange(m)
@@ -166,7 +166,7 @@ def _built(box_low, box_high, leaf, bins):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _met(low, high, first, count, corner, side_a, side_b, start, direction, length, nearest):  # type: ignore[no-untyped-def]
+def _met(low, high, first, count, corner, side_a, side_b, start, direction, length, nearest):
     away, number = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):

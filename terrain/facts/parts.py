@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from terrain.errors import InputError
 from terrain.level.level import CasterKind
 
 TEXEL_LADDER_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
@@ -150,6 +151,13 @@ class LightFacts(Facts):
     silhouette_px: AtLeastZero = 0.0
     volume_layers: AtLeastZero = 0.0
     casts: dict[CasterKind, Casting] = {}
+
+
+def number(fact: Fact) -> float | None:
+    """A fact that is a number; ``None``: not known. Raises ``InputError`` for a word that somebody has written in its place."""
+    if isinstance(fact, str):
+        raise InputError("facts", fact, "a number")
+    return fact
 
 
 def shares_add_up(shares: list[float], of: str) -> None:

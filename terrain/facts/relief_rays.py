@@ -91,7 +91,7 @@ def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _blocked(heights, tops, side, row, col, height, d_row, d_col, rise, bend, length, nearest):  # type: ignore[no-untyped-def]
+def _blocked(heights, tops, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
     rows, cols = heights.shape
     highest = tops.max()
     out = np.zeros(row.shape, np.bool_)

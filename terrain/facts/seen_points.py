@@ -5,6 +5,7 @@ view's pixels something ends.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -55,11 +56,12 @@ def _points_in_look(look: Look, pixel: float) -> Probes:
 @kept("scene", 64 * MIB)
 def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
     bare, coarse, there = _points_in_look(look, pixel), look.buffer.view, look.buffer.there.ravel()
+    assert isinstance(coarse, PerspectiveView)
     some = evenly(there.size, AMONG_LEAVES)
     count = len(some)
     row, col = np.divmod(some, coarse.cols)
-    tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px  # type: ignore[union-attr]
-    _, camera_from_frame = coarse.in_frame(look.buffer.frame)  # type: ignore[union-attr]
+    tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
+    _, camera_from_frame = coarse.in_frame(look.buffer.frame)
     way = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     point, length = (np.cumsum(there) - 1)[some], np.full(count, np.inf)
@@ -105,7 +107,7 @@ def _edge_share_among_leaves(look: Look, trees: Stand) -> float:
 def _joined(bare: Probes, leaves: Probes) -> Probes:
     """Both, numbered anew."""
     names = ("point_frame_m", "normal_frame", "pixel_m", "away_m", "kind")
-    both = {name: np.concatenate([getattr(bare, name), getattr(leaves, name)]) for name in names}
+    both: dict[str, Any] = {name: np.concatenate([getattr(bare, name), getattr(leaves, name)]) for name in names}
     return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
 
 
@@ -148,7 +150,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
     """Points of a level's bare ground, bilinear between the cells of its overview."""
     heights, factor = elevation.overview.heights_m, 2**elevation.overview.level
     chance = quasirandom(np.arange(MAP_SIDE**2)).reshape(MAP_SIDE, MAP_SIDE, 2)
-    part = np.stack(np.mgrid[:MAP_SIDE, :MAP_SIDE], axis=-1)
+    part = np.stack(tuple(np.mgrid[:MAP_SIDE, :MAP_SIDE]), axis=-1)
     row, col = np.moveaxis((part + chance) / MAP_SIDE * np.array(heights.shape) - 0.5, -1, 0).reshape(2, -1)
     row, col = (np.clip(v, 0.0, max(size - 1, 0)) for v, size in zip((row, col), heights.shape, strict=True))
     frame = world.frame_near_earth(world.anchor_earth_m)

@@ -81,7 +81,7 @@ def silhouette_of(population: Population, light_earth: np.ndarray, at_place: boo
 
 
 @compiled
-def _chosen(normal, corner, beside, light, weight):  # type: ignore[no-untyped-def]
+def _chosen(normal, corner, beside, light, weight):
     facing = np.empty(len(normal), np.bool_)
     for t in range(len(normal)):
         facing[t] = (
@@ -103,7 +103,7 @@ def length_px(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> flo
 
 
 @compiled
-def _length(ends, low, high):  # type: ignore[no-untyped-def]
+def _length(ends, low, high):
     """Edges are cut at the pyramid's sides (M. Cyrus, J. Beck 1978), and then seen in perspective."""
     total = 0.0
     for e in range(len(ends)):
@@ -149,7 +149,7 @@ def layers_before(
 
 
 @compiled
-def _passed(ends, start, way, light, weight):  # type: ignore[no-untyped-def]
+def _passed(ends, start, way, light, weight):
     """How often rays pass strips from edges away from a light: from its ends a, b they go along a - l and b - l, or -l."""
     passed = 0
     for e in range(len(ends)):

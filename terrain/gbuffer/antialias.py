@@ -6,6 +6,7 @@ The samples are rows of pixels below the picture's own in one buffer, so that al
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,8 @@ class Sampled:
         """The picture's own pixels alone."""
         if not len(self.pixels[0]):
             return self.buffer
-        shape, changes = self.buffer.there.shape, {}
+        shape = self.buffer.there.shape
+        changes: dict[str, Any] = {}
         for item in fields(GeometryBuffer):
             value = getattr(self.buffer, item.name)
             if isinstance(value, np.ndarray) and value.shape[:2] == shape:
@@ -136,7 +138,7 @@ def ends_in_crosses(number: np.ndarray, away_m: np.ndarray, ground: int, normals
 
 
 @compiled
-def _edges(number, depth, ground, normals, near, bend, jump):  # type: ignore[no-untyped-def]
+def _edges(number, depth, ground, normals, near, bend, jump):
     rows, cols = number.shape
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):
@@ -154,7 +156,7 @@ def _edges(number, depth, ground, normals, near, bend, jump):  # type: ignore[no
 
 
 @compiled
-def _crossed(number, away, ground, normals, bend, jump):  # type: ignore[no-untyped-def]
+def _crossed(number, away, ground, normals, bend, jump):
     out = np.zeros(len(number), np.bool_)
     for n in range(len(number)):
         own = np.int64(number[n, 0]) - 1
@@ -166,7 +168,7 @@ def _crossed(number, away, ground, normals, bend, jump):  # type: ignore[no-unty
 
 
 @compiled
-def _ends(own, other, here, there, ground, normals, bend, jump):  # type: ignore[no-untyped-def]
+def _ends(own, other, here, there, ground, normals, bend, jump):
     """Whether something ends between two neighbours: triangles counted from 0 (below: none) at distances along the view's axis."""
     if own == other:
         return False
@@ -181,7 +183,7 @@ def _ends(own, other, here, there, ground, normals, bend, jump):  # type: ignore
 
 
 @compiled
-def _kind(triangle, ground, solids):  # type: ignore[no-untyped-def]
+def _kind(triangle, ground, solids):
     if triangle < 0:
         return 0
     return 1 if triangle < ground else 2 if triangle < ground + solids else 3

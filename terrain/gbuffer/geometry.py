@@ -101,7 +101,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
 
 
 @compiled
-def quad_normals(position):  # type: ignore[no-untyped-def]
+def quad_normals(position):
     """Unit normals (rows - 1, cols - 1, 2, 3) of each quad's NW (0) and SE (1) triangle; NaN where a corner is missing."""
     rows, cols, _ = position.shape
     out = np.empty((rows - 1, cols - 1, 2, 3), np.float32)
@@ -121,7 +121,7 @@ def quad_normals(position):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _smooth_normals(position, reach):  # type: ignore[no-untyped-def]
+def _smooth_normals(position, reach):
     """Unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders.
 
     With ``reach`` one raster cell, the slope of a bilinear surface varies without a jump: facets do not show.
@@ -153,7 +153,7 @@ def _smooth_normals(position, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _pixels(position, height, shown, faces, smooth, row, col):  # type: ignore[no-untyped-def]
+def _pixels(position, height, shown, faces, smooth, row, col):
     """Fill the buffer for pixel centres at the (fractional) window rows and columns given."""
     rows, cols = row.size, col.size
     there = np.zeros((rows, cols), np.bool_)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -137,21 +137,18 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     seen = seen_in_map(view, drawn, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.there.shape, 9), np.float32)
-    resolve_map(
+    solid_parts: tuple[np.ndarray, ...] = (_NO_POINTS, _NO_POINTS, *_NO_SOLIDS)
+    if solid_points is not None and solid_px is not None:
+        solid_parts = (solid_points, solid_px, *_solid_faces(scene.population, frame))
+    tree_parts: tuple[np.ndarray, ...] = (_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN)
+    if trees is not None and tree_px is not None:
+        tree_parts = (trees.base_frame_m, tree_px, trees.shape, trees.turn)
+    parts: tuple[Any, ...] = (
         seen.number, buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
-        buffer.crease, buffer.kind, albedo, corners,
-        *(
-            (_NO_POINTS, _NO_POINTS, *_NO_SOLIDS)
-            if solid_points is None or solid_px is None
-            else (solid_points, solid_px, *_solid_faces(scene.population, frame))
-        ),
-        *(
-            (_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN)
-            if trees is None or tree_px is None
-            else (trees.base_frame_m, tree_px, trees.shape, trees.turn)
-        ),
+        buffer.crease, buffer.kind, albedo, corners, *solid_parts, *tree_parts,
         scene.world.curvature, px_from_m, seen.albedo_root,
     )  # fmt: skip
+    resolve_map(*parts)
     return replace(buffer, corners_frame_m=corners, albedo=albedo, stand=trees, solids_frame_m=solid_points)
 
 
@@ -185,7 +182,7 @@ def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
 
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     """Pixels (column, row) per metre along a frame's first two axes, (2, 2), at a view's middle."""
-    point, _ = scene.world.ground(view.grid.crs, *(np.float64(v) for v in view.centre))
+    point, _ = scene.world.ground(view.grid.crs, *view.centre)
     middle = frame.frame_from_earth @ (point - frame.origin_earth_m)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
     at = np.stack(scene.world.map_position(view.grid.crs, steps @ frame.frame_from_earth + frame.origin_earth_m), axis=-1)

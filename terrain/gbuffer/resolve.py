@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,12 @@ class Points:
     cells: np.ndarray
 
 
-def resolve_perspective(number: np.ndarray, camera: tuple, ground: tuple, solids: tuple, trees: tuple, root: np.ndarray) -> Points:
+Arguments = tuple[Any, ...]
+
+
+def resolve_perspective(
+    number: np.ndarray, camera: Arguments, ground: Arguments, solids: Arguments, trees: Arguments, root: np.ndarray
+) -> Points:
     """The points that triangles (numbers (rows, cols)) show; the rest are the arguments of the loop below."""
     size = number.shape
     points = Points(
@@ -51,7 +57,8 @@ def resolve_perspective(number: np.ndarray, camera: tuple, ground: tuple, solids
     parts = np.linspace(0, size[0], THREADS + 1).astype(int)
 
     def some(first: int, last: int) -> None:
-        _resolve(first, last, number, *camera, *ground, *solids, *trees, root, *arrays)
+        arguments = (first, last, number, *camera, *ground, *solids, *trees, root, *arrays)
+        _resolve(*arguments)
 
     with ThreadPoolExecutor(THREADS) as pool:  # the loop holds no lock
         list(pool.map(some, parts[:-1], parts[1:]))
@@ -65,7 +72,7 @@ def _resolve(
     solid_position, solid_height, solid_triangles, solid_albedo, solid_normals, solid_crease,
     tree_base, tree_height, tree_shape, tree_turn, curvature, albedo_root,
     there, point, level, normal, shading, crease, kind, albedo, corners, cells,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Rows ``first`` to ``last`` of everything. ``tangents`` are those of the first pixel and their step, for the picture's
     ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
     """
@@ -140,7 +147,7 @@ def resolve_map(
     number, there, point, level, normal, shading, crease, kind, albedo, corners,
     solid_position, solid_px, solid_triangles, solid_albedo, solid_normals, solid_crease,
     tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m, albedo_root,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Put what stands on a map's ground over the ground's buffer, where it is higher; arrays are changed in place."""
     rows, cols = number.shape
     solid = len(solid_triangles)
@@ -193,7 +200,7 @@ def resolve_map(
 
 
 @compiled
-def _tree_triangle(p, base, shape, turn, curvature, part):  # type: ignore[no-untyped-def]
+def _tree_triangle(p, base, shape, turn, curvature, part):
     quad, second = part // 2, part % 2
     for c in range(3):
         corner = c if second == 0 or c == 0 else c + 1
@@ -202,7 +209,7 @@ def _tree_triangle(p, base, shape, turn, curvature, part):  # type: ignore[no-un
 
 
 @compiled
-def _on_plane(p, eye, ray):  # type: ignore[no-untyped-def]
+def _on_plane(p, eye, ray):
     """Barycentric coordinates, held inside the triangle, of a ray's meeting with its plane."""
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
@@ -217,7 +224,7 @@ def _on_plane(p, eye, ray):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _in_plan(q, x, y):  # type: ignore[no-untyped-def]
+def _in_plan(q, x, y):
     ax, ay, bx, by = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
     det = ax * by - ay * bx
     if det == 0.0:
@@ -227,7 +234,7 @@ def _in_plan(q, x, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _held(u, v):  # type: ignore[no-untyped-def]
+def _held(u, v):
     u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     if u + v > 1.0:
         total = u + v
@@ -236,7 +243,7 @@ def _held(u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _face(p, out):  # type: ignore[no-untyped-def]
+def _face(p, out):
     ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -248,7 +255,7 @@ def _face(p, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _tree_look(point, base, shape, root, shading, albedo):  # type: ignore[no-untyped-def]
+def _tree_look(point, base, shape, root, shading, albedo):
     """A rounded crown's normal: away from the stem and upwards; and the leaf's colour."""
     for k in range(2):
         shading[k] = point[k] - base[k]
@@ -258,7 +265,7 @@ def _tree_look(point, base, shape, root, shading, albedo):  # type: ignore[no-un
 
 
 @compiled
-def _unit(v):  # type: ignore[no-untyped-def]
+def _unit(v):
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:
         for k in range(3):

@@ -64,8 +64,10 @@ class Stand:
 
     def some(self, which: np.ndarray) -> Stand:
         """The trees at some indices or where a mask says."""
-        arrays = (self.number, self.base_frame_m, self.base_height_m, self.shape, self.turn, self.look)
-        return Stand(*(array[which] for array in arrays), self.curvature)
+        return Stand(
+            self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
+            self.look[which], self.curvature,
+        )  # fmt: skip
 
     def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Indices of the trees whose bounding spheres, in the axes ``rotation @ point + translation``, reach into bounds (3,)."""
@@ -139,7 +141,7 @@ def _share(size: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def tree_corner(base, shape, turn, curvature, quad, corner):  # type: ignore[no-untyped-def]
+def tree_corner(base, shape, turn, curvature, quad, corner):
     """One corner (x, y, z) of one quad of a tree, and its v coordinate (u is 0 at corners 0 and 3, else 1)."""
     cosine, sine = np.float64(turn[0]), np.float64(turn[1])
     x, y = base[0] * curvature, base[1] * curvature
@@ -161,14 +163,14 @@ def tree_corner(base, shape, turn, curvature, quad, corner):  # type: ignore[no-
 
 
 @compiled
-def _radius(shape):  # type: ignore[no-untyped-def]
+def _radius(shape):
     """Radius of a sphere round the middle of a tree's stem that holds all of its quads."""
     across = max(shape[0], 1.4143 * shape[1])
     return np.sqrt(across * across + 0.25 * shape[2] * shape[2])
 
 
 @compiled
-def _reaching(base, shape, rotation, translation, low, high):  # type: ignore[no-untyped-def]
+def _reaching(base, shape, rotation, translation, low, high):
     out = np.empty(len(base), np.int64)
     count = 0
     for n in range(len(base)):
@@ -187,7 +189,7 @@ def _reaching(base, shape, rotation, translation, low, high):  # type: ignore[no
 
 
 @compiled
-def _in_cone(base, shape, eye, rotation, tangents):  # type: ignore[no-untyped-def]
+def _in_cone(base, shape, eye, rotation, tangents):
     out = np.empty(len(base), np.int64)
     count = 0
     at = np.empty(3)
@@ -210,7 +212,7 @@ def _in_cone(base, shape, eye, rotation, tangents):  # type: ignore[no-untyped-d
 
 
 @compiled
-def tree_corners(base, shape, turn, curvature):  # type: ignore[no-untyped-def]
+def tree_corners(base, shape, turn, curvature):
     out = np.empty((len(base), 3, 4, 3))
     for n in range(len(base)):
         for quad in range(3):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -112,7 +113,7 @@ def seen_in_map(
     return _read(gl, target, stand, drawn, chosen)
 
 
-def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict, first: int) -> None:
+def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int) -> None:
     program = gl.program(
         shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
     )
@@ -124,13 +125,13 @@ def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, 
     gl.draw_instances(program, 18, [("base", base[chosen]), ("shape", stand.shape[chosen]), ("look", look[chosen])])
 
 
-def _program(gl: Device, vertex: str, fragment: str, uniforms: dict) -> moderngl.Program:
+def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:
     program = gl.program(shader(f"terrain/gbuffer/{vertex}"), shader(f"terrain/gbuffer/{fragment}"))
     set_uniforms(program, uniforms)
     return program
 
 
-def set_uniforms(program: moderngl.Program, values: dict) -> None:
+def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
     """Set those of some uniforms that a program uses."""
     for name, value in values.items():
         if name in program:

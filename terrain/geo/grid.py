@@ -12,9 +12,10 @@ two themselves (there the powers are the zooms), from one unit of the CRS and fr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
-from morecantile import TileMatrixSet
+from morecantile import Tile, TileMatrixSet
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
@@ -31,6 +32,9 @@ TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 """CRSs whose maps share the grids of a tile matrix set."""
 
 
+Number = TypeVar("Number", float, np.ndarray)
+
+
 @dataclass(frozen=True)
 class Grid:
     """A world-fixed lattice of samples in a CRS."""
@@ -40,11 +44,11 @@ class Grid:
     y0: float
     step: float
 
-    def x(self, col: np.ndarray | float) -> np.ndarray | float:
+    def x(self, col: Number) -> Number:
         """x of a (fractional) column, in CRS units."""
         return self.x0 + col * self.step
 
-    def y(self, row: np.ndarray | float) -> np.ndarray | float:
+    def y(self, row: Number) -> Number:
         """y of a (fractional) row, in CRS units."""
         return self.y0 - row * self.step
 
@@ -132,7 +136,7 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
     """The grid of a tile matrix: nodes are the pixels' centres, counted from the matrix's corner."""
     step = tms.matrix(zoom).cellSize
-    corner = tms.xy_bounds(0, 0, zoom)
+    corner = tms.xy_bounds(Tile(0, 0, zoom))
     return Grid(CRS.from_user_input(tms.rasterio_crs.to_wkt()), corner.left + step / 2, corner.top - step / 2, step)
 
 

@@ -60,7 +60,7 @@ def light_bounds(
 
 
 @compiled
-def _bounds(position, there, rotation, translation):  # type: ignore[no-untyped-def]
+def _bounds(position, there, rotation, translation):
     out = np.empty((2, 3))
     out[0] = np.inf
     out[1] = -np.inf

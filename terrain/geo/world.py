@@ -65,7 +65,7 @@ class World:
     anchor_lat_deg: float = 0.0
     metres_per_unit: float = 1.0
 
-    def ground(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
 
         Raises ``UnsupportedError`` where a flat world is asked for in another CRS. Coordinates that the CRS cannot
@@ -80,7 +80,7 @@ class World:
             return np.stack([east, north, np.zeros_like(east)], axis=-1), up
         return geocentric(*self.lon_lat(crs, x, y))
 
-    def lon_lat(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def lon_lat(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Longitude and latitude in degrees; NaN where the CRS has none. A geographic CRS passes through unwrapped."""
         if crs == LONGITUDE_LATITUDE or epsg_of(crs) == 4326:
             return np.asarray(x, np.float64), np.asarray(y, np.float64)
@@ -184,7 +184,7 @@ def direction_east(lon_deg: float) -> np.ndarray:
     return np.array([-np.sin(lon), np.cos(lon), 0.0])
 
 
-def geocentric(lon_deg: np.ndarray, lat_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def geocentric(lon_deg: float | np.ndarray, lat_deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Geocentric points (..., 3) in metres on the WGS 84 ellipsoid and the unit normals there.
 
     Source: EPSG Guidance Note 7-2, section 4.1.1 (geographic/geocentric conversions). Latitudes beyond 90 degrees

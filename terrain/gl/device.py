@@ -13,6 +13,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -41,9 +42,8 @@ class Device:
 
     def __init__(self) -> None:
         try:
-            self.ctx = moderngl.create_context(
-                standalone=True, require=430, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1"
-            )
+            settings: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+            self.ctx = moderngl.create_context(standalone=True, require=430, **settings)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
             raise GraphicsError(f"no OpenGL 4.3 context through EGL: {error}; 'skugga doctor' says what is missing") from None
         self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
@@ -274,8 +274,9 @@ class Device:
         try:
             yield array
         finally:
-            for item in (array, *buffers):
-                item.release()
+            array.release()
+            for buffer in buffers:
+                buffer.release()
 
     def draw_instances(self, program: moderngl.Program, vertices: int, instances: list[tuple[str, np.ndarray]]) -> int:
         """Draw ``vertices`` vertices (triangles; numbered by ``gl_VertexID``) per instance of attributes (n, k) float32.
@@ -292,8 +293,9 @@ class Device:
         ]
         array = self.ctx.vertex_array(program, content)
         self.render(array, vertices=vertices, instances=count)
-        for item in (array, *held):
-            item.release()
+        array.release()
+        for buffer in held:
+            buffer.release()
         return count * vertices // 3
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray) -> int:
@@ -347,10 +349,11 @@ class Device:
         self.check("read")
         return out
 
-    def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture) -> None:
+    def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture | moderngl.Renderbuffer) -> None:
         self._parking.use()  # moderngl would bind a released framebuffer again if it was the current one
-        for item in (target, *textures):
-            item.release()
+        target.release()
+        for texture in textures:
+            texture.release()
 
     def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
         buffer = self._indices.get(rows, cols)

@@ -72,7 +72,10 @@ def linked(program: moderngl.Program, texts: tuple[str, str], constants: list[st
     """A program as it goes on record: its samplers are those that the linker has left active."""
     parts = [line.removeprefix(_PART) for text in texts for line in text.splitlines() if line.startswith(_PART)]
     members = {name: program[name] for name in program}
+    uniforms = {name: member for name, member in members.items() if isinstance(member, moderngl.Uniform)}
     textures = [
-        name for name, member in members.items() if isinstance(member, moderngl.Uniform) and member.gl_type in _SAMPLER_TYPES
+        name
+        for name, uniform in uniforms.items()
+        if uniform.gl_type in _SAMPLER_TYPES  # type: ignore[attr-defined]  # the stubs lack it
     ]
     return Linked(" ".join([*parts, *constants]) or "unnamed", tuple(sorted(textures)))

@@ -121,7 +121,7 @@ def decimate(
 
 
 @compiled
-def _node_errors(height, bulge_m):  # type: ignore[no-untyped-def]
+def _node_errors(height, bulge_m):
     """Error (rows, cols) of each node and how many wholly present triangles it bisects; ``bulge_m`` for a length of 1."""
     rows, cols = height.shape
     error = np.zeros((rows, cols), np.float32)
@@ -143,7 +143,7 @@ def _node_errors(height, bulge_m):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):  # type: ignore[no-untyped-def]
+def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
     """Fill in nodes whose hypotenuses end at (down, right) from them and opposite; those within their triangles are there.
 
     ``parts`` holds two bits for the triangle whose apex comes before the node in reading order, and above them two for the
@@ -180,7 +180,7 @@ def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, rig
 
 
 @compiled
-def _halves(height, parts, row, col, down, right, apex_row, apex_col):  # type: ignore[no-untyped-def]
+def _halves(height, parts, row, col, down, right, apex_row, apex_col):
     """Parts of both halves of a triangle, each bounded by its bisecting node, its apex and an end of its hypotenuse."""
     found = 0
     for end in (-1, 1):
@@ -197,7 +197,7 @@ def _halves(height, parts, row, col, down, right, apex_row, apex_col):  # type: 
 
 
 @compiled
-def _smallest_triangles(height):  # type: ignore[no-untyped-def]
+def _smallest_triangles(height):
     """How many half cells have three present corners; the diagonals meet in the nodes of even row and column."""
     count = 0
     for row in range(height.shape[0] - 1):
@@ -211,7 +211,7 @@ def _smallest_triangles(height):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):  # type: ignore[no-untyped-def]
+def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
     """The tolerances below which nodes are needed for their own sake, float32; and the distance of the nearest node."""
     rows, cols = height.shape
     limit = np.empty((rows, cols), np.float32)
@@ -228,7 +228,7 @@ def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):  # t
 
 
 @compiled
-def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):  # type: ignore[no-untyped-def]
+def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
     """Raise limits of nodes that bend the ground nearest to the eye, which may be far nearer than they are.
 
     A node's error bends the triangles it bisects like a tent, down to nothing at their other edges. Outside of the tent no
@@ -251,7 +251,7 @@ def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):  # type: ignore[n
 
 
 @compiled
-def _propagate(limit):  # type: ignore[no-untyped-def]
+def _propagate(limit):
     """Raise each node's limit to those of the nodes that need it, from the smallest triangles upwards."""
     rows, cols = limit.shape
     step = 1
@@ -271,13 +271,13 @@ def _propagate(limit):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _at(limit, row, col):  # type: ignore[no-untyped-def]
+def _at(limit, row, col):
     inside = 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]
     return limit[row, col] if inside else np.float32(0.0)
 
 
 @compiled
-def _saved(limit, bisected, tolerance):  # type: ignore[no-untyped-def]
+def _saved(limit, bisected, tolerance):
     """How many triangles a tolerance saves: each wholly present triangle that is not bisected saves one."""
     saved = 0
     for row in range(limit.shape[0]):
@@ -287,7 +287,7 @@ def _saved(limit, bisected, tolerance):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _tolerance_that_saves(limit, bisected, triangles):  # type: ignore[no-untyped-def]
+def _tolerance_that_saves(limit, bisected, triangles):
     """The smallest tolerance that saves so many triangles, or the one that saves most.
 
     By counting: first by the upper, then by the lower halves of the limits' bits, which order as the limits do.
@@ -309,7 +309,7 @@ def _tolerance_that_saves(limit, bisected, triangles):  # type: ignore[no-untype
 
 
 @compiled
-def _bisect(limit, height, tolerance, count):  # type: ignore[no-untyped-def]
+def _bisect(limit, height, tolerance, count):
     """Nodes (n, 2) and triangles (count, 3): depth first from the two of the whole square, halved where a node is active."""
     rows, cols = height.shape
     side = 1

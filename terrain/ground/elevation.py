@@ -167,7 +167,7 @@ class Elevation:
         gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
-    def cell_of(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def cell_of(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(Fractional) row and column of coordinates in the raster's CRS; not finite where they are not."""
         gt, inverse = self._dataset.transform, self._cell_from_crs
         # From the raster's corner, so that large coordinates cancel before they are multiplied.
@@ -175,13 +175,13 @@ class Elevation:
         with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
             return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
 
-    def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def covers(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Whether coordinates in the raster's CRS lie on it (longitudes taken round the earth)."""
         row, col = self.cell_of(self._round_earth(x), y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
         return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
-    def ground_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
 
         Longitudes are taken round the earth. Cells are read by blocks of ``BLOCK_CELLS`` a side.
@@ -189,21 +189,21 @@ class Elevation:
         height, there = self._at_points(x, y)
         return np.where(there, height, np.nan)
 
-    def filled_ground_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def filled_ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """As ``ground_m``, with holes filled as for casting; NaN off the raster and where nothing is near.
 
         What stands on the ground takes this: ground models often have holes just where buildings are.
         """
         return self._at_points(x, y)[0]
 
-    def _round_earth(self, x: np.ndarray) -> np.ndarray:
+    def _round_earth(self, x: float | np.ndarray) -> float | np.ndarray:
         """Longitudes moved by whole turns to those nearest to the raster's middle; other coordinates as they are."""
         if not self.crs.is_geographic:
             return x
         middle = float(self.xy(0, (self.cols - 1) / 2)[0])
         return np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
 
-    def _at_points(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _at_points(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float64, holes filled, NaN where there are none) at coordinates, and where there is a surface."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
@@ -283,7 +283,7 @@ class Elevation:
 
     def _read_inside(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         factor = 2**level
-        window = Window(  # type: ignore[call-arg]
+        window = Window(
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
@@ -343,7 +343,7 @@ class Elevation:
             return UNIT_WORDS[word]
         axes = self.crs.axis_info
         if len(axes) == 3:
-            return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))  # type: ignore[return-value]
+            return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))
         return None
 
 
@@ -364,7 +364,7 @@ def _open(source: str) -> rasterio.DatasetReader:
 
 
 @compiled
-def _bilinear(values, valid, row, col):  # type: ignore[no-untyped-def]
+def _bilinear(values, valid, row, col):
     """Bilinear heights at (row, col) of a window, clamped beyond its outer centres; and the nearest cell's validity."""
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)

@@ -49,7 +49,8 @@ def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> 
             height, uplift = _refined(height, SHIFT_CELLS, seed + 2 * level), _refined(uplift, 0.0, 0)
             side *= 2.0
         for _ in range(STEPS[min(level, len(STEPS) - 1)]):
-            _cut(height, uplift, *drainage(height), 1.0 / side)
+            order, receiver = drainage(height)
+            _cut(height, uplift, order, receiver, 1.0 / side)
             _creep(height)
     for _ in range(LAST_CREEP):
         _creep(height)
@@ -57,7 +58,7 @@ def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> 
 
 
 @compiled
-def drainage(height):  # type: ignore[no-untyped-def]
+def drainage(height):
     """Cells from the outlets up (n,), and for each cell (flat index) the one that it drains into (n,); the rim into itself."""
     rows, cols = height.shape
     order = np.empty(rows * cols, np.int64)
@@ -92,7 +93,7 @@ def drainage(height):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cut(height, uplift, order, receiver, cell):  # type: ignore[no-untyped-def]
+def _cut(height, uplift, order, receiver, cell):
     """One step of uplift and incision, in place; ``cell`` is a cell's side."""
     flat, lift, cols = height.ravel(), uplift.ravel(), height.shape[1]
     area = np.full(flat.shape[0], cell * cell)
@@ -108,7 +109,7 @@ def _cut(height, uplift, order, receiver, cell):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _creep(height):  # type: ignore[no-untyped-def]
+def _creep(height):
     rows, cols = height.shape
     before = height.copy()
     for i in range(1, rows - 1):
@@ -118,7 +119,7 @@ def _creep(height):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _refined(coarse, shift, seed):  # type: ignore[no-untyped-def]
+def _refined(coarse, shift, seed):
     """A grid of (2 m - 1, 2 n - 1) nodes, bilinear between the (m, n) given at places shifted by noise, the rim unshifted."""
     rows, cols = coarse.shape
     fine = np.empty((2 * rows - 1, 2 * cols - 1))

@@ -105,7 +105,7 @@ def _averages(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
 
 
 @compiled
-def _sample(colors, cells, where, factor, out):  # type: ignore[no-untyped-def]
+def _sample(colors, cells, where, factor, out):
     rows, cols, _ = colors.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from affine import Affine
@@ -123,7 +124,7 @@ def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.nda
     return _by_strips(_roughened, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
 
 
-def _by_strips(function, rows: int, cols: int, *parameters) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
     """``function(out, row0, *parameters)`` fills each strip of nodes (rows + 1, cols + 1) float32, in threads."""
     out = np.empty((rows + 1, cols + 1), np.float32)
     with ThreadPoolExecutor() as threads:
@@ -134,14 +135,14 @@ def _by_strips(function, rows: int, cols: int, *parameters) -> np.ndarray:  # ty
 
 
 @compiled
-def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
+def _cubic(a, b, c, d, t):
     """Catmull and Rom's cubic between b (t = 0) and c (t = 1), and its slope."""
     p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
     return b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r)
 
 
 @compiled
-def _roughened(out, row0, eroded, first_row, first_col, scale, octaves, seed):  # type: ignore[no-untyped-def]
+def _roughened(out, row0, eroded, first_row, first_col, scale, octaves, seed):
     """Eroded ground between its nodes, with gullies and knolls of ridged noise where it is steep."""
     rows, cols = eroded.shape
     line, slant = np.empty(4), np.empty(4)

@@ -15,7 +15,7 @@ GAIN = 0.5
 
 
 @compiled
-def _hashed(i, j, seed):  # type: ignore[no-untyped-def]
+def _hashed(i, j, seed):
     """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain)."""
     h = np.uint32(seed) ^ (np.uint32(i & 0xFFFFFFFF) * np.uint32(0x9E3779B1))
     for k in range(2):
@@ -28,7 +28,7 @@ def _hashed(i, j, seed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _ramp(i, j, x, y, seed):  # type: ignore[no-untyped-def]
+def _ramp(i, j, x, y, seed):
     """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal."""
     h = _hashed(i, j, seed)
     long = x if h & np.uint32(1) else y
@@ -37,7 +37,7 @@ def _ramp(i, j, x, y, seed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def noise_at(x, y, seed):  # type: ignore[no-untyped-def]
+def noise_at(x, y, seed):
     """Gradient noise of wavelength 1 at a place: about -0.8 to 0.8, 0 at whole coordinates."""
     i, j = int(np.floor(x)), int(np.floor(y))
     x, y = x - i, y - j
@@ -51,7 +51,7 @@ def noise_at(x, y, seed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fractal_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+def fractal_at(x, y, octaves, seed):
     """Octaves of gradient noise, the first of wavelength 1, about -1 to 1. Each is turned, so that no lattice shows."""
     total, amplitude = 0.0, 1.0
     for k in range(octaves):
@@ -63,7 +63,7 @@ def fractal_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def ridged_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+def ridged_at(x, y, octaves, seed):
     """Ridged multifractal noise, the first octave of wavelength 1: about 0 to 2, sharp crests, smooth floors.
 
     Source: F. K. Musgrave, in Ebert et al., *Texturing and Modeling: A Procedural Approach* (3rd ed., 2003), chapter 16.
@@ -80,7 +80,7 @@ def ridged_at(x, y, octaves, seed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fractal(x, y, octaves, seed):  # type: ignore[no-untyped-def]
+def fractal(x, y, octaves, seed):
     """``fractal_at`` on a grid of columns x (n,) and rows y (m,): float64 (m, n)."""
     out = np.empty((y.shape[0], x.shape[0]))
     for i in range(y.shape[0]):

@@ -62,7 +62,8 @@ def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, 
 
 def parts(cells: Cells, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
     """Rows and columns of a grid of some shape, each ``side`` x ``side`` cells, that lie in some cells, and ``more`` round them."""
-    return tuple(  # type: ignore[return-value]
+    rows, cols = (
         slice(min(max(int((first + 0.5) // side) - more, 0), count - 1), min(int((last + 0.5) // side) + 1 + more, count))
         for (first, last), count in zip(cells, shape, strict=True)
     )
+    return rows, cols

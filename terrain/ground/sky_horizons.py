@@ -12,6 +12,7 @@ the sky is. The earth's curvature lowers what is far away by half the distance's
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -99,7 +100,11 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     return SkyView(hidden_sky(height_m, across_m, down_m, world.curvature), level, node_m, _cell_finder(elevation, world))
 
 
-def _apart_m(elevation: Elevation, world: World, one: tuple, other: tuple) -> np.ndarray:
+Cells = tuple[float | np.ndarray, float | np.ndarray]
+"""Their rows and columns."""
+
+
+def _apart_m(elevation: Elevation, world: World, one: Cells, other: Cells) -> np.ndarray:
     """Distances (rows,) of pairs of cells on the earth; where the CRS has no place on it, as in the row of the middle."""
     points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
     apart_m = np.linalg.norm(points[1] - points[0], axis=-1)
@@ -135,7 +140,7 @@ def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _slopes(height, across_m, down_m):  # type: ignore[no-untyped-def]
+def _slopes(height, across_m, down_m):
     """Rise per metre (rows, cols, 2) along rows and from row to row: central differences, one-sided beside holes and at borders."""
     rows, cols = height.shape
     out = np.zeros((rows, cols, 2))
@@ -155,7 +160,7 @@ def _slopes(height, across_m, down_m):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _light(tangent, rise):  # type: ignore[no-untyped-def]
+def _light(tangent, rise):
     """What a sector of the sky above a tangent gives a plane that rises by ``rise`` towards it: Dozier and Frew's integrand over
     the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)`` with the horizon H counted from the zenith.
     """
@@ -164,7 +169,7 @@ def _light(tangent, rise):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvature, out):  # type: ignore[no-untyped-def]
+def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvature, out):
     """Add what is hidden behind, along all lines that go ``aside`` half-rows for each column, by ``way`` to or fro.
 
     ``by_row`` is whether the distances, which are a raster row's, are those of this array's rows or of its columns.
@@ -208,7 +213,7 @@ def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvatur
     return out
 
 
-def pyramid(values: np.ndarray, of_four) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
+def pyramid(values: np.ndarray, of_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """All levels (k,) float32 of a grid, each joining 2 x 2 nodes of the one before, down to one node; and where each begins, its
     rows and its columns (levels, 3) int64. A last odd row or column is joined with itself.
     """
@@ -277,7 +282,7 @@ def nodes_of(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, hei
 
 
 @compiled
-def _cells(position, height, frame_from_earth, origin, plane, axes, first, step, lattice):  # type: ignore[no-untyped-def]
+def _cells(position, height, frame_from_earth, origin, plane, axes, first, step, lattice):
     """Rows and columns (n, 2) in the raster.
 
     Latitude by EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius for the prime vertical's in the height's part.

@@ -116,10 +116,11 @@ class Surface:
             stride = 1
             exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, stride)
             cell = self._cells(x, y, everywhere=True)
+            assert cell is not None
         located = _interpolate(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
         return self.elevation.heights_at(self.level, located[..., 0], located[..., 1])
 
-    def _exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple:
+    def _exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
         first_row, first_col = row0 // stride - 1, col0 // stride - 1
         last_row, last_col = (row0 + rows - 1) // stride + 2, (col0 + cols - 1) // stride + 2
@@ -172,7 +173,8 @@ def _sheet_triangles(rows: int, cols: int, cut: Cut) -> np.ndarray:
 
 def known_triangles(position: np.ndarray, cut: Cut = "SW-NE") -> np.ndarray:
     """Node indices (n, 3) int32 of the triangles of a sheet (rows, cols, 3) that have no NaN corner."""
-    triangles = sheet_triangles(*position.shape[:2], cut)
+    rows, cols = position.shape[:2]
+    triangles = sheet_triangles(rows, cols, cut)
     known = np.isfinite(position[..., 2]).ravel()
     return triangles if known.all() else _with_corners(triangles, known)
 
@@ -195,7 +197,7 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
 
 @compiled
-def _with_corners(triangles, known):  # type: ignore[no-untyped-def]
+def _with_corners(triangles, known):
     """The triangles (n, 3) whose corners are all ``known``, in order."""
     out = np.empty_like(triangles)
     count = 0
@@ -207,7 +209,7 @@ def _with_corners(triangles, known):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cubic_weights(t):  # type: ignore[no-untyped-def]
+def _cubic_weights(t):
     """Lagrange weights of the nodes -1, 0, 1, 2 at ``t`` in [0, 1)."""
     return (
         -t * (t - 1.0) * (t - 2.0) / 6.0,
@@ -218,7 +220,7 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  # type: ignore[no-untyped-def]
+def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):
     """(rows, cols, k) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
     kinds = exact.shape[2]
     out = np.empty((rows, cols, kinds))
@@ -248,7 +250,7 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):  
 
 
 @compiled
-def _positions(exact, first_row, first_col, stride, row0, col0, height):  # type: ignore[no-untyped-def]
+def _positions(exact, first_row, first_col, stride, row0, col0, height):
     """Frame points (rows, cols, 3): the ground at height 0 plus the height along the vertical there."""
     rows, cols = height.shape
     placed = _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols)
@@ -262,7 +264,7 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):  # type
 
 
 @compiled
-def _scattered(exact, first_row, first_col, stride, row, col, height):  # type: ignore[no-untyped-def]
+def _scattered(exact, first_row, first_col, stride, row, col, height):
     """As ``_positions``, for single nodes; sums in the same order, so that the bits are the same."""
     out = np.empty((row.size, 3))
     for n in range(row.size):
@@ -276,7 +278,7 @@ def _scattered(exact, first_row, first_col, stride, row, col, height):  # type: 
 
 
 @compiled
-def _cubic(exact, m, p, w, v, k):  # type: ignore[no-untyped-def]
+def _cubic(exact, m, p, w, v, k):
     if v[1] == 1.0:
         return _cubic_down(exact, m, p, w, k)
     return (
@@ -286,7 +288,7 @@ def _cubic(exact, m, p, w, v, k):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cubic_down(exact, m, n, w, k):  # type: ignore[no-untyped-def]
+def _cubic_down(exact, m, n, w, k):
     if w[1] == 1.0:
         return exact[m, n, k]
     return w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]

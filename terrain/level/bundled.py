@@ -30,7 +30,7 @@ def _jacksboro() -> MemoryFile:
     """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
     from matplotlib.cbook import get_sample_data
 
-    with get_sample_data("jacksboro_fault_dem.npz") as data:
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
         # Row 0 is the north edge although matplotlib calls its latitude "ymin".
         transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymin"]))
         return _write(data["elevation"], CRS.from_epsg(4326), transform, None)

@@ -164,7 +164,7 @@ def algorithm_choice(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN
             raise PydanticCustomError("algorithm", "one of {names}", {"names": ", ".join(names)})
         return item
 
-    choice: dict[str, dict[str, str]] = {}
+    choice: dict[str, dict[Any, Any]] = {}  # what gets in is one of the words
     if not isinstance(value, dict):
         value = {light: value for light in lights}
     for key, item in value.items():
@@ -182,8 +182,8 @@ def algorithm_choice(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN
                 "keys that are a light ({lights}) or a caster kind ({kinds})",
                 {"lights": ", ".join(lights), "kinds": ", ".join(kinds)},
             )
-    automatic = {light: {k: n for k, n in kinds_.items() if n != "auto"} for light, kinds_ in choice.items()}
-    return {light: kinds_ for light, kinds_ in automatic.items() if kinds_}  # type: ignore[misc]
+    named = {light: {k: n for k, n in kinds_.items() if n != "auto"} for light, kinds_ in choice.items()}
+    return {light: kinds_ for light, kinds_ in named.items() if kinds_}
 
 
 def lights_named(value: Any) -> tuple[str, ...]:
@@ -215,7 +215,7 @@ def spelt(algorithm: str | dict[str, Any]) -> str:
     """An override as ``parse_algorithm`` reads it."""
     if isinstance(algorithm, str):
         return algorithm
-    flat = {}
+    flat: dict[str, Any] = {}
     for key, value in algorithm.items():
         flat |= value if isinstance(value, dict) else {key: value}
     return ",".join(f"{key}={value}" for key, value in flat.items())
@@ -242,12 +242,12 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
     if time is None and azimuth is None and altitude is None:
         return None
     if time is not None:
-        given = time.strip()
-        head, space, tail = given.rpartition(" ")
+        written = time.strip()
+        head, space, tail = written.rpartition(" ")
         if space and "T" in head:
-            given = f"{head}+{tail}"
+            written = f"{head}+{tail}"
         try:
-            moment = datetime.fromisoformat(given)
+            moment = datetime.fromisoformat(written)
         except ValueError:
             raise InputError("time", time, TIME_WORDS) from None
         fields: dict[str, Any] = {"time": moment, "azimuth": azimuth, "altitude": altitude}

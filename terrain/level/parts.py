@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from pydantic_core import PydanticCustomError
 
 Units = Literal["m", "ft", "us-ft"]
-METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
+METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
 
 Species = Literal["conifer", "broadleaf", "mixed"]
 MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]

@@ -55,7 +55,8 @@ def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
             standing = stand_ins = buildings(spec, where, loaded, world, elevation)
         else:
             _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
-            spots = [_spot(at, where, world, elevation) for at in spec.places or [None]]
+            places: Sequence[Point | None] = spec.places or [None]
+            spots = [_spot(at, where, world, elevation) for at in places]
             standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots)
             if spec.caster is not None:
                 stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots)

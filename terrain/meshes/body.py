@@ -22,7 +22,10 @@ MERGE_SHARE = 1e-8
 """Vertices closer than about this share of a body's size are one place."""
 
 
-def srgb_albedo(color: Sequence[float] | np.ndarray) -> np.ndarray:
+Vector = Sequence[float] | np.ndarray
+
+
+def srgb_albedo(color: Vector) -> np.ndarray:
     """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]. Source: IEC 61966-2-1, the inverse transfer function."""
     value = np.asarray(color, np.float64)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
@@ -104,9 +107,7 @@ class Placed:
     spin_deg_per_s: float = 0.0
 
 
-def box(
-    size_m: Sequence[float], centre_m: Sequence[float] = (0.0, 0.0, 0.0), albedo: Sequence[float] | np.ndarray | None = None
-) -> Body:
+def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), albedo: Vector | None = None) -> Body:
     """A box of ``size_m`` (east, north, up) round its centre; ``albedo`` is linear."""
     return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
@@ -114,9 +115,9 @@ def box(
 def cylinder(
     radius_m: float,
     height_m: float,
-    centre_m: Sequence[float] = (0.0, 0.0, 0.0),
+    centre_m: Vector = (0.0, 0.0, 0.0),
     sections: int = 32,
-    albedo: Sequence[float] | np.ndarray | None = None,
+    albedo: Vector | None = None,
 ) -> Body:
     """An upright cylinder round its centre; ``albedo`` is linear."""
     return _made(trimesh.creation.cylinder(radius_m, height_m, sections=sections), centre_m, albedo)
@@ -146,7 +147,7 @@ def turn_about_up(turn_deg: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _made(mesh: trimesh.Trimesh, centre_m: Sequence[float], albedo: Sequence[float] | np.ndarray | None) -> Body:
+def _made(mesh: trimesh.Trimesh, centre_m: Vector, albedo: Vector | None) -> Body:
     color = srgb_albedo(NEUTRAL) if albedo is None else np.asarray(albedo, np.float32)
     return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
 
@@ -173,7 +174,7 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
 
 
 @compiled
-def _smoothed(corners, corner_of_place, first, least_cos):  # type: ignore[no-untyped-def]
+def _smoothed(corners, corner_of_place, first, least_cos):
     """Angle-weighted means of face normals round each place, within the crease, per corner (m, 3, 3)."""
     count = corners.shape[0]
     normal = np.empty((count, 3))

@@ -326,5 +326,6 @@ def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
 def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:
     """West, south, east, north for a person: degrees where there are any."""
     if not crs.is_engineering:
-        bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*bounds, densify_pts=21)
+        west, south, east, north = bounds
+        bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(west, south, east, north, densify_pts=21)
     return ", ".join(f"{v:.5f}" if not crs.is_engineering else f"{v:.2f}" for v in bounds)

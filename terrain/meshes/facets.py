@@ -8,7 +8,7 @@ from terrain.compiled import compiled
 
 
 @compiled
-def face_normals(position, triangles):  # type: ignore[no-untyped-def]
+def face_normals(position, triangles):
     """Unit normals (m, 3) float32 of triangles; 0 where one has no area."""
     out = np.zeros((len(triangles), 3), np.float32)
     for t in range(len(triangles)):
@@ -23,7 +23,7 @@ def face_normals(position, triangles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def smooth_normals(faces, triangles, nodes):  # type: ignore[no-untyped-def]
+def smooth_normals(faces, triangles, nodes):
     """Unit normals (n, 3) float32 at nodes: the mean of the faces round each."""
     out = np.zeros((nodes, 3), np.float32)
     for t in range(len(triangles)):
@@ -39,7 +39,7 @@ def smooth_normals(faces, triangles, nodes):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def creases(position, faces, triangles, limit):  # type: ignore[no-untyped-def]
+def creases(position, faces, triangles, limit):
     """How much a mesh bends up round each face: the largest distance (m,) float32, below ``limit``, between its unit normal and
     those of faces that share a node with it and rise above its plane. What bends down is behind the plane as the light sees it,
     and cannot be taken for something in front.
@@ -73,7 +73,7 @@ def creases(position, faces, triangles, limit):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rises(position, corners, point, normal):  # type: ignore[no-untyped-def]
+def _rises(position, corners, point, normal):
     """Whether a corner of a triangle lies above a plane, by more than rounding."""
     for k in range(3):
         x, y, z = (

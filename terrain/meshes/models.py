@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.visual import ColorVisuals, TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from terrain.errors import SourceError
 from terrain.meshes.body import NEUTRAL, Body, srgb_albedo
@@ -90,15 +92,18 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
     """
     decoded = _share if linear else _srgb_bytes
     faces, visual = np.asarray(part.faces), part.visual
-    if visual.kind == "vertex":
+    if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
         return decoded(visual.vertex_colors)[faces].mean(axis=1)
-    if visual.kind == "face":
+    if isinstance(visual, ColorVisuals) and visual.kind == "face":
         return decoded(visual.face_colors)
-    if visual.kind != "texture":
+    if not isinstance(visual, TextureVisuals):
         return np.broadcast_to(srgb_albedo(NEUTRAL), faces.shape)
     material = visual.material
-    pbr = isinstance(material, trimesh.visual.material.PBRMaterial)
-    image, factor = (material.baseColorTexture, material.baseColorFactor) if pbr else (material.image, material.diffuse)
+    pbr = isinstance(material, PBRMaterial)
+    if isinstance(material, PBRMaterial):
+        image, factor = material.baseColorTexture, material.baseColorFactor
+    else:
+        image, factor = material.image, material.diffuse
     if image is None or visual.uv is None or len(visual.uv) != len(part.vertices):
         color = srgb_albedo(NEUTRAL) if factor is None else decoded(factor)
         return np.broadcast_to(color, faces.shape)

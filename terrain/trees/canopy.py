@@ -88,14 +88,15 @@ class Canopy:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
                 self._dataset = dataset = rasterio.open(source)
-            self.crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
+            crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             raise SourceError(source, reason or "it cannot be opened", "a raster with a CRS that GDAL reads") from None
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of canopy heights")
-        if self.crs is None:
+        if crs is None:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
+        self.crs = crs
         if dataset.transform.determinant == 0:
             raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
         unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
@@ -109,7 +110,7 @@ class Canopy:
         bottom, right = min(row0 + rows, self.rows), min(col0 + cols, self.cols)
         if top >= bottom or left >= right:
             return out
-        window = Window(left, top, right - left, bottom - top)  # type: ignore[call-arg]
+        window = Window(left, top, right - left, bottom - top)
         try:
             data = self._dataset.read(1, window=window, masked=True)
         except RasterioError:
@@ -327,7 +328,7 @@ def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np
 
 
 @compiled
-def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per_m):  # type: ignore[no-untyped-def]
+def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per_m):
     """Which cells inside a halo are the highest of their windows; row0, col0 number the halo's first cell in the raster."""
     rows, cols = heights.shape[0] - 2 * halo, heights.shape[1] - 2 * halo
     out = np.zeros((rows, cols), np.bool_)

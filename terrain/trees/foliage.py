@@ -47,7 +47,7 @@ class Foliage:
     levels: tuple[np.ndarray, ...]
 
 
-_KINDS = (
+_KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
     (
         Look("spruce", "conifer", 0.2, 0.3),
         Whorled(

@@ -18,6 +18,8 @@ SUPERSAMPLING = 3  # samples a texel and axis
 SNAP = 2.0**-20  # heights of the tree; strokes are snapped so that the last bits of a machine's sines cannot change a picture
 OUTLIERS = (0.01, 0.001)  # share of the strokes' ends at the rim and at the top that may lie beyond the picture
 
+Colour = tuple[float, float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class Strokes:
@@ -54,8 +56,8 @@ class Whorled:
     spacing: float
     thickness: float
     stem: float
-    needle_albedo: tuple[float, float, float]
-    bark_albedo: tuple[float, float, float]
+    needle_albedo: Colour
+    bark_albedo: Colour
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,9 @@ class Clumped:
     leaf: tuple[float, float]
     fork: float
     stem: float
-    leaf_albedo: tuple[float, float, float]
-    bark_albedo: tuple[float, float, float]
-    limb_albedo: tuple[float, float, float]
+    leaf_albedo: Colour
+    bark_albedo: Colour
+    limb_albedo: Colour
 
 
 def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -254,7 +256,9 @@ def _limbs(model: Clumped, centre: np.ndarray, rng: np.random.Generator) -> Stro
     return _strokes(np.vstack(start), np.vstack(end), np.vstack(radius), model.limb_albedo)
 
 
-def _stem(radius: float, top: float, top_radius: float, low_albedo: tuple, high_albedo: tuple, rng: np.random.Generator) -> Strokes:
+def _stem(
+    radius: float, top: float, top_radius: float, low_albedo: Colour, high_albedo: Colour, rng: np.random.Generator
+) -> Strokes:
     """A stem in short pieces of mottled bark, flared at the foot and nearly straight above it."""
     pieces = 80
     z = np.linspace(-0.02, top, pieces + 1)
@@ -317,7 +321,10 @@ def _fitted(tree: Strokes, radius: float, size: int) -> Strokes:
     return Strokes(start[kept], end[kept], np.round(tree.radius[kept] / SNAP) * SNAP, tree.albedo[kept])
 
 
-def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: tuple, high: tuple, size: int) -> np.ndarray:
+Corner = tuple[float, float]
+
+
+def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: Corner, high: Corner, size: int) -> np.ndarray:
     """An orthographic picture: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
     across, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
     start, end = tree.start[:, across] * sign, tree.end[:, across] * sign
@@ -325,7 +332,8 @@ def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: t
     thick = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # nothing is thinner than a texel is narrow
     front = np.maximum(start[:, 2], end[:, 2]) + thick.max(axis=1)
     order = np.argsort(-front, kind="stable")  # from the front, so that most of what is hidden is passed over
-    seen = _nearest(start[order], end[order], thick[order], front[order], *low, *step, size * SUPERSAMPLING)
+    strokes = start[order], end[order], thick[order], front[order]
+    seen = _nearest(*strokes, low[0], low[1], step[0], step[1], size * SUPERSAMPLING)
     return _texels(seen, tree.albedo[order], SUPERSAMPLING)
 
 
@@ -381,7 +389,7 @@ def _texels(seen, albedo, samples):
     return rgba
 
 
-def _strokes(start: np.ndarray, end: np.ndarray, radius: np.ndarray, albedo) -> Strokes:
+def _strokes(start: np.ndarray, end: np.ndarray, radius: np.ndarray, albedo: Colour | np.ndarray) -> Strokes:
     return Strokes(start, end, radius, np.broadcast_to(np.asarray(albedo, dtype=np.float64), start.shape))
 
 

@@ -330,7 +330,8 @@ def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:
     crs = site.elevation.crs
     if site.crs != crs:
         try:
-            bounds = np.array(transformer(site.crs, crs).transform_bounds(*bounds, densify_pts=21))
+            west, south, east, north = bounds
+            bounds = np.array(transformer(site.crs, crs).transform_bounds(west, south, east, north, densify_pts=21))
         except ProjError:
             bounds = np.full(4, np.nan)
     stand, terrain = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))

@@ -99,7 +99,7 @@ def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Place
 
 
 @compiled
-def _mixed(x):  # type: ignore[no-untyped-def]
+def _mixed(x):
     """splitmix64 (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN
     x = (x ^ (x >> _S30)) * _FIRST
@@ -108,18 +108,18 @@ def _mixed(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def pair_key(seed, i, j):  # type: ignore[no-untyped-def]
+def pair_key(seed, i, j):
     """Hash uint64 of a pair of integers, for compiled loops."""
     return _mixed(_mixed(_mixed(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
 
 
 @compiled
-def _share(key, stream):  # type: ignore[no-untyped-def]
+def _share(key, stream):
     return np.float64(_mixed(key ^ _mixed(np.uint64(stream))) >> _S11) * 2.0**-53
 
 
 @compiled
-def _keys(seed, i, j):  # type: ignore[no-untyped-def]
+def _keys(seed, i, j):
     out = np.empty(i.size, np.uint64)
     for n in range(i.size):
         out[n] = pair_key(seed, i[n], j[n])
@@ -127,7 +127,7 @@ def _keys(seed, i, j):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shares(key, stream):  # type: ignore[no-untyped-def]
+def _shares(key, stream):
     out = np.empty(key.size)
     for n in range(key.size):
         out[n] = _share(key[n], stream)
@@ -135,7 +135,7 @@ def _shares(key, stream):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _placed(seed, row0, col0, rows, cols):  # type: ignore[no-untyped-def]
+def _placed(seed, row0, col0, rows, cols):
     """x, y in cells and hashes of the trees of a window of cells, row by row.
 
     Cells are coloured like 2 x 2 tiles and placed colour by colour: each takes the first place drawn in it that is clear

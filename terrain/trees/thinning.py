@@ -29,7 +29,7 @@ def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _scrambled(count):  # type: ignore[no-untyped-def]
+def _scrambled(count):
     """Ranks (count,) float32 of numbers in turn: their binary digits in reverse, each turned over or not by a hash of the higher
     digits of the number and of those of the rank before it. Up to 2^23 of them are exact, and so are below 1 and all different.
     """
@@ -47,7 +47,7 @@ def _scrambled(count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _morton(a, b):  # type: ignore[no-untyped-def]
+def _morton(a, b):
     """Numbers whose bits are those of a and b in turn (21 bits each)."""
     out = np.zeros(a.size, np.uint64)
     for n in range(a.size):

@@ -22,6 +22,7 @@ def boxgrid() -> list[Body]:
     for layer, row, col in product(range(COUNT), repeat=3):
         low = (first + col * PITCH_M - SIDE_M / 2, first + row * PITCH_M - SIDE_M / 2, LOWEST_M + layer * PITCH_M)
         share = layer / (COUNT - 1)
-        color = tuple(a + (b - a) * share for a, b in zip(LOW_COLOR, HIGH_COLOR, strict=True))
-        bodies.append(cuboid(low, tuple(v + SIDE_M for v in low), color))  # type: ignore[arg-type]
+        red, green, blue = (a + (b - a) * share for a, b in zip(LOW_COLOR, HIGH_COLOR, strict=True))
+        high = (low[0] + SIDE_M, low[1] + SIDE_M, low[2] + SIDE_M)
+        bodies.append(cuboid(low, high, (red, green, blue)))
     return bodies
