@@ -25,7 +25,7 @@ def effects_ran(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     found: set[EffectName] = set()
     for record in passes:
         if record.name in EFFECTS:
-            found.add(record.name)  # type: ignore[arg-type]
+            found.add(record.name)
         light, is_algorithm, work = record.name.partition("/")
         if not is_algorithm:
             continue

@@ -90,6 +90,7 @@ def fill(
     stencil = np.zeros(ground.shape, np.uint8)
     stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projected, passes, log)
     if buffer.sample_pixels is not None:
+        assert isinstance(view, PerspectiveView)
         finer = finer_view(view)
         below = ground[view.rows :]
         pixels = tuple(index[below] for index in buffer.sample_pixels)
@@ -116,7 +117,7 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
     """What casts, counted from the point of the plane below the eye or in the middle of a map."""
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
-        middle, _ = scene.world.ground(view.grid.crs, *(np.float64(v) for v in view.centre))
+        middle, _ = scene.world.ground(view.grid.crs, *view.centre)
     else:
         middle = view.eye_earth_m
     origin = frame.frame_from_earth @ (middle - frame.origin_earth_m)

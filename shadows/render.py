@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -139,7 +139,7 @@ def render_frame(
     position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
     log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), KeptLayers(size)
     scene = _under_sky(scene, plan, log)
-    parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     for done, (part, row, col) in enumerate(parts, start=1):
         block = _render_block(scene, part, plan, log)
         reach = _worse(reach, block.reach)
@@ -147,7 +147,7 @@ def render_frame(
             slice(max(row, 0), min(row + part.rows, view.rows)),
             slice(max(col, 0), min(col + part.cols, view.cols)),
         )
-        theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (row, col), strict=True))
+        theirs = (slice(ours[0].start - row, ours[0].stop - row), slice(ours[1].start - col, ours[1].stop - col))
         color[ours], height[ours] = block.color[theirs], block.height_m[theirs]
         for light, whole in visibilities.items():
             whole[ours] = block.visibilities[light][theirs]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from terrain.geo.grid import MapView
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
-FILLS = {
+FILLS: dict[str, Callable[..., np.ndarray]] = {
     "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
     "hybrid": hybrid.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill,
 }  # fmt: skip

@@ -60,9 +60,9 @@ def fill(
     marks = verdict == MASKED
     log.keep("silhouettes", light, lambda: np.where(marks, np.uint8(255), np.uint8(0)))
     with log.run(passes[3]) as record:
-        own = np.nonzero(marks[: buffer.view.rows])
-        record.marked += len(own[0])
-        record.tiles += int(marked_tiles(*own, (buffer.view.rows, buffer.view.cols)).sum())
+        row, col = np.nonzero(marks[: buffer.view.rows])
+        record.marked += len(row)
+        record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
         counts = count(buffer, scene, at, volumes, settings, marks, True, record)
     log.keep("stencil", light, counts.copy)
     return np.where(np.where(marks, counts > 0, verdict == SHADED), np.float32(0.0), np.float32(1.0))

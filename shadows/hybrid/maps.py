@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,7 +137,7 @@ def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool
     return found, False
 
 
-def _in_texels(window: _Window, points: np.ndarray, clipped) -> np.ndarray:
+def _in_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Triangles or edges (n, k, 4) of volumes in texels and depth (m, k, 3), a lamp's clipped at its near plane."""
     at = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.lamp:
@@ -180,11 +180,11 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
         low, high = low[:2], high[:2]
         texel = np.maximum((high - low) / max(map_size - 2 * BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
         first = low - BORDER_TEXELS * texel
-        size = tuple(int(n) for n in np.ceil((high - first) / texel) + BORDER_TEXELS)
+        width, height = (int(n) for n in np.ceil((high - first) / texel) + BORDER_TEXELS)
         _to_texels(u, first[0], texel[0])
         _to_texels(v, first[1], texel[1])
         yield _Window(
-            chosen, u, v, depth, slack, rotation, translation, light != SUN, near_m, first, texel, size,  # type: ignore[arg-type]
+            chosen, u, v, depth, slack, rotation, translation, light != SUN, near_m, first, texel, (width, height),
         )  # fmt: skip
 
 

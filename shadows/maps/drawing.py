@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 from moderngl import Framebuffer
@@ -62,8 +63,8 @@ def draw_map(
         leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
         set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
     largest = 0
-    offset = tuple(settings.bias_scale * part for part in POLYGON_OFFSET) if settings.bias == "polygon_offset" else (0.0, 0.0)
-    with gl.depth_pass(target, offset):
+    factor, units = (settings.bias_scale * part if settings.bias == "polygon_offset" else 0.0 for part in POLYGON_OFFSET)
+    with gl.depth_pass(target, (factor, units)):
         for number, face in enumerate(drawn.faces):
             gl.ctx.viewport = (number % 3 * width, number // 3 * height, width, height)
             if len(drawn.faces) > 1:
@@ -120,7 +121,7 @@ def _trees_drawn(drawn: DepthMap) -> Stand | None:
     return trees_in_the_way(drawn.trees, *drawn.reach)
 
 
-def _turned(uniforms: dict, face: np.ndarray) -> dict:
+def _turned(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:
     """A lamp's rotation and offset, turned to one of its faces."""
     rotation = face @ np.array(uniforms["light_from_frame"]).reshape(3, 3).T
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}

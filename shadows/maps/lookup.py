@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from moderngl import Framebuffer, Program
+from moderngl import Framebuffer, Program, Texture, Uniform
 
 from shadows.maps.drawing import MapSettings
 from shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
@@ -65,8 +65,8 @@ def look_up(
                 rows = -(-len(chosen) // LOOK_COLS)
                 some = [np.zeros((rows * LOOK_COLS, width), np.float32) for width in (3, 4, 9)]
                 _gather(chosen, *flat, *some)
-                some = [array.reshape(rows, -1, width) for array, width in zip(some, (3, 4, 3), strict=True)]
-                visibility.ravel()[chosen] = _drawn_pixels(gl, program, some, target, drawn, record).ravel()[: len(chosen)]
+                arrays = [array.reshape(rows, -1, width) for array, width in zip(some, (3, 4, 3), strict=True)]
+                visibility.ravel()[chosen] = _drawn_pixels(gl, program, arrays, target, drawn, record).ravel()[: len(chosen)]
 
 
 def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:
@@ -92,8 +92,17 @@ def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | s
             "least_depth": LEAST_UNIT, "block_texels": BLOCK_TEXELS, "disc_tangent": DISC_TANGENT, "widest_m": widest_m,
         })  # fmt: skip
         for name, bits in zip(("left_of", "below"), samples_before_edges(), strict=True):
-            program[name].write(bits.tobytes())
+            uniform = program[name]
+            assert isinstance(uniform, Uniform)
+            uniform.write(bits.tobytes())
     return program
+
+
+def _use_depths(target: Framebuffer) -> None:
+    """Put a depth map in its texture unit."""
+    depths = target.depth_attachment
+    assert isinstance(depths, Texture)
+    depths.use(MAP_UNIT)
 
 
 @contextmanager
@@ -104,7 +113,7 @@ def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer, settings: Ma
         return
     program = gl.program(shader("shadows/pixels.vert"), shader("shadows/maps/least_depth.frag"))
     set_uniforms(program, {"depth_map": MAP_UNIT, "block_texels": BLOCK_TEXELS})
-    target.depth_attachment.use(MAP_UNIT)
+    _use_depths(target)
     width, height = drawn.size
     blocks = gl.float_target(width // BLOCK_TEXELS, height // BLOCK_TEXELS)
     gl.draw_pixels(program, blocks)
@@ -124,7 +133,7 @@ def _drawn_pixels(
     textures = [gl.texture(array) for array in arrays]
     for unit, texture in enumerate(textures):
         texture.use(unit)
-    target.depth_attachment.use(MAP_UNIT)
+    _use_depths(target)
     visible = gl.float_target(cols, rows)
     gl.draw_pixels(program, visible)
     found = gl.read(visible)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class DepthMap:
     (rotation, translation, low, high: as ``terrain.casters.casting.trees_in_the_way`` takes them); ``None``: all of them do.
     """
 
-    uniforms: dict
+    uniforms: dict[str, Any]
     size: tuple[int, int]
     faces: tuple[np.ndarray, ...]
     depth_bits: int
@@ -71,13 +72,14 @@ def sun_maps(
 
     What is turned away from the sun needs no map; but a map view's stable windows go by all of its ground, whatever the sun.
     """
-    in_map = isinstance(buffer.view, MapView)
-    receivers = buffer.there if in_map and settings.fit == "stable" else buffer.there & ~attached(buffer, scene)
-    if len(settings.cascades) == 1 or in_map:
+    view = buffer.view
+    stable = isinstance(view, MapView) and settings.fit == "stable"
+    receivers = buffer.there if stable else buffer.there & ~attached(buffer, scene)
+    if len(settings.cascades) == 1 or isinstance(view, MapView):
         if not receivers.any():
             return []
         return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, nearest_m)]
-    eye, _ = buffer.view.in_frame(buffer.frame)
+    eye, _ = view.in_frame(buffer.frame)
     away_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
     for cascade in settings.cascades:

@@ -176,7 +176,7 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, 
 
 def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Ground:
     """One sheet over windows of heights; where there is none, there is no ground."""
-    row0, col0 = (min(window[axis] for window in windows) for axis in (0, 1))
+    row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,8 @@ def cached_truth(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.npz")
-        np.savez_compressed(part, **{name: np.packbits(getattr(truth, name)) for name in _FIELDS})
+        packed: dict[str, Any] = {name: np.packbits(getattr(truth, name)) for name in _FIELDS}
+        np.savez_compressed(part, **packed)
         part.replace(path)
         _trim(folder)
     except OSError:

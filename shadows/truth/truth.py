@@ -189,7 +189,7 @@ def coverage_truth(
     shape = tuple(size // block_px for size in buffer.there.shape)
     out = np.full(shape, np.nan)
     has_surface = buffer.there[: shape[0] * block_px, : shape[1] * block_px]
-    has_surface = has_surface.reshape(shape[0], block_px, shape[1], block_px).any(axis=(1, 3))
+    has_surface = np.any(has_surface.reshape(shape[0], block_px, shape[1], block_px), axis=(1, 3))
     candidates = np.flatnonzero(has_surface)
     if not len(candidates) or (light == SUN and scene.sun is None):
         return out

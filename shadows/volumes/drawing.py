@@ -26,7 +26,7 @@ from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receivin
 from shadows.volumes.volumes import Volumes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import Device, device
-from terrain.gl.stencil import MARK, Counting
+from terrain.gl.stencil import MARK, Counting, Side
 from terrain.scene import Scene
 
 COUNT = ~MARK & 0xFF
@@ -116,10 +116,11 @@ def _counted(
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
     clamped, away_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
-    faces = max((len(each.faces) for each in volumes), default=0)
-    parts = rectangles(marked_tiles(points.row, points.col, size), size, faces)
+    most = max((len(each.faces) for each in volumes), default=0)
+    parts = rectangles(marked_tiles(points.row, points.col, size), size, most)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.at), np.uint8)
+    sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
     with receiving(gl, buffer, scene, points, parts, marked) as (target, program):
         for number, each in enumerate(volumes):
             if number:
@@ -132,7 +133,7 @@ def _counted(
                 if not len(some.faces):
                     continue
                 with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
-                    for side in ("both",) if settings.stencil == "one_pass" else ("front", "back"):
+                    for side in sides:
                         with gl.stencil.count_pass(target, counting, side, marked, clamped, away_steps):
                             _render(gl, target, array, parts, some.starts)
                         record.triangles += len(some.faces)
@@ -180,4 +181,4 @@ def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts:
         if end > first:
             target.scissor = tuple(part)
             gl.render(array, vertices=3 * (end - first), first=3 * first)
-    target.scissor = None
+    target.scissor = None  # type: ignore[assignment]  # the stubs know of no way to put it back

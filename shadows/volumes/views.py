@@ -129,7 +129,7 @@ def receiving(
             for part in parts.tolist():
                 target.scissor = tuple(part)
                 gl.draw_quad(fill)
-            target.scissor = None
+            target.scissor = None  # type: ignore[assignment]  # the stubs know of no way to put it back
     texture.release()
     yield target, program
 

@@ -111,8 +111,8 @@ def volumes_of(
         found += _of_sheet(sheet, light_frame)
     meshes: list[tuple[Mesh, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
-        rule = ALL if ground_has_gaps(buffer, scene) else TURNED_AWAY
-        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), rule))
+        of_ground = ALL if ground_has_gaps(buffer, scene) else TURNED_AWAY
+        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), of_ground))
     if "meshes" in kinds and scene.population.solids is not None:
         meshes.append((caster_solids(scene.population, buffer.frame), None))
     for mesh, rule in meshes:
@@ -186,7 +186,7 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
     # Nodes of the ground that are not there are NaN, and belong to no triangle.
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.fmin, np.fmax))
     if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
-        holds = ((low - TOUCH_M < light[:3]) & (light[:3] < high + TOUCH_M)).all(axis=1)[part[triangles[:, 0]]]
+        holds = np.all((low - TOUCH_M < light[:3]) & (light[:3] < high + TOUCH_M), axis=1)[part[triangles[:, 0]]]
         rule = np.where(holds, np.int8(ALL), rule)
         rule[holds] = np.where(_heights_m(vertices, triangles[holds], light) < TOUCH_M, np.int8(0), rule[holds])
     turns = turns_of(facing(vertices, triangles, light), rule)
