@@ -14,7 +14,7 @@ NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --n
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long hunt lint viewer viewer-if-possible clean
+.PHONY: help setup run test test-long hunt check viewer viewer-if-possible clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,7 +22,7 @@ help:
 	@echo "make test       the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long  the tests that take minutes"
 	@echo "make hunt       draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
-	@echo "make lint       ruff"
+	@echo "make check      ruff and mypy"
 	@echo "make viewer     build the viewer into api/static/"
 	@echo "make clean      remove everything that make has made"
 
@@ -44,8 +44,10 @@ test-long: setup
 hunt: setup
 	$(VENV)/bin/python -m tests.hard_cases.hunt $(ARGS)
 
-lint: $(INSTALLED)
+check: $(INSTALLED)
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
 
 viewer: $(VIEWER)
 

@@ -13,6 +13,7 @@ from PIL import Image
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
+from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
@@ -20,7 +21,7 @@ PictureLayer = Literal["color", "shadow", "mask"]
 DataLayer = Literal["visibility", "depth", "position"]
 Layer = Literal[PictureLayer, DataLayer, PassLayer]
 
-PASS_LAYERS: frozenset[str] = frozenset(get_args(PassLayer))
+PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer), *get_args(PassLayer))
 SUFFIXES: dict[str, tuple[str, ...]] = {
     "color": (".png", ".webp", ".tif", ".jpg"),
@@ -94,7 +95,7 @@ def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
         return frame.visibility
     if layer == "depth" and isinstance(view, MapView):
         return np.where(there, scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
-    if layer == "depth":
+    if layer == "depth" and isinstance(view, PerspectiveView):
         return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
     if layer == "position":
         out = np.full((view.rows, view.cols, 3), np.nan)
@@ -109,7 +110,7 @@ def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
     raise InputError("layer", layer, ", ".join(LAYERS))
 
 
-def _kept(frame: Frame, layer: str) -> np.ndarray:
+def _kept(frame: Frame, layer: PassLayer) -> np.ndarray:
     by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
     if not by_light:
         raise InputError("layer", layer, "a layer of something that was drawn: the view shows nothing under a light")

@@ -31,7 +31,7 @@ class Asked:
 
     shadows: Shadows
     light_names: tuple[str, ...]
-    effects: str | dict[EffectName, str] = "auto"
+    effects: str | Mapping[EffectName, str] = "auto"
 
 
 @dataclass(frozen=True)

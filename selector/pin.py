@@ -224,7 +224,7 @@ def _comment(why: Sequence[str], indent: str) -> list[str]:
 
 def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
     """A setting's values by light and kind of casters, of those that have it."""
-    found = {}
+    found: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
             value = _value(settings, key)

@@ -31,6 +31,7 @@ from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
+from terrain.level.level import AlgorithmName, CasterKind
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -280,7 +281,7 @@ def _as_overrides(picks: Mapping[str, Pick]) -> dict[str, Any]:
     return out
 
 
-def _choices(picks: Mapping[str, Pick]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+def _choices(picks: Mapping[str, Pick]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
     return {light: (dict(pick.algorithm), dict(pick.settings)) for light, pick in picks.items()}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from api.calibrated import calibration_for
 from api.cli.snapshot import scene_and_view
@@ -58,7 +58,7 @@ def choose(
     if anew:
         scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
-    return Choice(path, scene, seen, plan_of_view(scene, seen, view, overrides, policy, device))
+    return Choice(path, scene, seen, plan_of_view(scene, seen, view, overrides, cast(PolicyName, policy), device))
 
 
 def pin_down(choice: Choice) -> str:

@@ -54,7 +54,7 @@ def _drawing() -> Finding:
     """Draw a small known map: the whole path from a level to a frame."""
     from api.catalogue import find_level
     from api.cli.snapshot import snapshot
-    from terrain.level.level import SunSpec
+    from terrain.level.parts import SunSpec
 
     try:
         sun = SunSpec(azimuth=237, altitude=10)

@@ -24,7 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_UsageError = typer.BadParameter.__mro__[1]
+_UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
 LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
@@ -117,7 +117,7 @@ def render(
     )  # fmt: skip
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
-        kept = PASS_LAYERS & {layer}
+        kept = frozenset(each for each in PASS_LAYERS if each == layer)
         scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, cast, get_args
 from urllib.parse import urlencode
 
 from fastapi import Query, Request
@@ -15,7 +15,8 @@ from api.layers import PictureLayer
 from api.workers.jobs import Overrides, PlanOverrides, ServedPolicy
 from shadows.plan import Culling, MapBias
 from terrain.errors import InputError
-from terrain.level.level import SunSpec, parse_sun
+from terrain.level.level import parse_sun
+from terrain.level.parts import SunSpec
 from terrain.scene import MAX_PERSPECTIVE_PX
 
 PICTURE_PARAMETERS = (
@@ -157,7 +158,7 @@ async def plan_wishes(
         max_error=max_error, max_ms=max_ms, algorithm=algorithm, map_size=map_size, cascades=cascades, depth_bits=depth_bits,
         filter=filter, bias=bias, culling=culling, stencil=stencil, counting=counting, mask=mask,
     )  # fmt: skip
-    return PlanWishes(policy, _served(overrides))
+    return PlanWishes(cast(ServedPolicy, policy), _served(overrides))
 
 
 def _served(overrides: OverridesT) -> OverridesT:

@@ -17,19 +17,19 @@ router = APIRouter(tags=["health"], dependencies=[Depends(only())])
 _UNCACHED = {"Cache-Control": "no-store"}
 
 
-@router.get("/healthz", summary="Whether the service is alive")
-async def healthz() -> dict[str, str]:
+@router.get("/healthz", summary="Whether the service is alive", response_model=dict[str, str])
+async def healthz() -> JSONResponse:
     """Answers while the service runs, whether or not it can draw."""
-    return JSONResponse({"status": "ok"}, headers=_UNCACHED)  # type: ignore[return-value]
+    return JSONResponse({"status": "ok"}, headers=_UNCACHED)
 
 
-@router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503))
-async def readyz(service: TheService) -> dict[str, Any]:
+@router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503), response_model=dict[str, Any])
+async def readyz(service: TheService) -> JSONResponse:
     """503 until a render process has warmed up, and while none runs."""
     pool = service.pool
     if not pool.ready:
         raise NotReadyError("No render process is ready; the service's log says why if this lasts.")
-    return JSONResponse(  # type: ignore[return-value]
+    return JSONResponse(
         {"status": "ready", "renderer": pool.renderer, "workers": len(pool.pids), "queued": pool.queued},
         headers=_UNCACHED,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 from urllib.parse import quote
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.http.answers import json_answer
@@ -17,27 +17,28 @@ from api.workers.jobs import PictureFormat
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
 
-@router.get("/levels", summary="The levels", dependencies=[Depends(only())])
-async def levels(request: Request, service: TheService) -> list[dict[str, Any]]:
+@router.get("/levels", summary="The levels", dependencies=[Depends(only())], response_model=list[dict[str, Any]])
+async def levels(request: Request, service: TheService) -> Response:
     """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
 
     `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
     `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.
     """
     served = await run_in_threadpool(service.levels.all)
-    return json_answer(request, [level.summary() for level in served])  # type: ignore[return-value]
+    return json_answer(request, [level.summary() for level in served])
 
 
-@router.get("/levels/{level}", summary="A level", dependencies=[Depends(only())])
-async def level(request: Request, service: TheService, level: str) -> dict[str, Any]:
+@router.get("/levels/{level}", summary="A level", dependencies=[Depends(only())], response_model=dict[str, Any])
+async def level(request: Request, service: TheService, level: str) -> Response:
     """One level, as in the list."""
-    return json_answer(request, (await service.level(level)).summary())  # type: ignore[return-value]
+    return json_answer(request, (await service.level(level)).summary())
 
 
 @router.get(
     "/levels/{level}/{tms}/tilejson.json",
     summary="TileJSON",
     dependencies=[Depends(only("layer", "format", *PICTURE_PARAMETERS))],
+    response_model=dict[str, Any],
 )
 async def tilejson(
     request: Request,
@@ -47,7 +48,7 @@ async def tilejson(
     wanted: Annotated[Wishes, Depends(wishes)],
     layer: Layer = "color",
     format: Annotated[PictureFormat, Query(description="Of the tiles.")] = "png",
-) -> dict[str, Any]:
+) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
 
     Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
@@ -56,15 +57,16 @@ async def tilejson(
     served = await service.level(level)
     zooms = served.zooms_in(tms)
     sun = await run_in_threadpool(served.sun, wanted.sun)
-    where = None if sun is None else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
-    if sun is not None and sun.time is not None:
-        where = {"time": sun.time.isoformat(), **where}
+    where: dict[str, Any] | None = None
+    if sun is not None:
+        own = {} if sun.time is None else {"time": sun.time.isoformat()}
+        where = {**own, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
     assert served.bounds is not None  # it has zooms, so it has a place on earth
     west, south, east, north = served.bounds
     query = wanted.query(**({} if layer == "color" else {"layer": layer}))
     address = f"{_base_url(request, service.settings.public_url)}/levels/{quote(served.name)}/tiles/{tms}"
     tiles = f"{address}/{{z}}/{{x}}/{{y}}.{format}"
-    return json_answer(  # type: ignore[return-value]
+    return json_answer(
         request,
         {
             "tilejson": "3.0.0",

@@ -18,7 +18,8 @@ from shadows.registry import ALGORITHMS
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.level.level import SUN, LoadedLevel, SunSpec, algorithm_choice, lights_named, load_level
+from terrain.level.level import SUN, LoadedLevel, algorithm_choice, lights_named, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"

@@ -145,17 +145,20 @@ class _Told:
     def _step(self, step: Step) -> Iterator[str]:
         why: dict[str, list[str]] = {}
         for kind in step.kinds:
-            reasons = [one.reason for one in self._take(lambda name, kind=kind: name == f"{step.light}/{kind}: {step.algorithm}")]
+            reasons = self._named(f"{step.light}/{kind}: {step.algorithm}")
             why.setdefault("; ".join(reasons), []).append(kind)
         for reason, kinds in why.items():
             taken = "casts nothing" if step.algorithm == "none" else f"by {spoken(step.algorithm)}"
             yield f"  {_capital(listed(kinds))} {taken}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
-            names = (f"{key} {value}", f"{step.light}: {key} {value}")
-            reasons = [one.reason for one in self._take(lambda name, names=names: name in names)]
+            reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
             if reasons or (key in ALWAYS_SAID and (key, value) not in (("cascades", 1), ("filter", 1))):
-                why = f": {reasons[0]}" if reasons and reasons[0] != AS_PICKED else ""
-                yield f"    {_capital(_setting(key, value))}{why}."
+                reason = f": {reasons[0]}" if reasons and reasons[0] != AS_PICKED else ""
+                yield f"    {_capital(_setting(key, value))}{reason}."
+
+    def _named(self, *names: str) -> list[str]:
+        """The reasons that go by one of some names."""
+        return [one.reason for one in self._take(lambda name: name in names)]
 
     def _take(self, wanted: Callable[[str], bool]) -> list[Reasoned]:
         taken = [one for one in self._left if wanted(one.name)]

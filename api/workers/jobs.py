@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict
 from api.errors import OUTCOMES
 from api.layers import PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
-from terrain.level.level import SunSpec, parse_algorithm
+from terrain.level.level import parse_algorithm
+from terrain.level.parts import SunSpec
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile

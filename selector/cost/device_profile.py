@@ -9,11 +9,11 @@ import re
 import tempfile
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-SCHEMA = 1
+SCHEMA: Final = 1
 """Changes with what the rates mean: profiles of another one count as none."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]

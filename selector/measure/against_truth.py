@@ -126,7 +126,8 @@ def _joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
 
 def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
     """The largest texels of any of a plan's steps at a block's points, pixels (rows, cols)."""
-    return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in steps or [None]], axis=0)
+    drawing: Sequence[Step | None] = steps or [None]
+    return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in drawing], axis=0)
 
 
 def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> Ground:

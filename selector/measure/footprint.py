@@ -22,7 +22,8 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     if isinstance(settings, ShadowMapSettings) and scene.sun is not None:
         sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
         sides = [max(cascade.texel_m[0], cascade.texel_m[1] / sine) for cascade in settings.cascades]
-        texel_m = np.array(sides)[np.searchsorted([cascade.far_m for cascade in settings.cascades[:-1]], away_m)]
+        ends_m = [cascade.far_m for cascade in settings.cascades[:-1] if cascade.far_m is not None]
+        texel_m = np.array(sides)[np.searchsorted(ends_m, np.asarray(away_m))]
     elif isinstance(settings, LampMapSettings) and step is not None:
         lamp = scene.lamps[step.light]
         position, _ = lamp_in_frame(buffer, lamp)
@@ -41,9 +42,11 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
 @kept("scene", 512 * MIB)
 def _from_eye(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     """How far a perspective view's points are from the eye, and the side of a pixel at their depths: (rows, cols) metres each."""
-    eye, camera_from_frame = buffer.view.in_frame(buffer.frame)  # type: ignore[union-attr]
+    view = buffer.view
+    assert isinstance(view, PerspectiveView)
+    eye, camera_from_frame = view.in_frame(buffer.frame)
     way_m = buffer.position_frame_m - eye
-    return np.linalg.norm(way_m, axis=-1), way_m @ camera_from_frame[2] * buffer.view.pixel  # type: ignore[union-attr]
+    return np.linalg.norm(way_m, axis=-1), way_m @ camera_from_frame[2] * view.pixel
 
 
 def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.ndarray) -> np.ndarray:

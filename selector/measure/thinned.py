@@ -57,20 +57,21 @@ class ThinTruth:
         wrong = real.decidable & (dark != true_dark)
         cast = real.decidable & (dark | true_dark) & ~real.attached
         wider = self.every if isinstance(self.buffer.view, PerspectiveView) else 1
-        texels_px = np.max([texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]], axis=0)
+        drawing: Sequence[Step | None] = steps or [None]
+        texels_px = np.max([texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in drawing], axis=0)
         inside = wrong & (self.edge_px > np.maximum(INTERIOR_PX, 2.0 * wider * texels_px))
         share, spread = _share(wrong & cast, cast), 0.0
         if self.every > 1:
-            spread = float(np.sqrt(share * (1.0 - share) / max(np.count_nonzero(cast), 1)))
+            spread = float(np.sqrt(share * (1.0 - share) / max(int(np.count_nonzero(cast)), 1)))
         return Shares(_share(wrong, real.decidable), share, _share(inside, real.decidable), spread)
 
 
 def thinned(view: View, every: int) -> View:
     """Every n-th pixel of a view along rows and columns, from the first one on."""
-    size = {"rows": -(-view.rows // every), "cols": -(-view.cols // every)}
+    rows, cols = -(-view.rows // every), -(-view.cols // every)
     if isinstance(view, MapView):
-        return replace(view, row_step=view.row_step * every, col_step=view.col_step * every, **size)
-    return replace(view, step=view.step * every, **size)
+        return replace(view, row_step=view.row_step * every, col_step=view.col_step * every, rows=rows, cols=cols)
+    return replace(view, step=view.step * every, rows=rows, cols=cols)
 
 
 def thin_truth(real: ViewTruth, every: int) -> ThinTruth:
@@ -82,4 +83,4 @@ def thin_truth(real: ViewTruth, every: int) -> ThinTruth:
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> float:
-    return float(np.count_nonzero(part) / max(np.count_nonzero(whole), 1))
+    return float(np.count_nonzero(part) / max(int(np.count_nonzero(whole)), 1))

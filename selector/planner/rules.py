@@ -219,10 +219,10 @@ def _with_work(
     if "relief" not in casting:
         idle["outside_casters"] = "ground casts by no algorithm"
     stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]
-    order = list(EFFECTS)
+    order: list[str] = list(EFFECTS)
     return (
         [one for one in effects if one.name not in idle],
-        sorted([*left_out, *stopped], key=lambda one: order.index(one.name)),  # type: ignore[arg-type]
+        sorted([*left_out, *stopped], key=lambda one: order.index(one.name)),
     )
 
 
@@ -315,6 +315,7 @@ def _resolved(
     name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
 ) -> tuple[Settings | None, list[Reasoned]]:
     """Settings and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
+    settings: Settings
     ignored, hard = [], []
     if light == SUN and sharp is not None and asked.filter != 1:
         hard.append(Reasoned(name="filter 1", reason=f"sharp edges: {sharp}"))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from selector.planner.map_settings import lamp_map_settings, sun_map_settings
-from shadows.plan import HybridSettings, Reasoned, VolumeSettings
+from shadows.plan import HybridSettings, LampMapSettings, Reasoned, ShadowMapSettings, VolumeSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, Shadows
 
@@ -20,6 +22,7 @@ def hybrid_settings(descriptor: Descriptor, light: str, asked: Shadows) -> tuple
     """Settings of the hybrid under a light, and the reasons for what was left to choose."""
     size = HYBRID_TEXELS if asked.map_size == "auto" else asked.map_size
     wish = asked.model_copy(update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"})
+    settings: ShadowMapSettings | LampMapSettings
     if light == SUN:
         settings, _ = sun_map_settings(descriptor, wish)
     else:
@@ -33,7 +36,7 @@ def hybrid_settings(descriptor: Descriptor, light: str, asked: Shadows) -> tuple
     return HybridSettings(map=settings, mask=mask, **_ways(asked)), reasons
 
 
-def _ways(asked: Shadows) -> dict:
+def _ways(asked: Shadows) -> dict[str, Any]:
     return {
         "stencil": "one_pass" if asked.stencil == "auto" else asked.stencil,
         "counting": asked.counting,

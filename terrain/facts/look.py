@@ -70,7 +70,7 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """What ``terrain.gbuffer.picture`` resolves to points: the same as its ``Visible``, without trees."""
+    """What ``terrain.gbuffer.picture`` resolves to points: as its ``Visible``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh
@@ -110,7 +110,7 @@ def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses |
     else:
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
         ends = ends_between(seen.number, depth, crosses.ground, crosses.normals, NEAR_M)
-    looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))  # type: ignore[arg-type]
+    looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(frame)
     away_m = np.linalg.norm(points - eye, axis=-1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any, Protocol, get_args
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -13,7 +13,7 @@ from terrain.cache import MIB, kept
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
 from terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
-from terrain.gbuffer.stand import stand_in_map, stand_in_perspective
+from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
 from terrain.gbuffer.visible import Seen, seen_in_map, seen_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -52,8 +52,27 @@ def geometry_of(
     return _map_buffer(scene, view, frame)
 
 
+class Unresolved(Protocol):
+    """What a camera sees, before it is resolved to points."""
+
+    @property
+    def frame(self) -> LocalFrame: ...
+
+    @property
+    def ground(self) -> GroundMesh: ...
+
+    @property
+    def solids(self) -> np.ndarray | None: ...
+
+    @property
+    def seen(self) -> Seen: ...
+
+    @property
+    def stand(self) -> Stand | None: ...
+
+
 class Visible:
-    """What a camera sees of some kinds of things, before it is resolved to points."""
+    """What a camera sees of some kinds of things."""
 
     def __init__(
         self,
@@ -65,7 +84,7 @@ class Visible:
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
-        self.stand = None
+        self.stand: Stand | None = None
         if "forest" in kinds:
             self.stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
         self.solids = solids_in(scene.population, frame)
@@ -78,7 +97,7 @@ Pixels = tuple[PerspectiveView, Visible, tuple[np.ndarray, np.ndarray]]
 """A view, what is seen in it, and some of its pixels: rows and columns (n, cols)."""
 
 
-def buffer_of(scene: Scene, view: PerspectiveView, visible: Visible, below: Pixels | None = None) -> GeometryBuffer:
+def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: Pixels | None = None) -> GeometryBuffer:
     """The buffer of what a camera sees; ``below`` are pixels of a finer view of the camera that are put below its own."""
     number, root = visible.seen.number, visible.seen.albedo_root
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))

@@ -85,7 +85,8 @@ def _at(ground: np.ndarray, rows: list[Errors], factor: int, most: int) -> Pictu
         size += len(of_rows[-1])
         if size > most:
             break
-    return Pictures(whole, of_rows, *small.shape[:2], factor)
+    high, wide = small.shape[:2]
+    return Pictures(whole, of_rows, high, wide, factor)
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:

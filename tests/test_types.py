@@ -1,0 +1,82 @@
+"""Annotations: for the sake of compiled loops mypy asks for none of a function that has none at all (``tool.mypy`` in
+``pyproject.toml``). So every function without any must be one.
+"""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections.abc import Iterator
+
+import pytest
+
+from tests.test_rooms import FLOORS, ROOT
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def _is_compiled(function: Function) -> bool:
+    return any(isinstance(each, ast.Name) and each.id == "compiled" for each in function.decorator_list)
+
+
+def _is_bare(function: Function) -> bool:
+    given = function.args
+    every = (*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg)
+    return function.returns is None and all(each is None or each.annotation is None for each in every)
+
+
+def bare(node: ast.AST) -> Iterator[str]:
+    """The functions without annotations that are no compiled loops, nor helpers inside of one."""
+    for each in ast.iter_child_nodes(node):
+        if isinstance(each, Function):
+            if _is_compiled(each):
+                continue
+            if _is_bare(each):
+                yield f"{each.name} (line {each.lineno})"
+        yield from bare(each)
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_what_has_no_annotations_is_compiled(floor: str) -> None:
+    paths = sorted((ROOT / floor).rglob("*.py"))
+    assert paths
+    found = {str(path.relative_to(ROOT)): [*bare(ast.parse(path.read_text(encoding="utf-8")))] for path in paths}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_mypy_checks_every_floor() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
+    assert settings["strict"] and set(FLOORS) <= set(settings["files"])
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "def planted(a, b):\n    return a + b\n",
+        "def planted():\n    pass\n",
+        "async def planted(*args, **kwargs):\n    pass\n",
+        "@kept\ndef planted(a):\n    return a\n",
+        "@compiled_elsewhere\ndef planted(a):\n    return a\n",
+        "class A:\n    def planted(self):\n        pass\n",
+        "class A:\n    @property\n    def planted(self):\n        return 1\n",
+        "def outer(a: int) -> int:\n    def planted(b):\n        return b\n    return planted(a)\n",
+        "if True:\n    def planted(a):\n        return a\n",
+    ],
+)
+def test_a_planted_function_is_noticed(source: str) -> None:
+    assert [name.split()[0] for name in bare(ast.parse(source))] == ["planted"]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "@compiled\ndef loop(a, b):\n    return a + b\n",
+        "@compiled\ndef loop(a):\n    def helper(b):\n        return b\n    return helper(a)\n",
+        "def annotated(a: int) -> int:\n    return a\n",
+        "class A:\n    def method(self) -> None:\n        pass\n",
+        "def outer() -> None:\n    @compiled\n    def loop(a):\n        return a\n",
+        "each = lambda a: a\n",
+    ],
+)
+def test_a_loop_and_what_is_annotated_pass(source: str) -> None:
+    assert [*bare(ast.parse(source))] == []
