@@ -11,7 +11,7 @@ from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, AlgorithmName, CasterKind
 
 MOST = 40
-"""Picks of a light, at most."""
+"""Picks of a light, at most; what stands last in ``COMPANY`` is cut off first."""
 
 SHADOW_MAP: AlgorithmName = "shadow_map"
 PERSPECTIVE: AlgorithmName = "perspective_shadow_map"

@@ -1,4 +1,4 @@
-"""Lights besides the sun: spots and omni lights at places, and how much of their light reaches a point unhindered."""
+"""Lights besides the sun: spots and omni lights at places. How bright they are at a point: ``terrain.effects.lamps``."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ PICTURE_PARAMETERS = (
     "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
     "stencil", "counting", "mask",
 )  # fmt: skip
-"""What may be asked of any picture."""
+"""What may be asked of any picture; from ``algorithm`` on, of plans, too (``PLAN_PARAMETERS``)."""
 
 SUN_PARAMETERS = ("time", "azimuth", "altitude")
 PLAN_PARAMETERS = ("policy", "max_error", "max_ms", "cascades", *PICTURE_PARAMETERS[len(SUN_PARAMETERS) :])

@@ -29,7 +29,10 @@ class _Value(BaseModel):
 
 
 class Overrides(_Value):
-    """What a request asks of the shadows; ``None`` leaves it to the level. ``algorithm`` is as the query spells it."""
+    """What a request asks of the shadows; ``None`` leaves it to the level. ``algorithm`` is as the query spells it.
+
+    Every field is one of ``terrain.level.level.Shadows``; what else a request asks is a field of the jobs, as ``sun`` is.
+    """
 
     algorithm: str | None = None
     map_size: int | None = None

@@ -35,7 +35,9 @@ CUBE = np.array([
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
     [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 ], np.float64)  # fmt: skip
-"""Rotations from an omni light's axes to those of its six maps: forward, right, left, back, down, up."""
+"""Rotations from an omni light's axes to those of its six maps: forward, right, left, back, down, up. These are the light's own
+words: its forward is straight down to the ground.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,7 @@
-"""Extra lights: spots and omni lights, where one of them reaches the view."""
+"""Extra lights: spots and omni lights, where one of them reaches the view.
+
+Their brightness at a point is ``_shine``; ``lamp_reaches`` and the glints on water (``terrain.effects.water``) go by the same law.
+"""
 
 from __future__ import annotations
 
