@@ -10,7 +10,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
@@ -39,7 +39,7 @@ IN_SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 LEVEL = "jacksboro"
 WINDOW = ViewportSize(width=1280, height=800)
 
-READY_S, DRAWN_S = 300, 120
+READY_S, DRAWN_S = 180, 90
 """A render process compiles at its first start; a map takes seconds."""
 
 STILL = 3
@@ -47,6 +47,9 @@ STILL = 3
 
 MARGIN_PX = 6
 """Left off all round: the address of a view is rounded."""
+
+MOST_TOLD = 4
+"""A map has dozens of tiles, which go wrong together."""
 
 GIVEN_UP = "net::ERR_ABORTED"
 """What Chromium says of requests that the page itself no longer wants."""
@@ -60,7 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Take a picture of the page of a failed test while it is open."""
     report = yield
     viewer = getattr(item, "funcargs", {}).get("viewer")
@@ -114,6 +117,11 @@ class Viewer:
         self.page.goto(self._address)
         return self.shown()
 
+    def check(self) -> None:
+        """Fail if anything has gone wrong on the page."""
+        if self.wrong:
+            pytest.fail("\n".join(["on the page:", *self.wrong[:MOST_TOLD]]), pytrace=False)
+
     def shown(self) -> Shown:
         """The map, once tiles have been asked for since the last time, all are there, and the picture stands still."""
         end = time.monotonic() + DRAWN_S
@@ -121,7 +129,7 @@ class Viewer:
         while alike < STILL:
             status = self.page.locator("#status")
             said = status.inner_text() if status.is_visible() else ""
-            assert not self.wrong, self.wrong
+            self.check()
             assert self.page.locator("#status.failed:visible").count() == 0, said
             assert time.monotonic() < end, f"not drawn after {DRAWN_S} s: {said!r}, {len(self._tiles)} tiles asked for"
             self.page.evaluate("() => new Promise(requestAnimationFrame)")
@@ -213,6 +221,6 @@ def viewer(chromium: Browser, service: Client) -> Iterator[Viewer]:
     try:
         viewer = Viewer(context.new_page(), service)
         yield viewer
-        assert not viewer.wrong, viewer.wrong
+        viewer.check()
     finally:
         context.close()
