@@ -14,17 +14,18 @@ NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --n
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long hunt check viewer viewer-if-possible clean
+.PHONY: help setup run test test-long test-browser hunt check viewer viewer-if-possible chromium clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make run        set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
-	@echo "make test       the tests that take seconds (ARGS='tests/terrain -x')"
-	@echo "make test-long  the tests that take minutes"
-	@echo "make hunt       draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
-	@echo "make check      ruff and mypy"
-	@echo "make viewer     build the viewer into api/static/"
-	@echo "make clean      remove everything that make has made"
+	@echo "make run           set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
+	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
+	@echo "make test-long     the tests that take minutes"
+	@echo "make test-browser  the viewer in Chromium, which is installed where it is missing"
+	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
+	@echo "make check         ruff and mypy"
+	@echo "make viewer        build the viewer into api/static/"
+	@echo "make clean         remove everything that make has made"
 
 setup: $(INSTALLED) $(SYSTEM)
 
@@ -34,11 +35,15 @@ run: setup viewer-if-possible
 # Two processes (OpenGL has one thread in each), whole files to each: fixtures of a file are made once.
 # On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
 test: setup $(if $(CI),viewer,viewer-if-possible)
-	$(PYTEST) -n 2 --dist loadfile -m "not long" $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser" $(ARGS)
 
 # The same two processes; files in the order of their names, but for the mutants, which go last.
 test-long: setup
-	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m long $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "long and not browser" $(ARGS)
+
+# Without the viewer there is nothing to test: here it has to build.
+test-browser: setup viewer chromium
+	$(PYTEST) -m browser $(ARGS)
 
 # Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
 hunt: setup
@@ -69,6 +74,9 @@ $(SYSTEM): $(INSTALLED) scripts/check_system.py
 	    scripts/install-system-packages.sh "OpenGL without a display (EGL) does not work yet" libegl1 libgl1 libgl1-mesa-dri libexpat1 && \
 	    $(VENV)/bin/python scripts/check_system.py; }
 	@touch $@
+
+chromium:
+	@test -x /usr/bin/chromium || scripts/install-system-packages.sh "the tests of the viewer need Chromium" chromium
 
 # One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
 $(MODULES): viewer/package.json viewer/package-lock.json | $(INSTALLED)
