@@ -98,13 +98,6 @@ class Frame:
             raise InputError("light", light, ", ".join(self.visibilities))
         return replace(self, visibilities={light: self.visibilities[light], **self.visibilities})
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the layers."""
-        kept = [picture for by_light in self.layers.values() for picture in by_light.values()]
-        arrays = [self.color, self.height_m, *self.visibilities.values(), *kept]
-        return sum(array.nbytes for array in arrays) + (0 if self.position_frame_m is None else self.position_frame_m.nbytes)
-
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     """The passes of a frame in which these effects run, in order."""

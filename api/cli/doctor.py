@@ -28,6 +28,7 @@ def examine() -> list[Finding]:
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
         *map(_package, PACKAGES),
         _opengl(),
+        _calibration(),
         _drawing(),
         _viewer(),
     ]
@@ -48,6 +49,20 @@ def _opengl() -> Finding:
     except SkuggaError as error:
         return Finding("OpenGL", False, f"{error}. On Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri")
     return Finding("OpenGL", True, f"{gl.renderer}, {gl.version}, textures up to {gl.max_size}")
+
+
+def _calibration() -> Finding:
+    """What predictions go by; without it the rules choose, which is no fault."""
+    from selector.cost.device_profile import load_profile, why_none
+    from terrain.gl.device import device
+
+    try:
+        gl = device()
+    except SkuggaError:
+        return Finding("calibration", True, "there is no device to calibrate")
+    profile = load_profile(gl.renderer, gl.version)
+    said = why_none(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
+    return Finding("calibration", True, said or "")
 
 
 def _drawing() -> Finding:

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.attached import attached
-from shadows.hybrid.maps import MASKED, SHADED, decided, pictures
+from shadows.hybrid.conservative_map import MASKED, SHADED
+from shadows.hybrid.maps import decided, pictures
 from shadows.maps.drawing import draw_map
 from shadows.maps.lookup import look_up
 from shadows.maps.shadow_map import depths

@@ -9,8 +9,6 @@ import numpy as np
 
 from shadows.hybrid.conservative_map import (
     LIT,
-    MASKED,
-    SHADED,
     ConservativeMap,
     clipped_edges,
     clipped_triangles,
@@ -27,8 +25,6 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import MESHES
 from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
-
-__all__ = ["LIT", "MASKED", "SHADED", "decided", "pictures"]
 
 BORDER_TEXELS = 1
 """Texels round the points, so that none lies on the rim."""

@@ -151,23 +151,6 @@ def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
-def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
-    """Mean absolute difference of sun visibility over the surface (NaN off it)."""
-    difference = np.abs(visibility - true_visibility)
-    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
-
-
-def flicker(
-    dark: np.ndarray, next_dark: np.ndarray, true_dark: np.ndarray, next_true_dark: np.ndarray, comparable: np.ndarray
-) -> float:
-    """Share of fixed world points whose class changes from one frame to the next though truth's does not.
-
-    Arrays hold the same points in both frames; ``comparable`` are those decidable in both.
-    """
-    steady = comparable & (true_dark == next_true_dark)
-    return _share(steady & (dark != next_dark), steady)
-
-
 def _share(part: np.ndarray, whole: np.ndarray) -> float:
     total = int(np.count_nonzero(whole))
     return float(np.count_nonzero(part & whole) / total) if total else 0.0

@@ -157,12 +157,6 @@ def _on_other_diagonal(buffer: GeometryBuffer) -> GeometryBuffer:
     return replace(buffer, position_frame_m=position, normal_frame=normals, there=there)
 
 
-def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
-    """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
-    visibility = _disc_visibility(buffer, scene, ray_scene(buffer, scene, casters, ALL_KINDS), samples)
-    return np.where(buffer.there, visibility, np.nan)
-
-
 def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
     assert scene.sun is not None
     visibility = np.zeros(buffer.there.shape, np.float32)

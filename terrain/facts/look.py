@@ -100,7 +100,7 @@ def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses |
     meshes = [(ground.position_frame_m, ground.triangles)]
     if solids is not None and scene.population.solids is not None:
         meshes.append((solids, scene.population.solids.triangles))
-    number, depth_m = _through(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
+    number, depth_m = nearest_triangles(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
     seen = Seen(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if crosses is None:
         row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
@@ -117,18 +117,13 @@ def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses |
     return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel, float(ends.mean()), crosses)
 
 
-def nearest_triangles(view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """The number of the nearest triangle in each pixel (rows, cols) uint32, counted from 1 through meshes of vertices (n, 3) in a
-    frame and triangles (m, 3); 0 where there is none.
-    """
-    return _through(view, frame, meshes, np.zeros((1, 2)))[0][..., 0]
-
-
-def _through(
+def nearest_triangles(
     view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]], beside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The number of the nearest triangle through places beside each pixel, shares of pixels down and to the right (k, 2) from its
     middle, and the distance along the axis of the view: (rows, cols, k) uint32, and float64, metres, infinite where there is none.
+
+    Triangles are counted from 1 through meshes of vertices (n, 3) in a frame and triangles (m, 3).
     """
     eye, camera_from_frame = view.in_frame(frame)
     number = np.zeros((view.rows, view.cols, len(beside)), np.uint32)

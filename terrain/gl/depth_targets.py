@@ -84,7 +84,7 @@ class DepthTargets:
         self.clear()
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
-        return len(self._held) < MOST_TARGETS and self.nbytes + depth_bytes(*shape) <= MOST_BYTES
+        return self.count < MOST_TARGETS and self.nbytes + depth_bytes(*shape) <= MOST_BYTES
 
 
 def depth_bytes(width: int, height: int, bits: int) -> int:

@@ -112,27 +112,6 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), albedo: Vector | Non
     return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
 
-def cylinder(
-    radius_m: float,
-    height_m: float,
-    centre_m: Vector = (0.0, 0.0, 0.0),
-    sections: int = 32,
-    albedo: Vector | None = None,
-) -> Body:
-    """An upright cylinder round its centre; ``albedo`` is linear."""
-    return _made(trimesh.creation.cylinder(radius_m, height_m, sections=sections), centre_m, albedo)
-
-
-def merged(bodies: Sequence[Body]) -> Body:
-    """Several bodies as one, in the same coordinates."""
-    first = np.cumsum([0, *(len(body.vertices_m) for body in bodies)])
-    return Body(
-        np.concatenate([np.empty((0, 3)), *(body.vertices_m for body in bodies)]),
-        np.concatenate([np.empty((0, 3), np.int32), *(body.triangles + at for body, at in zip(bodies, first, strict=False))]),
-        np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body in bodies)]),
-    )
-
-
 def moved(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
     """A body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
     vertices = scale * body.vertices_m @ turn_about_up(turn_deg).T + np.asarray(offset_m, np.float64)

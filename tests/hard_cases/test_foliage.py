@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from shadows import planar
 from shadows.maps import drawing as map_drawing
-from shadows.truth.metrics import block_shares, coverage_error, flicker
+from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import coverage_truth
 from terrain.casters import rays
 from terrain.casters.reach import casters_of
@@ -27,6 +27,7 @@ from terrain.scene import Scene
 from terrain.trees.foliage import LOOKS, SIZE, THRESHOLD, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
 from tests.hard_cases.cases import Seen, Trial, hard_case
+from tests.metrics import flicker
 from tests.rasters import ENGINEERING
 
 FOLIAGE = ("shadow_map", "perspective_shadow_map", "planar")

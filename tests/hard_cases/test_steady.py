@@ -15,7 +15,6 @@ from shadows.maps.lookup import look_up
 from shadows.maps.windows import BORDER_TEXELS, sun_maps
 from shadows.passes import PassRecord
 from shadows.plan import ShadowMapSettings, Step
-from shadows.truth.metrics import flicker
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -26,6 +25,7 @@ from terrain.gl.device import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.sites import site
+from tests.metrics import flicker
 
 # -- fixed points, seen from two views
 

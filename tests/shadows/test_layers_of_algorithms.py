@@ -76,7 +76,7 @@ def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
     assert plain.layers == {} and set(kept.layers) == {"shadow-map"}
     assert len(reads) - count > count
     np.testing.assert_array_equal(plain.color, kept.color)
-    assert kept.nbytes > plain.nbytes and [record.name for record in kept.passes] == kept.plan.passes
+    assert [record.name for record in kept.passes] == kept.plan.passes
 
 
 def test_pictures_are_laid_out_beside_one_another():

@@ -229,7 +229,7 @@ def test_the_nearest_triangle_shows_wherever_its_corners_lie():
     half = 8.0 / view.focal_px * 10.0  # eight pixels
     board = placed([[-half, -half, 10], [half, -half, 10], [half, half, 10], [-half, half, 10]])
     quads = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    number = nearest_triangles(view, frame, [(floor, quads), (board, quads)])
+    number = nearest_triangles(view, frame, [(floor, quads), (board, quads)], np.zeros((1, 2)))[0][..., 0]
     assert set(np.unique(number[40:])) <= {1, 2} and (number[:24] == 0).all()
     assert np.isin(number[24:40, 24:40], (3, 4)).all()
     assert (number[24:32, :24] == 0).all() and (number[34:, :24] > 0).all()

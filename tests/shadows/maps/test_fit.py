@@ -13,7 +13,7 @@ from shadows.maps import shadow_map
 from shadows.maps.windows import BORDER_TEXELS, DepthMap, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import Plan
-from shadows.truth.metrics import errors_of, flicker
+from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
@@ -24,6 +24,7 @@ from terrain.geo.grid import MapView
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
+from tests.metrics import flicker
 
 SHIFTS = [(1, 0), (0, 1), (7, -3), (31, 17)]
 PX = 250

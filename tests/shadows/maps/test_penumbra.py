@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation, minimum_filter
 
 from shadows.attached import attached
 from shadows.maps.sun_disc import DISC_TANGENT, EDGES, SAMPLES, WIDEST_TEXELS, samples_before_edges
-from shadows.truth.truth import soft_truth, sun_disc
+from shadows.truth.truth import sun_disc
 from terrain.casters.reach import casters_of
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.picture import geometry_of
@@ -16,6 +16,7 @@ from terrain.gbuffer.resolve import MESHES
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
+from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render
 from tests.shadows.boxes import View, box, level_of, visibility

@@ -11,8 +11,8 @@ from shadows.passes import PassLog
 from shadows.plan import SweepSettings
 from shadows.render import render_frame
 from shadows.sweep import sweep
-from shadows.truth.metrics import errors_of, soft_error
-from shadows.truth.truth import ray_scene, soft_truth, truth_of
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import ray_scene, truth_of
 from terrain.casters import reach
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
@@ -24,6 +24,7 @@ from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
+from tests.metrics import soft_error, soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 

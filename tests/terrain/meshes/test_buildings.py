@@ -10,6 +10,7 @@ import pyogrio
 import pytest
 import rasterio
 import shapely
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
@@ -17,7 +18,7 @@ from shapely import affinity
 from terrain.errors import LevelError, SourceError
 from terrain.level.level import load_level
 from terrain.meshes.assemble import place, solids
-from terrain.meshes.body import Body, box, cylinder, merged, moved, srgb_albedo
+from terrain.meshes.body import Body, box, moved, srgb_albedo
 from terrain.meshes.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
@@ -83,7 +84,8 @@ def test_a_box_is_closed_and_sharp():
 
 
 def test_a_cylinder_is_round_at_its_side_and_sharp_at_its_rim():
-    body = cylinder(2.0, 5.0, sections=24)
+    made = trimesh.creation.cylinder(2.0, 5.0, sections=24)
+    body = Body(np.asarray(made.vertices), np.asarray(made.faces), np.ones(3))
     assert body.closed
     normal, corner = body.corner_normals(), body.vertices_m[body.triangles]
     side = np.abs(normal[..., 2]) < 0.5
@@ -99,8 +101,9 @@ def test_an_open_or_twice_covered_surface_is_not_closed():
     assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).closed
     flipped = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
     assert not Body(body.vertices_m, flipped, body.albedo).closed
-    assert not merged([body, body]).closed
-    assert not merged([]).closed
+    twice = np.vstack([body.vertices_m] * 2), np.vstack([body.triangles, body.triangles + len(body.vertices_m)])
+    assert not Body(*twice, np.ones(3)).closed
+    assert not Body(np.empty((0, 3)), np.empty((0, 3)), np.ones(3)).closed
 
 
 def test_vertices_in_one_place_are_one():

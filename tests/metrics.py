@@ -1,0 +1,36 @@
+"""Metrics that tests alone hold the engine to: soft shadows against truth, and flicker from frame to frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.passes import PassLog
+from shadows.plan import TruthSettings
+from shadows.truth import truth
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.level.level import SUN
+from terrain.scene import Scene
+
+
+def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
+    """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
+    visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(sun_samples=samples), PassLog())
+    return np.where(buffer.there, visibility, np.nan)
+
+
+def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
+    """Mean absolute difference of sun visibility over the surface (NaN off it)."""
+    difference = np.abs(visibility - true_visibility)
+    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
+
+
+def flicker(
+    dark: np.ndarray, next_dark: np.ndarray, true_dark: np.ndarray, next_true_dark: np.ndarray, comparable: np.ndarray
+) -> float:
+    """Share of fixed world points whose class changes from one frame to the next though truth's does not.
+
+    Arrays hold the same points in both frames; ``comparable`` are those decidable in both.
+    """
+    steady = comparable & (true_dark == next_true_dark)
+    return float(np.count_nonzero(steady & (dark != next_dark)) / max(np.count_nonzero(steady), 1))
