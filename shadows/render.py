@@ -220,7 +220,7 @@ def _shaded(block: Block, plan: Plan, log: PassLog) -> np.ndarray:
         _run_parts(stage, light, block, plan, log)
     with log.run(SHADING_PASS):
         sunlight = light["sunlight"] if "sunlight" in light else _unlit(block, "sunlight")
-        return shade(block.buffer, block.scene, sunlight, *(light.get(stage) for stage in ("albedo", "skylight", "lamplight")))
+        return shade(block.buffer, block.scene, sunlight, light.get("albedo"), light.get("skylight"), light.get("lamplight"))
 
 
 def _unlit(block: Block, stage: Stage) -> np.ndarray:
