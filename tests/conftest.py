@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable, Iterator
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +55,19 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Caches of the machine, its calibration among them, must not reach a test, nor a service that many tests share."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_render_processes(_own_cache: None) -> Iterator[None]:
+    """Render processes of services in the tests' own process are forked from one that has imported what they need, which takes
+    seconds, and has no OpenGL. Services in processes of their own, of ``tests/api/http/test_serve.py``, spawn them as users do.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if module := sys.modules.get("api.workers.worker_process"):
+            forkserver = get_context("forkserver")
+            forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up"])
+            patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 
 

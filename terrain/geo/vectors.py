@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyogrio
 import shapely
-from pyogrio.errors import DataLayerError, DataSourceError
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
@@ -50,6 +48,9 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
     Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
     coordinates that cannot be transformed.
     """
+    import pyogrio  # here: where pandas is installed it imports that, half a second of every start
+    from pyogrio.errors import DataLayerError, DataSourceError
+
     wanted = list(dict.fromkeys([*attributes, *usual]))
     try:
         with _quiet():
@@ -81,6 +82,9 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
 
 def attribute_names(source: str) -> tuple[str, ...]:
     """Names of the attributes of a vector file's first layer. Raises ``SourceError``."""
+    import pyogrio
+    from pyogrio.errors import DataLayerError, DataSourceError
+
     if "://" not in source and not source.startswith("/vsi") and not Path(source).exists():
         raise SourceError(source, "no such file", "a vector file that GDAL reads")
     try:
