@@ -42,7 +42,7 @@ import trimesh
 
 from api.catalogue import find_level
 from selector.measure.compare import drawn_on, measure
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan

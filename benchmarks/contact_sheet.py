@@ -24,7 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from api.catalogue import find_level
 from selector.measure.compare import false_colours, measure
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import UnsupportedError

@@ -41,7 +41,7 @@ import rasterio
 from affine import Affine
 
 from api.catalogue import bundled_levels, find_level
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.render import SHADING_PASS, bands_of, render_frame
 from terrain.cache import forget

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.truth.metrics import errors_of

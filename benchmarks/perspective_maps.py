@@ -20,7 +20,7 @@ import numpy as np
 
 from api.catalogue import find_level
 from selector.measure.compare import measure
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.visibility import fill_steps

@@ -23,7 +23,7 @@ import numpy as np
 
 from api.catalogue import bundled_levels
 from api.layers import DataLayer, PictureLayer, layer_of
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.registry import ALGORITHMS
 from shadows.render import render_frame
 from terrain.describe import describe

@@ -25,7 +25,7 @@ from affine import Affine
 import terrain.gbuffer.stand as stand_module
 from api.catalogue import bundled_levels, find_level
 from selector.measure.compare import measure
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene

@@ -7,7 +7,7 @@ from contextlib import suppress
 from itertools import islice, product
 from typing import Any
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import HybridSettings, LampMapSettings, PerspectiveMapSettings, Plan, Settings, ShadowMapSettings
 from shadows.registry import ALGORITHMS
 from terrain.describe import describe

@@ -23,7 +23,7 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from selector.picks import Wishes
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan, Settings
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor

@@ -10,7 +10,7 @@ from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
 from selector.picks import Pick, Wishes
-from selector.planner.rules import Planner, planner_of
+from selector.planner.planner import Planner, planner_of
 from selector.portfolio import portfolio
 from selector.serves import kinds_of_lights
 from selector.wager import LIKELY, Hope, wagered

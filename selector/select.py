@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from selector.picks import PolicyName, Wishes
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan, Reasoned
 from terrain.describe import describe
 from terrain.errors import InputError

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from selector.picks import Pick, PolicyName, Wishes
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.select import select
 from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan

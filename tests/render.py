@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.describe import describe

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from selector.measure.against_truth import truth_of_view
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.cache import caches, forget
 from terrain.describe import describe

@@ -12,7 +12,7 @@ from api.cli.snapshot import scene_and_view
 from api.report.plan_words import POLICIES, choices, circumstances, expectation, heading
 from selector.picks import Asked, PolicyName, Wishes
 from selector.pin import MARK, pin, pinned, pins
-from selector.planner.rules import choose as choose_by_rules
+from selector.planner.planner import choose as choose_by_rules
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from terrain.describe import describe

@@ -14,7 +14,7 @@ from rich.table import Table
 from api.report.report import write_report, write_scatter
 from api.report.summary import in_words
 from selector.measure.compare import Comparison, Row, false_colours
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import InputError

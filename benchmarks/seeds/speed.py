@@ -35,7 +35,7 @@ from benchmarks.seeds.words import (
     titled,
     whole_percent,
 )
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan
 from shadows.render import render_frame
 from terrain.cache import forget

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 
 from api.catalogue import find_level
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan, Settings

@@ -27,7 +27,7 @@ from selector.cost.error_model import (
     texel_px_of,
 )
 from selector.picks import Asked
-from selector.planner.rules import planner_of
+from selector.planner.planner import planner_of
 from selector.portfolio import portfolio
 from shadows.plan import PerspectiveMapSettings, Step
 from terrain.facts.descriptor import Descriptor

@@ -16,7 +16,7 @@ from selector.candidates import name_of
 from selector.cost.device_profile import load_profile
 from selector.measure.compare import NO_CAST, compare, drawn_on, run_light
 from selector.measure.measuring import Wanted, confirmed, measured_rows, winners
-from selector.planner.rules import choose, planner_of
+from selector.planner.planner import choose, planner_of
 from selector.portfolio import portfolio
 from selector.select import select
 from shadows.plan import Plan, Step

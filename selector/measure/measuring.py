@@ -15,7 +15,7 @@ import numpy as np
 from selector.measure.against_truth import View
 from selector.measure.trials import Candidate, Probe, Trial, part_of, probe_of
 from selector.picks import Pick, Wishes
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.portfolio import portfolio
 from selector.winning import Figures, Verdict, best, overshoot
 from selector.words import duration, percent
@@ -72,7 +72,7 @@ def measured_plan(
     work goes on. What the level or the request asks for is kept: only the rest is chosen.
 
     Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
-    ``UnsupportedError`` as ``selector.planner.rules.choose`` does, ``RenderError`` where a candidate fails.
+    ``UnsupportedError`` as ``selector.planner.planner.choose`` does, ``RenderError`` where a candidate fails.
     """
     wishes = wishes or scene.loaded.level
     wanted = Wanted.of(override(wishes.shadows, overrides or {}))

@@ -1,4 +1,6 @@
-"""Descriptor, wishes and picks -> Plan: what runs for each light and kind of casters, with what settings, and why."""
+"""Descriptor, wishes and picks -> Plan, for every policy: what runs for each light and kind of casters, with what settings, and
+why.
+"""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ EFFECTS: dict[EffectName, Effect] = {
 
 SWITCHES: dict[EffectName, str] = {
     "refraction": "the sun of a frame stands where it is seen, not where it is (shadows/visibility.py)",
-    "cast_shadows": "algorithms fill the lights' visibility at all (selector/planner/rules.py)",
-    "alpha_test": "forest is among the kinds of casters that algorithms are given (selector/planner/rules.py)",
-    "soft_edges": "a filter that is left open takes three taps a side, not one (selector/planner/rules.py)",
+    "cast_shadows": "algorithms fill the lights' visibility at all (selector/planner/planner.py)",
+    "alpha_test": "forest is among the kinds of casters that algorithms are given (selector/planner/planner.py)",
+    "soft_edges": "a filter that is left open takes three taps a side, not one (selector/planner/planner.py)",
     "outside_casters": "ground beyond a map's block is looked for and casts into it (shadows/render.py)",
 }
 """Effects without a part of their own: switches of the pipeline, each with what it switches, and where. They are planned, forced

@@ -18,7 +18,7 @@ import trimesh
 from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import EFFECTS

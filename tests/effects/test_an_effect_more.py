@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import terrain.effects
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects.effect import Block, Effect, Verdict

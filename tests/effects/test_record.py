@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import configs
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import Frame, render_frame
 from terrain.describe import describe
 from terrain.level.level import load_level

@@ -20,7 +20,7 @@ import pytest
 import trimesh
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan

@@ -11,7 +11,7 @@ from pyproj import Transformer
 from scipy.spatial import ConvexHull
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.geo.camera import PerspectiveView, look_at

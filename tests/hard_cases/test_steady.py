@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from selector.planner.map_settings import EXTENT_STEP
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.maps import perspective_shadow_map
 from shadows.maps.drawing import draw_map

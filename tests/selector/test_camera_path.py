@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from selector import steady
 from selector.cost.device_profile import DeviceProfile
 from selector.picks import Pick
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.select import select
 from selector.steady import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
 from shadows.plan import Plan, Predicted

@@ -19,7 +19,7 @@ from api.cli import main as cli
 from api.http.app import create_app
 from api.settings import Settings
 from selector.candidates import MOST, candidates
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.registry import ALGORITHMS, GroundKind, LightKind, Part, ViewKind, able
 from shadows.render import render_frame
 from shadows.visibility import FILLS

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from selector.picks import Asked, Pick
 from selector.pin import MARK, pin, pinned, pinned_text, pins
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from terrain.describe import describe
 from terrain.errors import InputError, LevelError
 from terrain.level.level import load_level, override

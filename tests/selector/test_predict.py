@@ -13,7 +13,7 @@ import pytest
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import MANNERS, Counted, ErrorModel
 from selector.picks import Asked
-from selector.planner.rules import Planner, planner_of
+from selector.planner.planner import Planner, planner_of
 from selector.predict import Option, options_of, predicted_plan
 from selector.words import duration, percent
 from shadows.plan import Plan

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.steady import (
     GAIN,
     LONGEST,

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from selector.picks import Asked
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import nearest_triangles

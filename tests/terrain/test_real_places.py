@@ -13,7 +13,7 @@ import rasterio
 import shapely
 
 from configs import LEVELS_FOLDER
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.level.level import load_level

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.selection.measure import rows_of
 from selector.picks import Asked
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan
 from terrain.level.level import SUN, Shadows
 from tests.selector.cost.test_cost_model import described

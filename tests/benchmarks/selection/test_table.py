@@ -11,7 +11,7 @@ import pytest
 from benchmarks.selection.table import COLUMNS, DIGITS, TABLE, read_table, write_table
 from selector.cost.device_profile import DeviceProfile
 from selector.picks import Asked
-from selector.planner.rules import planner_of
+from selector.planner.planner import planner_of
 from selector.portfolio import MOST, portfolio
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CastBand, Casting, LightFacts

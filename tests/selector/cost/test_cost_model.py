@@ -14,7 +14,7 @@ from selector.cost.device_profile import DeviceProfile
 from selector.cost.work import sun_windows, work_of
 from selector.picks import Asked
 from selector.planner.map_settings import sun_map_settings
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.portfolio import portfolio
 from shadows.plan import Cascade, HybridSettings, LampMapSettings, ShadowMapSettings, SweepSettings, VolumeSettings
 from terrain.errors import InputError

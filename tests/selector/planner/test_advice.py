@@ -28,7 +28,7 @@ from selector.planner.advice_rules import (
     USUAL_TEXELS,
     Case,
 )
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from selector.serves import SWEPT_M, serves
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from selector.picks import Pick
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows import visibility as visibility_module
 from shadows.maps import shadow_map
 from shadows.plan import Plan

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from selector.planner.map_settings import CASCADE_PX, LARGEST
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.maps import shadow_map
 from shadows.passes import PassLog

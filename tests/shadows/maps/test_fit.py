@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.maps import shadow_map
 from shadows.maps.windows import BORDER_TEXELS, DepthMap, sun_maps

@@ -16,7 +16,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.describe import describe

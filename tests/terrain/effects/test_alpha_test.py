@@ -9,7 +9,7 @@ import pytest
 import shapely
 from pyogrio import raw
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.gbuffer.stand import any_in_map, stand_in_map

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.rules import choose
+from selector.planner.planner import choose
 from shadows.plan import Plan
 from shadows.render import render_frame
 from terrain.describe import describe
