@@ -127,13 +127,15 @@ class Viewer:
         end = time.monotonic() + DRAWN_S
         before, alike = None, 0
         while alike < STILL:
-            status = self.page.locator("#status")
-            said = status.inner_text() if status.is_visible() else ""
             self.check()
-            assert self.page.locator("#status.failed:visible").count() == 0, said
-            assert time.monotonic() < end, f"not drawn after {DRAWN_S} s: {said!r}, {len(self._tiles)} tiles asked for"
+            failed = self.page.locator("#status.failed:visible")
+            if failed.count():
+                pytest.fail(f"the page says: {failed.inner_text()}", pytrace=False)
+            busy = self.page.locator("#status").is_visible() or bool(self._waiting)
+            if time.monotonic() > end:
+                pytest.fail(f"not drawn after {DRAWN_S} s: {len(self._tiles)} tiles asked for, {busy=}")
             self.page.evaluate("() => new Promise(requestAnimationFrame)")
-            if said or not self._tiles or self._waiting:
+            if busy or not self._tiles:
                 before, alike = None, 0
                 continue
             pixels = self._pixels()
