@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from terrain.cache import bytes_of
 from terrain.errors import RenderError
 from terrain.gbuffer.stand import Stand
 from terrain.ground.surface import Cut, known_triangles
@@ -29,6 +30,9 @@ from terrain.trees.foliage import THRESHOLD, foliage
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256
 """Transparent surfaces a ray may pass before it counts as stopped."""
+
+TRIANGLE_BYTES = 128
+"""About what Embree holds of a triangle, its share of the tree over them included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,8 @@ class RayScene:
         self.offset_m = float(OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
         opaque = [(part, triangles) for part, triangles in parts if len(triangles)]
         self._opaque = self._embree(opaque) if opaque else None
+        triangles = sum(len(each) for _, each in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
+        self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:

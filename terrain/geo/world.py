@@ -27,8 +27,11 @@ EARTH_RADIUS_M = 6_371_000.0
 FRAME_PITCH_M = 16384.0
 """Spacing of frame origins in a flat world."""
 
+TRANSFORMER_BYTES = 2**16
+"""About what PROJ holds of a transformation."""
 
-@kept("process", 8 * MIB)
+
+@kept("process", 8 * MIB, size_of=lambda _: TRANSFORMER_BYTES)
 def transformer(source: CRS, target: CRS) -> Transformer:
     """A cached coordinate transformation, x before y."""
     return Transformer.from_crs(source, target, always_xy=True)

@@ -59,7 +59,7 @@ def made_ground(terrain: Terrain) -> MemoryFile:
     return _made(spec)
 
 
-@kept("process", 640 * MIB)
+@kept("process", 640 * MIB, size_of=len)
 def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells

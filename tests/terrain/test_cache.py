@@ -170,3 +170,18 @@ def test_no_module_keeps_values_in_a_way_of_its_own():
 )  # fmt: skip
 def test_other_ways_of_keeping_are_noticed(source):
     assert keeps(source)
+
+
+def test_what_no_python_object_shows_is_counted_too():
+    """Files in memory, PROJ's transformations and Embree's trees."""
+    from terrain.casters.rays import TRIANGLE_BYTES, RayScene
+    from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+    from terrain.level.bundled import BUNDLED
+
+    file = BUNDLED["jacksboro"]()
+    held = {cache.name: cache.nbytes for cache in caches("process")}
+    assert held["terrain.level.bundled._jacksboro"] == len(file) > 100_000
+    transformer(LONGITUDE_LATITUDE, LONGITUDE_LATITUDE)
+    assert transformer.cache.nbytes >= 2**16
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    assert RayScene(meshes=[(corners, np.array([[0, 1, 2]]))]).nbytes >= TRIANGLE_BYTES
