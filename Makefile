@@ -43,7 +43,7 @@ test-long: setup
 
 # Without the viewer there is nothing to test: here it has to build.
 test-browser: setup viewer chromium
-	$(PYTEST) -m browser $(ARGS)
+	$(PYTEST) -m browser $(or $(ARGS),tests/browser)
 
 # Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
 hunt: setup
