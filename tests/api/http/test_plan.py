@@ -112,6 +112,7 @@ def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, quer
         ({"sun_altitude_deg": 91}, "sun_altitude_deg"),
         ({"view_kind": "fisheye"}, "view_kind"),
         ({"weather": {"cloud_cover": 2}}, "weather.cloud_cover"),
+        ({"facts": {"cast_shadows": {"least_slope": "steep"}}}, "facts"),
         ({"level": "hills"}, "level"),
     ],
 )
