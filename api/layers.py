@@ -19,7 +19,6 @@ from terrain.scene import Scene
 
 PictureLayer = Literal["color", "shadow", "mask"]
 DataLayer = Literal["visibility", "depth", "position"]
-Layer = Literal[PictureLayer, DataLayer, PassLayer]
 
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer), *get_args(PassLayer))

@@ -201,12 +201,12 @@ def exposure_of(altitude_deg: float | None) -> float:
     return LEVEL_GROUND / float(level)
 
 
-def tint_table(steps: int = 256) -> np.ndarray:
-    """The hypsometric tint as linear colours (steps, 3) over the level's relief."""
+def tint_table() -> np.ndarray:
+    """The hypsometric tint as linear colours (256, 3) over the level's relief."""
     stops = np.array([stop for stop, _ in TINT])
     colours = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in TINT])
     linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    at = np.linspace(0.0, 1.0, steps)
+    at = np.linspace(0.0, 1.0, 256)
     return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
 
 

@@ -43,10 +43,10 @@ def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}"}
 
 
-def json_answer(request: Request, value: object, fresh_s: int = FACTS_S) -> Response:
+def json_answer(request: Request, value: object) -> Response:
     """A JSON answer, or 304 where the client has it."""
     answer = JSONResponse(value)
-    headers = cache_headers(tag_of(bytes(answer.body)), fresh_s)
+    headers = cache_headers(tag_of(bytes(answer.body)), FACTS_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     answer.headers.update(headers)

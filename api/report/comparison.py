@@ -34,9 +34,9 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
         raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
-def show(comparison: Comparison, console: Console | None = None) -> None:
+def show(comparison: Comparison) -> None:
     """Print the rows, best first by ``wrong_cast``, and what holds for all of them."""
-    console = console or Console(width=140)
+    console = Console(width=140)
     table = Table(box=None, header_style="bold")
     table.add_column("algorithm-texels-taps-bits", overflow="fold")
     for title in (

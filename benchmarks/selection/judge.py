@@ -99,10 +99,6 @@ def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> lis
     return made
 
 
-Policy = Callable[[Instance], str]
-"""What takes a row, by name."""
-
-
 @dataclass(frozen=True)
 class Verdict:
     """A policy on some instances: means over them, as the page of figures has them."""

@@ -127,7 +127,7 @@ def _steps(descriptor: Descriptor, stage: Stage) -> Iterator[Step]:
         yield Step(light, stage.kinds, "shadow_map", settings)
     if kinds := serving("perspective_shadow_map"):
         for each in [*sizes, *(each for each in filters if each["filter"] != "sun")]:
-            settings, _ = perspective_map_settings(descriptor, light, asked(each))
+            settings, _ = perspective_map_settings(light, asked(each))
             yield Step(light, kinds, "perspective_shadow_map", settings)
     if kinds := serving("shadow_volume"):
         yield Step(light, kinds, "shadow_volume", volume_settings(Shadows()))

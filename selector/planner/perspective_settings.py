@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from shadows.plan import PerspectiveMapSettings, Reasoned
 from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, Shadows
 
 AUTO_SIZE = 1024
@@ -19,7 +18,7 @@ NO_CHOICE = {
 """What a shadow map may be asked for: the only way of a perspective one, and why."""
 
 
-def perspective_map_settings(descriptor: Descriptor, light: str, asked: Shadows) -> tuple[PerspectiveMapSettings, list[Reasoned]]:
+def perspective_map_settings(light: str, asked: Shadows) -> tuple[PerspectiveMapSettings, list[Reasoned]]:
     """Settings of a light's perspective shadow map, and the reasons for what was left to choose.
 
     Raises ``UnsupportedError`` for the penumbra of the sun's disc.

@@ -339,7 +339,7 @@ def _resolved(
         settings, reasons = hybrid_settings(descriptor, light, asked)
         return settings, [*ignored, *reasons]
     if name == "perspective_shadow_map":
-        settings, reasons = perspective_map_settings(descriptor, light, asked)
+        settings, reasons = perspective_map_settings(light, asked)
     elif light == SUN:
         settings, reasons = sun_map_settings(descriptor, asked)
     else:

@@ -86,7 +86,6 @@ def truth_of(
     scene: Scene,
     casters: Casters,
     samples: int = 4,
-    seed: int = 0,
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
     either_diagonal: bool = False,
@@ -105,7 +104,7 @@ def truth_of(
     decidable = buffer.there.copy()
     for offsets in (2.0, 4.0):
         decidable &= lit_from(buffer, scene, light, rays, offsets) == lit
-    for view in sub_views(buffer.view, samples, seed):
+    for view in sub_views(buffer.view, samples):
         sample = geometry_of(scene, view, buffer.frame)
         decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
     if either_diagonal:
@@ -172,7 +171,6 @@ def coverage_truth(
     block_px: int,
     blocks: int = 256,
     samples: int = 64,
-    seed: int = 0,
     light: str = SUN,
 ) -> np.ndarray:
     """True shadow shares of blocks of ``block_px`` pixels: (rows // block_px, cols // block_px), NaN where none was taken.
@@ -188,7 +186,7 @@ def coverage_truth(
     if not len(candidates) or (light == SUN and scene.sun is None):
         return out
     bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rays = ray_scene(buffer, scene, casters, ALL_KINDS)
     dark_everywhere = light == SUN and not scene.sun_is_up
     side = int(round(samples**0.5))

@@ -26,9 +26,6 @@ from terrain.trees.foliage import THRESHOLD, foliage
 NEAR_M = 0.005
 """What is nearer to the eye than this is not seen."""
 
-GROUND_TRIANGLES = 1
-"""The number of the first triangle."""
-
 
 @dataclass(frozen=True, eq=False)
 class Seen:

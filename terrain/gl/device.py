@@ -51,7 +51,7 @@ class Device:
         self._egl.eglGetCurrentContext.restype = ctypes.c_void_p
         self._context, self._thread = self._egl.eglGetCurrentContext(), threading.get_ident()
         info = self.ctx.info
-        self.vendor, self.renderer, self.version = info["GL_VENDOR"], info["GL_RENDERER"], info["GL_VERSION"]
+        self.renderer, self.version = info["GL_RENDERER"], info["GL_VERSION"]
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
         self._programs: Cache[moderngl.Program] = Cache(
             "terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release

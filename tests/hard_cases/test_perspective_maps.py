@@ -19,7 +19,7 @@ PERSPECTIVE = "perspective_shadow_map"
 CONE_DEG = 3.0
 """Within this angle of the view's axis a perspective map says that it is a uniform one."""
 
-NORTH, UP = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+UP = np.array([0.0, 0.0, 1.0])
 
 TOWERS = [
     block((5, 5, 25), (45 * np.sin(a), 45 * np.cos(a)), turn_deg=20 * n) for n, a in enumerate(np.radians(range(15, 375, 45)))

@@ -76,13 +76,13 @@ def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: 
     return solid(vertices + np.asarray(centre), triangles, color)
 
 
-def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour, centre: Vector = (0, 0, 0)) -> Body:
-    """A ring about the up axis through ``centre``: 2 k ``sides`` triangles for a section (radius, height) of k points,
+def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour) -> Body:
+    """A ring about the up axis: 2 k ``sides`` triangles for a section (radius, height) of k points,
     counter-clockwise and off the axis."""
     loops = _turned(np.asarray(section_m, np.float64), sides)
     k = len(loops)
     here, there = np.arange(k), np.roll(np.arange(k), -1)
-    return solid(loops.reshape(-1, 3) + np.asarray(centre), _walls(here, there, sides), color)
+    return solid(loops.reshape(-1, 3), _walls(here, there, sides), color)
 
 
 def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> Body:

@@ -41,13 +41,6 @@ def obedient(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = N
         pipe.send(_answer(order))
 
 
-def crashing(pipe: Connection, config: WorkerConfig) -> None:
-    """Dies of every job."""
-    pipe.send(Ready(RENDERER))
-    pipe.recv()
-    os._exit(9)
-
-
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
     """Never comes back from a job."""
     pipe.send(Ready(RENDERER))
