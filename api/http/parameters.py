@@ -19,14 +19,14 @@ from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
 from terrain.scene import MAX_PERSPECTIVE_PX
 
-PICTURE_PARAMETERS = (
-    "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
-    "stencil", "counting", "mask",
-)  # fmt: skip
-"""What may be asked of any picture; from ``algorithm`` on, of plans, too (``PLAN_PARAMETERS``)."""
-
 SUN_PARAMETERS = ("time", "azimuth", "altitude")
-PLAN_PARAMETERS = ("policy", "max_error", "max_ms", "cascades", *PICTURE_PARAMETERS[len(SUN_PARAMETERS) :])
+SHADOW_PARAMETERS = ("algorithm", "map_size", "depth_bits", "filter", "bias", "culling", "stencil", "counting", "mask")
+"""What may be asked of the shadows: keys of a level's ``shadows``."""
+
+PICTURE_PARAMETERS = (*SUN_PARAMETERS, *SHADOW_PARAMETERS)
+"""What may be asked of any picture."""
+
+PLAN_PARAMETERS = ("policy", "max_error", "max_ms", "cascades", *SHADOW_PARAMETERS)
 """What may be asked of any plan besides the sun."""
 
 OverridesT = TypeVar("OverridesT", bound=Overrides)
