@@ -167,7 +167,9 @@ def switches(plans: list[Plan]) -> list[int]:
     return np.cumsum([0, *(any(a[key] != b[key] for key in a.keys() & b.keys()) for a, b in pairwise(seen))]).tolist()
 
 
-@pytest.mark.parametrize("sun", [(200.0, 35.0), (200.0, 25.0), (290.0, 15.0)])
+@pytest.mark.parametrize(
+    "sun", [(200.0, 35.0), *(pytest.param(sun, marks=pytest.mark.long) for sun in [(200.0, 25.0), (290.0, 15.0)])]
+)
 def test_no_more_switches_than_real_changes(flight, level, sun):
     """At no time of the flight; a plan made anew for each frame goes to and fro."""
     moments = flight(*sun)

@@ -13,17 +13,19 @@ from shadows.truth.truth import Truth
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
+from tests.params import quick
 from tests.render import block_at
 from tests.shadows.boxes import box, level_of
 from tests.shadows.volumes.test_shadow_volume import (
     BEHIND,
     BODIES,
+    BUNDLED,
     EYES,
+    IN_SECONDS,
     LAMPS,
     LIGHTS,
     OPEN,
     RIDGES,
-    THESIS,
     Look,
     eye,
     look,
@@ -57,13 +59,7 @@ def same(at: Look, real: Truth | None = None, **settings: Any) -> float:
 # -- conservative
 
 
-@pytest.mark.parametrize(
-    ("name", "view"),
-    [
-        *((name, "main") for name in THESIS),
-        ("thesis_street_sun", "map"),
-    ],
-)
+@pytest.mark.parametrize(("name", "view"), quick(BUNDLED, *IN_SECONDS))
 def test_the_bundled_scenes_are_those_of_the_volumes(gl, name, view):
     at, real = thesis(name, view)
     marked = same(at, real)

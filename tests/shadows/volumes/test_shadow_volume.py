@@ -34,6 +34,7 @@ from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.hard_cases.bodies import EYES, SPOT, grounded, half_sphere, inside_out, joined, sheet, three_walls, without
+from tests.params import quick
 from tests.rasters import ENGINEERING
 from tests.render import block_at
 from tests.shadows.boxes import View, box, level_of
@@ -146,6 +147,11 @@ BODIES = {
 # -- beside truth
 
 
+BUNDLED = [*((name, "main") for name in THESIS), ("thesis_street_sun", "map")]
+IN_SECONDS = ("thesis_street_sun", "map"), ("thesis_room", "main"), ("thesis_rocks_sun", "main"), ("thesis_street_sun", "main")
+"""Of the bundled scenes these are looked at wherever tests run: both kinds of light, open and closed meshes, a map."""
+
+
 @lru_cache(maxsize=12)
 def thesis(name: str, view: str = "main") -> tuple[Look, Truth]:
     """A bundled scene, small, and its truth."""
@@ -154,7 +160,7 @@ def thesis(name: str, view: str = "main") -> tuple[Look, Truth]:
     return at, at.truth()
 
 
-@pytest.mark.parametrize(("name", "view"), [*((name, "main") for name in THESIS), ("thesis_street_sun", "map")])
+@pytest.mark.parametrize(("name", "view"), quick(BUNDLED, *IN_SECONDS))
 def test_the_bundled_scenes_are_as_rays_see_them(gl, name, view):
     """Measured: at most 0.009 % of the decidable pixels. One of 50,000 may lie in a gap between two shadows that is narrower than
     the rasteriser's grid."""
