@@ -10,18 +10,17 @@ from typing import Any
 from api.report.plan_words import WIDTH, spoken
 from selector.cost.device_profile import DeviceProfile, load_profile
 from selector.words import duration, percent
+from shadows.registry import ALGORITHMS
 from terrain.errors import GraphicsError
 from terrain.gl import device as gl
 from terrain.level.level import Shadows
-
-WITHOUT_OPENGL = ("sweep", "truth", "none")
-"""Algorithms that leave nothing to predict, and that draw maps without a device."""
 
 
 def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
     """This device's calibration where there is something to choose; ``None`` where it has none, or there is no OpenGL."""
     asked = overrides.get("algorithm") or shadows.algorithm
-    return None if asked in WITHOUT_OPENGL else calibration()
+    named = ALGORITHMS.get(asked) if isinstance(asked, str) else None
+    return None if named is not None and not named.needs_opengl else calibration()
 
 
 def calibration() -> DeviceProfile | None:

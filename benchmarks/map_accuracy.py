@@ -30,7 +30,8 @@ from terrain.describe import describe
 from terrain.errors import SkuggaError
 from terrain.gbuffer.geometry import map_geometry
 from terrain.gl.device import device
-from terrain.level.level import AlgorithmName, load_level
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-from terrain.level.level import AlgorithmName, CasterKind, EffectName, Shadows
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind, EffectName, Shadows
 
 PolicyName = Literal["rules", "predict", "measure"]
 """``rules``: what is known beforehand; ``predict``: cost and error models; ``measure``: candidates run against truth."""

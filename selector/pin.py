@@ -24,7 +24,8 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from selector.picks import Wishes
 from selector.planner.planner import choose
-from shadows.plan import Plan, Settings
+from shadows.plan import Plan
+from shadows.registry import NOTHING
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
@@ -55,7 +56,7 @@ def pins(plan: Plan, descriptor: Descriptor, wishes: Wishes) -> dict[str, Any]:
     A level has one value of a setting for all lights and kinds of casters: one that differs among them stays automatic. Raises
     ``InputError`` where nothing casts.
     """
-    cast = {light: {kind: name for kind, name in kinds.items() if name != "none"} for light, kinds in plan.algorithm.items()}
+    cast = {light: {kind: name for kind, name in kinds.items() if name != NOTHING} for light, kinds in plan.algorithm.items()}
     cast = {light: kinds for light, kinds in cast.items() if kinds}
     if not cast:
         raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
@@ -227,15 +228,9 @@ def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
     found: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
-            value = _value(settings, key)
-            if value is not None:
+            if (value := settings.asked_as.get(key)) is not None:
                 found[light, kind] = value
     return found
-
-
-def _value(settings: Settings, key: str) -> Any:
-    value = getattr(getattr(settings, "map", settings), key, getattr(settings, key, None))
-    return len(value) if key == "cascades" and value is not None else value
 
 
 def _keys_of(comment: str) -> tuple[str, ...]:

@@ -9,17 +9,22 @@ from typing import Any
 from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
+from selector.cost.unmeasured import UnmeasuredError
 from selector.picks import Pick, Wishes
+from selector.planner.advice import advised
 from selector.planner.planner import Planner, planner_of
 from selector.portfolio import portfolio
-from selector.serves import kinds_of_lights
 from selector.wager import LIKELY, Hope, wagered
 from selector.winning import Figures, Verdict
 from selector.words import duration, percent
-from shadows.plan import Plan, Predicted, Reasoned, Step, Target
+from shadows.algorithm import Reasoned
+from shadows.plan import Plan, Predicted, Step, Target
 from shadows.registry import ALGORITHMS
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import AlgorithmName, CasterKind
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind
+
+NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,11 @@ def predicted_plan(
     """
     planner = planner_of(descriptor, wishes, overrides)
     asked = planner.asked
-    casting = {light: planner.casting(light) for light in kinds_of_lights(descriptor)}
-    options = {light: options_of(planner, light, kinds, device, errors) for light, kinds in casting.items() if kinds}
+    casting = {light: planner.casting(light) for light in descriptor.light_kinds}
+    unmeasured: dict[AlgorithmName, str] = {}
+    options = {light: options_of(planner, light, kinds, device, errors, unmeasured) for light, kinds in casting.items() if kinds}
+    if not all(options.values()):
+        return _by_rules(planner, unmeasured)
     hopes = {light: [each.hope(asked.max_error) for each in its] for light, its in options.items()}
     verdicts = {light: wagered(its, asked.max_error) for light, its in hopes.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
@@ -68,7 +76,7 @@ def predicted_plan(
     picks = {
         light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
     }
-    plan = planner.plan(picks, _rejected(options, taken, asked.max_error))
+    plan = planner.plan(picks, unmeasured | _rejected(options, taken, asked.max_error))
     return plan.model_copy(
         update={
             "policy": "predict",
@@ -83,10 +91,25 @@ def predicted_plan(
     )
 
 
+def _by_rules(planner: Planner, unmeasured: Mapping[AlgorithmName, str]) -> Plan:
+    """The plan of the rules, where for some light nothing that can be taken has been measured."""
+    plan = planner.plan(advised(planner.descriptor, planner.asked), unmeasured)
+    why = "; ".join(f"{name}: {why}" for name, why in unmeasured.items())
+    return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
+
+
 def options_of(
-    planner: Planner, light: str, kinds: Sequence[CasterKind], device: DeviceProfile, errors: ErrorModel | None = None
+    planner: Planner,
+    light: str,
+    kinds: Sequence[CasterKind],
+    device: DeviceProfile,
+    errors: ErrorModel | None = None,
+    unmeasured: dict[AlgorithmName, str] | None = None,
 ) -> list[Option]:
-    """What can be picked for a light, no two that come to the same steps, with what is expected of each."""
+    """What can be picked for a light, no two that come to the same steps, with what is expected of each.
+
+    An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
+    """
     descriptor, model = planner.descriptor, errors or fitted()
     found: dict[tuple[object, ...], Option] = {}
     known: dict[object, tuple[float, float]] = {}
@@ -96,10 +119,15 @@ def options_of(
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
         if keys in found:
             continue
-        for key, step in zip(keys, steps, strict=True):
-            if key not in known:
-                ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
-                known[key] = ms, wrong_of_step(descriptor, light, step, model)
+        try:
+            for key, step in zip(keys, steps, strict=True):
+                if key not in known:
+                    ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
+                    known[key] = ms, wrong_of_step(descriptor, light, step, model)
+        except UnmeasuredError as error:
+            if unmeasured is not None:
+                unmeasured[error.algorithm] = error.why
+            continue
         wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
         found[keys] = Option(pick, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model))
     return list(found.values())

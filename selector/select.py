@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from selector.picks import PolicyName, Wishes
 from selector.planner.planner import choose
-from shadows.plan import Plan, Reasoned
+from shadows.algorithm import Reasoned
+from shadows.plan import Plan
 from terrain.describe import describe
 from terrain.errors import InputError
 from terrain.facts.descriptor import Descriptor

@@ -26,12 +26,15 @@ import numpy as np
 
 from selector.picks import Pick, PolicyName, Wishes
 from selector.planner.planner import choose
+from selector.portfolio import tuned_settings
 from selector.select import select
 from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
+from shadows.registry import NOTHING
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import AlgorithmName, CasterKind
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -229,7 +232,7 @@ def _order(rows: int, cols: int) -> np.ndarray:
 
 def casting(plan: Plan) -> dict[str, frozenset[str]]:
     """The kinds of casters that cast, by light."""
-    return {light: frozenset(kind for kind, name in its.items() if name != "none") for light, its in plan.algorithm.items()}
+    return {light: frozenset(kind for kind, name in its.items() if name != NOTHING) for light, its in plan.algorithm.items()}
 
 
 def picks_of(plan: Plan) -> dict[str, Pick]:
@@ -239,12 +242,9 @@ def picks_of(plan: Plan) -> dict[str, Pick]:
     """
     picks = {}
     for light, per_kind in plan.algorithm.items():
-        algorithm = {kind: name for kind, name in per_kind.items() if name != "none"}
-        resolved = [getattr(its, "map", its) for its in plan.settings.get(light, {}).values()]
-        found = {
-            "map_size": {its.map_size for its in resolved if hasattr(its, "map_size")},
-            "cascades": {len(its.cascades) for its in resolved if hasattr(its, "cascades")},
-        }
+        algorithm = {kind: name for kind, name in per_kind.items() if name != NOTHING}
+        resolved = [settings.asked_as for settings in plan.settings.get(light, {}).values()]
+        found = {key: {asked[key] for asked in resolved if key in asked} for key in tuned_settings()}
         settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
         why = dict.fromkeys([*algorithm, *settings], "kept: nothing else is better by a margin")
@@ -274,7 +274,7 @@ def _joined(picks: Mapping[str, Pick], more: Mapping[str, Pick]) -> dict[str, Pi
 def _as_overrides(picks: Mapping[str, Pick]) -> dict[str, Any]:
     """The overrides that lead to picks; a setting that lights differ in is left to the policy."""
     out: dict[str, Any] = {"algorithm": {light: dict(pick.algorithm) for light, pick in picks.items() if pick.algorithm}}
-    for key in ("map_size", "cascades"):
+    for key in tuned_settings():
         values = {pick.settings[key] for pick in picks.values() if key in pick.settings}
         if len(values) == 1:
             out[key] = values.pop()

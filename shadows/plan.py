@@ -4,123 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
+from pydantic_core import CoreSchema
 
-from terrain.level.level import SUN, AlgorithmName, CasterKind
+from shadows.algorithm import Reasoned, Settings
+from shadows.registry import ALGORITHMS, NOTHING
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import SUN, CasterKind
 
 
 class _Value(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Reasoned(_Value):
-    """A name with the reason why it is listed."""
-
-    name: str
-    reason: str
-
-
-MapFit = Literal["stable", "tight"]
-"""Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
-
-MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
-"""What keeps a surface from shading itself, as ``shadows.maps.shadow_map`` says."""
-
-Culling = Literal["none", "front"]
-"""Faces of closed casters that are left out of a map."""
+def settings_type(*names: AlgorithmName) -> Any:
+    """The type of settings of any of some algorithms, as pydantic takes types; ``Settings`` where none has any."""
+    types = [each for name in names for each in ALGORITHMS[name].settings]
+    return reduce(or_, types) if types else Settings
 
 
-class Cascade(_Value):
-    """One of a sun's maps: for what lies up to ``far_m`` from the eye and beyond the cascade before (``None``: for all the rest).
+class _OfAlgorithms:
+    """Shows in JSON schemas what settings there are."""
 
-    ``texel_m`` are the sides of a texel in light space (right, up), ``depth_step_m`` the metres between two depths that the map
-    can tell apart.
-    """
-
-    far_m: float | None
-    texel_m: tuple[float, float]
-    depth_step_m: float = Field(gt=0)
-
-
-class ShadowMapSettings(_Value):
-    """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
-
-    ``map_size`` are the texels a side of each of the ``cascades``, from the nearest on (one in map views), ``filter`` the taps a
-    side, or ``sun`` for the penumbra of the sun's disc. ``bias_scale`` multiplies the derived offset (1 is right; less shows acne).
-    """
-
-    map_size: int = Field(ge=64, le=8192)
-    depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5, "sun"]
-    fit: MapFit = "stable"
-    bias: MapBias = "receiver_plane"
-    culling: Culling = "none"
-    cascades: tuple[Cascade, ...] = Field(min_length=1, max_length=4)
-    bias_scale: float = Field(default=1.0, ge=0)
-
-
-class LampMapSettings(_Value):
-    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side."""
-
-    map_size: int = Field(ge=64, le=8192)
-    depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
-    bias: MapBias = "receiver_plane"
-    culling: Culling = "none"
-    bias_scale: float = Field(default=1.0, ge=0)
-
-
-class PerspectiveMapSettings(_Value):
-    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side.
-
-    It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.
-    """
-
-    bias: ClassVar[MapBias] = "receiver_plane"
-    culling: ClassVar[Culling] = "none"
-
-    map_size: int = Field(ge=64, le=8192)
-    depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
-    bias_scale: float = Field(default=1.0, ge=0)
-
-
-class VolumeSettings(_Value):
-    """Settings of shadow volumes: both sides of the volumes in one pass or in one each, and what is counted: ``auto`` takes
-    z-pass for casters whose volume provably misses the near plane and z-fail for the others.
-    """
-
-    stencil: Literal["one_pass", "two_pass"] = "one_pass"
-    counting: Literal["auto", "z_fail"] = "auto"
-
-
-class HybridSettings(VolumeSettings):
-    """Settings of the hybrid: its map, how the pixels are found in which volumes decide (``original``: Chan and Durand's
-    comparison of two by two texels), and those of its volumes.
-    """
-
-    map: ShadowMapSettings | LampMapSettings
-    mask: Literal["conservative", "original"] = "conservative"
-
-
-class SweepSettings(_Value):
-    """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
-
-    lines: int = Field(default=8, ge=1, le=16)
-    filter: Literal[1, "sun"] = 1
-
-
-class TruthSettings(_Value):
-    """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
-
-    sun_samples: int = Field(default=1, ge=1, le=1024)
-
-
-Settings = (
-    ShadowMapSettings | LampMapSettings | PerspectiveMapSettings | HybridSettings | VolumeSettings | SweepSettings | TruthSettings
-)
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
+        return handler(TypeAdapter(settings_type(*ALGORITHMS)).core_schema)
 
 
 class Target(_Value):
@@ -157,7 +68,7 @@ class Plan(_Value):
     view: str
     policy: Literal["rules", "predict", "measure"]
     algorithm: dict[str, dict[CasterKind, AlgorithmName]]
-    settings: dict[str, dict[CasterKind, Settings]]
+    settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[Settings], _OfAlgorithms()]]]
     effects: list[Reasoned]
     left_out: list[Reasoned]
     rejected: list[Reasoned]
@@ -165,6 +76,19 @@ class Plan(_Value):
     predicted: Predicted | None = None
     target: Target
     reasons: list[Reasoned]
+
+    @field_validator("settings", mode="before")
+    @classmethod
+    def _of_their_algorithms(cls, value: Any, info: ValidationInfo) -> Any:
+        """Settings that are read from text are those of the plan's algorithms."""
+        algorithm = info.data.get("algorithm", {})
+        return {
+            light: {
+                kind: each if isinstance(each, Settings) else _read_settings(algorithm.get(light, {}).get(kind), each)
+                for kind, each in per_kind.items()
+            }
+            for light, per_kind in value.items()
+        }
 
     @property
     def runs(self) -> frozenset[str]:
@@ -183,14 +107,14 @@ class Plan(_Value):
 
     def steps_under(self, light: str) -> list[Step]:
         """What is to be filled for a light, in order; ``none`` fills nothing."""
-        return [step for step in self.steps if step.light == light and step.algorithm != "none"]
+        return [step for step in self.steps if step.light == light and step.algorithm != NOTHING]
 
     @property
     def headline(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""
         names = {name for per_kind in self.algorithm.values() for name in per_kind.values()}
         if len(names) <= 1:
-            return names.pop() if names else "none"
+            return names.pop() if names else NOTHING
         words = []
         for light, per_kind in self.algorithm.items():
             if light != SUN and len(set(per_kind.values())) == 1:
@@ -215,3 +139,7 @@ def steps_of(
             else:
                 steps.append(Step(light, (kind,), name, its))
     return steps
+
+
+def _read_settings(name: AlgorithmName | None, value: Any) -> Any:
+    return value if name is None else TypeAdapter(settings_type(name)).validate_python(value)

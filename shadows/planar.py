@@ -29,12 +29,16 @@ from dataclasses import dataclass
 import numpy as np
 from moderngl import Framebuffer
 
+from shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
 from shadows.attached import lamp_in_frame
 from shadows.maps.windows import POSITION_ERROR
 from shadows.passes import PassLog, PassRecord
+from shadows.work import Task, Work
 from terrain.casters.casting import caster_meshes, caster_trees
 from terrain.casters.clip_space import camera_clip, map_clip
 from terrain.casters.reach import Casters
+from terrain.facts.parts import Casting
+from terrain.facts.probes import HALF_A_HIT
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
@@ -179,3 +183,33 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             gl.layers(foliage().levels).use(0)
             base, look = stand.base_frame_m - projected.origin_frame_m, np.concatenate([stand.turn, stand.look[:, None]], axis=1)
             record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", stand.shape), ("look", look)])
+
+
+def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    return None, request.without_filter("planar")
+
+
+def _work(task: Task, settings: None) -> Work:
+    drawn = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
+    return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **drawn}}
+
+
+def _wrong_share(casting: Casting) -> float:
+    """What lies in shadow on bodies, which get none; all of the shadow where that is not known."""
+    return casting.share if casting.on_bodies is None else max(casting.on_bodies, HALF_A_HIT)
+
+
+ALGORITHM = Algorithm(
+    name="planar",
+    about="casters projected onto level ground through the stencil; they throw no shadow on one another",
+    plural="planar",
+    fill=fill,
+    passes=PASSES,
+    refuses={"uneven": "it projects onto one plane, and the ground of this level is not flat"},
+    layers=("stencil",),
+    resolve=_resolve,
+    search=Search(map_sizes_beside=FEW_MAP_SIZES),
+    cost=Cost(_work),
+    accuracy=Accuracy(wrong_share=_wrong_share),
+    mark=Mark("wedge", "purple"),
+)

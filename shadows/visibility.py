@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from shadows import planar
-from shadows.hybrid import hybrid
-from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.passes import PassLog
 from shadows.plan import Step
-from shadows.sweep import sweep
-from shadows.truth import truth
-from shadows.volumes import shadow_volume
+from shadows.registry import ALGORITHMS
 from terrain.casters.reach import Casters
 from terrain.effects.haze import hides_beyond_m
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN
 from terrain.scene import Scene
-
-FILLS: dict[str, Callable[..., np.ndarray]] = {
-    "shadow_map": shadow_map.fill, "perspective_shadow_map": perspective_shadow_map.fill, "shadow_volume": shadow_volume.fill,
-    "hybrid": hybrid.fill, "planar": planar.fill, "sweep": sweep.fill, "truth": truth.fill,
-}  # fmt: skip
-"""Algorithm -> what fills the visibility of one light for a buffer's points, past some kinds of casters; ``none`` needs nothing."""
 
 
 def fill_steps(
@@ -42,7 +31,9 @@ def fill_steps(
     if steps:
         asked = looked_for(buffer, scene, steps[0].light, effects)
         for step in steps:
-            visibility *= FILLS[step.algorithm](asked, scene, step.light, step.kinds, casters, step.settings, log)
+            fill = ALGORITHMS[step.algorithm].fill
+            assert fill is not None, step.algorithm
+            visibility *= fill(asked, scene, step.light, step.kinds, casters, step.settings, log)
     return visibility
 
 

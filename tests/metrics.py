@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.passes import PassLog
-from shadows.plan import TruthSettings
 from shadows.truth import truth
+from shadows.truth.truth import TruthSettings
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.level.level import SUN

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator
 from api.http.served import SERVED_ALGORITHMS, names_in
 from api.layers import PictureLayer
 from api.workers.jobs import Overrides, PlanOverrides, ServedPolicy
-from shadows.plan import Culling, MapBias
+from shadows.maps.settings import Culling, MapBias
 from terrain.errors import InputError
 from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec

@@ -19,7 +19,6 @@ from api.http.service import TheService, unless_gone
 from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
 from selector.picks import Asked
 from selector.select import select
-from selector.serves import kinds_of_lights
 from shadows.plan import Plan
 from terrain.errors import InputError
 from terrain.facts.descriptor import Descriptor
@@ -104,7 +103,7 @@ async def plan_of_descriptor(
     """
     if wanted.policy == "predict":
         await unless_gone(request, service.pool.settled())
-    asked = Asked(Shadows(), (SUN, *(lamp for lamp in kinds_of_lights(described) if lamp != SUN)))
+    asked = Asked(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
     overrides = wanted.overrides.for_selector()
     made = await run_in_threadpool(select, described, asked, overrides, wanted.policy, service.pool.device)
     return JSONResponse(made.model_dump(mode="json"), headers={"Cache-Control": "no-store"})

@@ -15,6 +15,7 @@ from api.report.report import write_report, write_scatter
 from api.report.summary import in_words
 from selector.measure.compare import Comparison, Row, false_colours
 from selector.planner.planner import choose
+from shadows.registry import NOTHING
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import InputError
@@ -70,7 +71,7 @@ def show(comparison: Comparison) -> None:
 
 def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
     """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue."""
-    plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": "none"})
+    plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NOTHING})
     base = render_frame(scene, comparison.view, plan).color
     about = _about(scene, comparison, view)
     write_report(folder / "report.html", comparison, base, about)

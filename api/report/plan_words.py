@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Callable, Iterator
 
 from selector.words import duration, listed, percent
-from shadows.plan import Plan, Reasoned, Settings, Step, Target
+from shadows.algorithm import Reasoned, Settings
+from shadows.plan import Plan, Step, Target
 from shadows.registry import ALGORITHMS
 from terrain.effects import EFFECTS
 from terrain.geo.sun import Sun

@@ -7,10 +7,10 @@ from typing import Any
 
 from selector.measure.compare import Comparison
 from selector.words import duration, listed, percent, two_digits
+from shadows.registry import NOTHING
 
 Figures = dict[str, Any]
 
-NONE = "none"
 
 FLOORS = 3.0
 """Below so many noise floors an error cannot be told from none."""
@@ -38,13 +38,13 @@ def in_words(comparison: Comparison) -> list[str]:
 
 def casts(figures: Figures, light: str) -> bool:
     """Whether any algorithm but ``none`` is at work for a light in a row."""
-    return family(figures, light) != NONE
+    return family(figures, light) != NOTHING
 
 
 def family(figures: Figures, light: str) -> str:
     """The algorithms of a row for a light, without their settings, as ``sweep + shadow_map``; ``none`` where none casts."""
-    names = [name for name in figures["algorithm"].get(light, {}).values() if name != NONE]
-    return " + ".join(dict.fromkeys(names)) or NONE
+    names = [name for name in figures["algorithm"].get(light, {}).values() if name != NOTHING]
+    return " + ".join(dict.fromkeys(names)) or NOTHING
 
 
 def on_front(figures: Figures, light: str) -> bool:

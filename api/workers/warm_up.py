@@ -12,6 +12,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from selector.select import plan_of_view
+from shadows.registry import FALLBACK
 from shadows.render import render_frame
 from terrain.errors import GraphicsError
 from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
@@ -61,7 +62,7 @@ def _visibility_beside_wall() -> tuple[float, float]:
                 "version": 1,
                 "terrain": {"source": memory.name, "units": "m"},
                 "sun": {"azimuth": 270, "altitude": 30},
-                "shadows": {"algorithm": "shadow_map"},
+                "shadows": {"algorithm": FALLBACK},
             }
         )
         scene = build_scene(LoadedLevel(name="warm-up", path=Path("warm-up"), level=level, digest=""))

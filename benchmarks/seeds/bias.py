@@ -9,9 +9,9 @@ import numpy as np
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of
 from benchmarks.seeds.words import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
+from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import sun_maps
 from shadows.passes import PassLog
-from shadows.plan import ShadowMapSettings
 from terrain.gbuffer.resolve import RELIEF
 from terrain.level.level import SUN
 

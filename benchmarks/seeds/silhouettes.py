@@ -14,10 +14,10 @@ from benchmarks.seeds.times import in_turns
 from benchmarks.seeds.views import Held, bundled, held
 from benchmarks.seeds.words import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
 from shadows.passes import PassRecord
-from shadows.plan import VolumeSettings
 from shadows.volumes.drawing import count
 from shadows.volumes.edges import Edges, closed_parts, edges_of
 from shadows.volumes.layers import batches
+from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.silhouettes import ALL, FACING, Silhouette, facing, silhouette, turns_of
 from shadows.volumes.volumes import MOST_LAYERS, Volumes, light_in_frame, volumes_of
 from terrain.casters.casting import caster_solids

@@ -13,8 +13,9 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import in_turns
 from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of, shallow
 from benchmarks.seeds.words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
+from shadows.maps.settings import ShadowMapSettings
 from shadows.passes import PassLog
-from shadows.plan import Plan, ShadowMapSettings
+from shadows.plan import Plan
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import coverage_truth
 from terrain.cache import forget

@@ -16,9 +16,10 @@ from ruamel.yaml import YAML
 from api.catalogue import find_level
 from selector.measure.footprint import texel_footprint_px
 from selector.planner.planner import choose
+from shadows.algorithm import Settings
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import Plan, Settings
+from shadows.plan import Plan
 from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import edge_distances, errors_of
 from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene

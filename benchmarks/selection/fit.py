@@ -10,28 +10,28 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from selector.cost.error_model import (
-    DECIMATED,
-    HALF_A_HIT,
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
-    MANNERS,
     Counted,
     ErrorModel,
     Errors,
-    Manner,
+    error_group_of,
+    error_groups,
     expected_errors,
     kinds_of_step,
-    manner_of,
     pooled,
     texel_px_of,
 )
 from selector.picks import Asked
 from selector.planner.planner import planner_of
 from selector.portfolio import portfolio
-from shadows.plan import PerspectiveMapSettings, Step
+from shadows.maps.settings import PerspectiveMapSettings
+from shadows.plan import Step
+from shadows.sweep.sweep import DECIMATED
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX
+from terrain.facts.probes import HALF_A_HIT
 from terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
@@ -79,8 +79,8 @@ class Case:
         return frozenset(step.algorithm for step in self.steps)
 
     @property
-    def manners(self) -> frozenset[Manner]:
-        return frozenset(manner_of(self.descriptor, step) for step in self.steps)
+    def error_groups(self) -> frozenset[str]:
+        return frozenset(error_group_of(self.descriptor, step) for step in self.steps)
 
     def expected(self, model: ErrorModel) -> Errors:
         return expected_errors(self.descriptor, self.light, self.steps, model)
@@ -107,7 +107,7 @@ def cases_of(view: Figures) -> list[Case]:
 
 def fitted(cases: Sequence[Case]) -> ErrorModel:
     """The constants that fit measured rows."""
-    mapped = [case for case in cases if case.algorithms & set(MAPS) and not case.manners & {"planar", DECIMATED}]
+    mapped = [case for case in cases if case.algorithms & set(MAPS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
@@ -116,12 +116,12 @@ def fitted(cases: Sequence[Case]) -> ErrorModel:
 
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
-    by_itself = {name: [case.error for case in cases if case.manners == {name}] for name in EXACT}
+    by_itself = {name: [case.error for case in cases if case.error_groups == {name}] for name in EXACT}
     floors = {name: float(np.exp(np.mean(np.log(np.array(its) + LEAST))) - LEAST) for name, its in by_itself.items() if its}
     model = model.model_copy(update={"floor": model.floor | floors})
     inside, spread, inside_spread = {}, {}, {}
-    for name in MANNERS:
-        with_it = [(case, case.expected(model)) for case in cases if name in case.manners]
+    for name in error_groups():
+        with_it = [(case, case.expected(model)) for case in cases if name in case.error_groups]
         spread[name] = _scale([(case.error + LEAST) / (expected.wrong_cast + LEAST) for case, expected in with_it])
         told = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
         shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in told]
@@ -172,8 +172,8 @@ class _Terms:
 def _model(x: np.ndarray) -> ErrorModel:
     values = np.reshape(x[:-3], (len(KINDS), 3)).tolist()
     counted = {kind: Counted(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
-    floor = {name: x[-2 + MAPS.index(name)] if name in MAPS else 0.0 for name in MANNERS}
-    zeros = dict.fromkeys(MANNERS, 0.0)
+    floor = {name: x[-2 + MAPS.index(name)] if name in MAPS else 0.0 for name in error_groups()}
+    zeros = dict.fromkeys(error_groups(), 0.0)
     return ErrorModel(counted=counted, perspective=x[-3], floor=floor, interior=zeros, spread=zeros, interior_spread=zeros)  # type: ignore[arg-type]
 
 

@@ -12,6 +12,7 @@ from benchmarks.selection.judge import GOALS, Instance, Verdict, instances_of, m
 from benchmarks.selection.policies import Split, errors_of_time, lateness, splits, verdict
 from selector.cost.device_profile import DeviceProfile
 from selector.words import percent
+from shadows.registry import chosen_from
 
 Figures = dict[str, Any]
 
@@ -23,10 +24,7 @@ TARGETS = {
     "measure": {"met": "98 %", "gap": "0.90 / 0.90", "mean": "0.05", "p95": "0.15", "unclean": "none"},
 }  # fmt: skip
 
-WORDS = {
-    "shadow_map": "shadow maps", "perspective_shadow_map": "perspective shadow maps", "shadow_volume": "shadow volumes",
-    "hybrid": "hybrid", "planar": "planar", "sweep": "sweep",
-}  # fmt: skip
+WORDS = {each.name: each.plural for each in chosen_from()}
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:

@@ -10,22 +10,18 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
 from selector.cost.calibration_scenes import Stage, stages
-from selector.cost.cost_model import MS_PER_NS, part_ms
+from selector.cost.cost_model import MS_PER_NS, part_ms, work_of
 from selector.cost.device_profile import DeviceProfile, Residual
-from selector.cost.work import Counts, work_of
-from selector.planner.map_settings import lamp_map_settings, sun_map_settings
-from selector.planner.perspective_settings import perspective_map_settings
-from selector.planner.volume_settings import hybrid_settings, volume_settings
-from selector.serves import serves
 from shadows.passes import PassLog
-from shadows.plan import Settings, Step, SweepSettings, TruthSettings
+from shadows.plan import Step
+from shadows.registry import ALGORITHMS, serves
 from shadows.visibility import fill_steps
+from shadows.work import Counts
 from terrain.cache import forget
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
@@ -33,7 +29,6 @@ from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.antialias import picture_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device
-from terrain.level.level import SUN, AlgorithmName, CasterKind, Shadows
 from terrain.scene import Scene
 
 TURNS = 3
@@ -43,15 +38,6 @@ pays for compiling, too.
 
 LIMIT_S = 90.0
 """After so many seconds no further turn is begun."""
-
-PASS_OF_PART = {"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"}
-"""Parts of the work that have a pass of their own on record; what is left of a step's time is its last part's."""
-
-Asked = dict[str, Any]
-
-SIZES: list[Asked] = [{"map_size": size} for size in (512, 1024, 2048, 4096)]
-CASCADES: list[Asked] = [{"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4}]
-FILTERS: list[Asked] = [{"map_size": 1024, "filter": taps} for taps in (1, 2, 5, "sun")]
 
 Progress = Callable[[int, int], None]
 
@@ -106,41 +92,12 @@ def jobs_of(stage: Stage) -> list[Job]:
 
 
 def _steps(descriptor: Descriptor, stage: Stage) -> Iterator[Step]:
-    """What is tried on a stage: sizes, cascades, taps and algorithms, as far as its grid goes."""
-
-    def serving(name: AlgorithmName) -> tuple[CasterKind, ...]:
-        return tuple(kind for kind in stage.kinds if serves(name, descriptor, stage.light, kind))
-
-    def asked(each: Asked) -> Shadows:
-        return Shadows(**({"filter": 3, "cascades": 1} | each))
-
-    light, lamp = stage.light, next((its for its in descriptor.lamps if its.name == stage.light), None)
-    full, some = stage.grid == "full", stage.grid != "few"
-    sizes = (SIZES if lamp is None else SIZES[:3]) if some else SIZES[1:3]
-    filters = [each for each in FILTERS if full and (lamp is None or each["filter"] != "sun")]
-    for each in [*sizes, *(CASCADES if descriptor.bands and lamp is None else []), *filters]:
-        settings: Settings
-        if lamp is None:
-            settings, _ = sun_map_settings(descriptor, asked(each))
-        else:
-            settings, _ = lamp_map_settings(descriptor, lamp, asked(each))
-        yield Step(light, stage.kinds, "shadow_map", settings)
-    if kinds := serving("perspective_shadow_map"):
-        for each in [*sizes, *(each for each in filters if each["filter"] != "sun")]:
-            settings, _ = perspective_map_settings(light, asked(each))
-            yield Step(light, kinds, "perspective_shadow_map", settings)
-    if kinds := serving("shadow_volume"):
-        yield Step(light, kinds, "shadow_volume", volume_settings(Shadows()))
-        for size in (512, 2048) if some and lamp is None and not descriptor.relief_m else (1024,):
-            yield Step(light, kinds, "hybrid", hybrid_settings(descriptor, light, Shadows(map_size=size))[0])
-    if descriptor.relief_m <= 0.0 and (kinds := serving("planar")):
-        yield Step(light, kinds, "planar", None)
-    if light == SUN and "relief" in stage.kinds:
-        more: list[Settings] = [SweepSettings(filter="sun")] if full else []
-        for settings in [SweepSettings(), SweepSettings(lines=4), *more]:
-            yield Step(light, ("relief",), "sweep", settings)
-    if full:
-        yield Step(light, stage.kinds, "truth", TruthSettings())
+    """What is tried on a stage: the settings of each algorithm that its record names, past the casters that it serves."""
+    for algorithm in ALGORITHMS.values():
+        kinds = tuple(kind for kind in stage.kinds if serves(algorithm.name, descriptor, stage.light, kind))
+        if algorithm.passes and kinds:
+            for settings in algorithm.calibrated(descriptor, stage.light, stage.grid):
+                yield Step(stage.light, kinds, algorithm.name, settings)
 
 
 def _run(job: Job) -> None:
@@ -150,9 +107,10 @@ def _run(job: Job) -> None:
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
     left_ms = (time.perf_counter() - start) * 1000.0
     passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
-    *others, last = sorted(job.work, key=lambda part: PASS_OF_PART.get(_plain(part)) is None)
+    pass_of = ALGORITHMS[step.algorithm].cost.passes
+    *others, last = sorted(job.work, key=lambda part: pass_of.get(_plain(part)) is None)
     for part in others:
-        its_ms = passes_ms[PASS_OF_PART[_plain(part)]]
+        its_ms = passes_ms[pass_of[_plain(part)]]
         left_ms -= its_ms
         job.least_ms[part] = min(its_ms, job.least_ms.get(part, np.inf))
     job.least_ms[last] = min(max(left_ms, 1e-3), job.least_ms.get(last, np.inf))

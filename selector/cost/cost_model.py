@@ -8,13 +8,22 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.work import Counts, work_of
-from shadows.plan import Settings
-from terrain.errors import InputError
+from selector.cost.unmeasured import NO_RATES, UnmeasuredError
+from shadows.algorithm import Settings
+from shadows.registry import ALGORITHMS
+from shadows.work import Counts, Task, Work
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import AlgorithmName, CasterKind
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind
 
 MS_PER_NS = 1e-6
+
+
+def work_of(
+    descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: Settings | None
+) -> Work:
+    """What a step does, by part; nothing for the algorithm ``none``."""
+    return ALGORITHMS[algorithm].work(Task(descriptor, light, kinds), settings)
 
 
 def predicted_ms(
@@ -40,11 +49,11 @@ def predicted_parts_ms(
     algorithm: AlgorithmName,
     settings: Settings | None,
 ) -> dict[str, float]:
-    """The same by part of the work (``selector.cost.work``). Raises ``InputError`` for a part that the profile knows nothing of."""
+    """The same by part of the work (``shadows.work``). Raises ``UnmeasuredError`` for a part of which the profile has no rates."""
     work = work_of(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:
-            raise InputError("calibration", f"no rates for {part}", "rates for all work: skugga calibrate measures them")
+            raise UnmeasuredError(algorithm, NO_RATES.format(part=part))
     return {part: part_ms(profile.rates_ns[part], counts) for part, counts in work.items()}
 
 

@@ -33,7 +33,7 @@ class Residual(BaseModel):
 
 
 class DeviceProfile(BaseModel):
-    """The rates of a device, nanoseconds by part of the work and by what is counted there (``selector.cost.work``).
+    """The rates of a device, nanoseconds by part of the work and by what is counted there (``shadows.work``).
 
     ``renderer`` and ``version`` are OpenGL's own words for the device and its driver, ``engine`` is the version of Skugga that
     measured, ``took_s`` how long that took, ``residuals`` how well the rates fit, by algorithm.

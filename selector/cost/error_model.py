@@ -23,20 +23,20 @@ from bisect import bisect
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from math import exp, log, log2, radians, sqrt, tan
-from typing import Literal
+from math import exp, log, log2
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from selector.cost.task import is_decimated
+from selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
 from selector.winning import MOST_INTERIOR
-from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
+from shadows.algorithm import ErrorConstants
+from shadows.plan import Step
 from shadows.registry import ALGORITHMS
 from terrain.cache import MIB, kept
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.facts.probes import PROBES
-from terrain.level.level import SUN, AlgorithmName, CasterKind
+from terrain.level.level import CasterKind
 
 UNKNOWN = Casting(
     share=0.1,
@@ -59,12 +59,10 @@ HALF_A_HIT = 0.5 / PROBES
 """What no probe was hit by may be there all the same: half a probe's share."""
 
 
-DECIMATED: Literal["sweep of decimated ground"] = "sweep of decimated ground"
-
-Manner = AlgorithmName | Literal["sweep of decimated ground"]
-"""What errors are told by: an algorithm, or a sweep of ground of which the drawn triangles leave out nodes."""
-
-MANNERS: tuple[Manner, ...] = (*ALGORITHMS, DECIMATED)
+def error_groups() -> tuple[str, ...]:
+    """Everything that errors are told by: algorithms, and where it makes a difference kinds of views of one."""
+    more = [group for each in ALGORITHMS.values() for group in each.error_groups if group != each.name]
+    return (*ALGORITHMS, *more)
 
 
 @dataclass(frozen=True)
@@ -117,10 +115,15 @@ class ErrorModel(BaseModel):
 
     counted: dict[CasterKind, Counted]
     perspective: float = Field(gt=0)
-    floor: dict[Manner, float]
-    interior: dict[Manner, float]
-    spread: dict[Manner, float]
-    interior_spread: dict[Manner, float]
+    floor: dict[str, float]
+    interior: dict[str, float]
+    spread: dict[str, float]
+    interior_spread: dict[str, float]
+
+    def constants(self, group: str) -> ErrorConstants | None:
+        """Those of an error group; ``None`` where nothing was fitted."""
+        tables = (self.floor, self.interior, self.spread, self.interior_spread)
+        return None if any(group not in table for table in tables) else ErrorConstants(*(table[group] for table in tables))
 
 
 @kept("process", MIB)
@@ -135,35 +138,48 @@ def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], m
     return errors_together(descriptor, light, [(step, wrong_of_step(descriptor, light, step, model)) for step in steps], model)
 
 
+def error_group_of(descriptor: Descriptor, step: Step) -> str:
+    """What a step's errors are told by."""
+    return ALGORITHMS[step.algorithm].error_group(descriptor)
+
+
+def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants | None:
+    """The constants of a step's error group; ``None`` where nothing was fitted, and its algorithm brings none."""
+    group = error_group_of(descriptor, step)
+    return model.constants(group) or ALGORITHMS[step.algorithm].accuracy.constants.get(group)
+
+
 def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
-    """The share of all that is seen that a step is expected to get wrong."""
-    floor = model.floor[manner_of(descriptor, step)] * _cast(descriptor, light)
+    """The share of all that is seen that a step is expected to get wrong. Raises as ``errors_together`` does."""
+    floor = _constants(descriptor, step, model).floor * _cast(descriptor, light)
     return floor + sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
 
 
 def errors_together(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel) -> Errors:
-    """The errors of steps, each with the share that it gets wrong."""
+    """The errors of steps, each with the share that it gets wrong. Raises ``UnmeasuredError`` for one without constants."""
     wrong = interior = spread = interior_spread = 0.0
     for step, its in wrong_of:
-        manner = manner_of(descriptor, step)
-        inside = its * model.interior[manner]
-        wrong, spread = wrong + its, spread + its * model.spread[manner]
-        interior, interior_spread = interior + inside, interior_spread + inside * model.interior_spread[manner]
+        constants = _constants(descriptor, step, model)
+        inside = its * constants.interior
+        wrong, spread = wrong + its, spread + its * constants.spread
+        interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
     return Errors(
         min(wrong, 1.0), min(wrong / _cast(descriptor, light), 1.0), min(interior, 1.0),
         spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
     )  # fmt: skip
 
 
+def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants:
+    found = constants_of(descriptor, step, model)
+    if found is None:
+        raise UnmeasuredError(step.algorithm, NO_ERRORS)
+    return found
+
+
 def _cast(descriptor: Descriptor, light: str) -> float:
     """The share of what is seen that is taken to lie in cast shadow."""
     facts = descriptor.lights.get(light)
     return max(UNKNOWN.share if facts is None else facts.cast_share, HALF_A_HIT)
-
-
-def manner_of(descriptor: Descriptor, step: Step) -> Manner:
-    """What a step's errors are told by: its algorithm, and for a sweep whether the ground is decimated."""
-    return DECIMATED if step.algorithm == "sweep" and is_decimated(descriptor) else step.algorithm
 
 
 def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
@@ -174,8 +190,9 @@ def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[
 
 def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
     """The share of all that is seen that one kind's shadows are wrong on."""
-    if step.algorithm == "planar":
-        return casting.share if casting.on_bodies is None else max(casting.on_bodies, HALF_A_HIT)
+    accuracy = ALGORITHMS[step.algorithm].accuracy
+    if accuracy.wrong_share is not None:
+        return accuracy.wrong_share(casting)
     wrong = 0.0
     for band in casting.bands:
         texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
@@ -188,28 +205,8 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
     """A texel's side in a band in pixels, across the light (the geometric mean of both sides); 0 without texels. ``perspective`` is
     ``ErrorModel.perspective``.
     """
-    settings = step.settings
-    if isinstance(settings, ShadowMapSettings):
-        ends = (cascade.far_m for cascade in settings.cascades[:-1])
-        number = sum(1 for end in ends if end is not None and band.near_m >= end * (1.0 - 1e-9))
-        right, up = settings.cascades[number].texel_m
-        return sqrt(right * up) / band.pixel_m
-    if isinstance(settings, LampMapSettings):
-        return _uniform_px(descriptor, light, band) / settings.map_size
-    if isinstance(settings, PerspectiveMapSettings):
-        seen_px = perspective * sqrt(descriptor.rows * descriptor.cols)
-        return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
-    return 0.0
-
-
-def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
-    """What one uniform map of the light covers along a side, in pixels of a band."""
-    lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
-    if light == SUN or lamp is None:
-        right, up, _ = descriptor.receivers_light_m or (band.pixel_m, band.pixel_m, 0.0)
-        return sqrt(right * up) / band.pixel_m
-    tangent = 1.0 if lamp.kind == "omni" else tan(radians(lamp.cutoff_deg))
-    return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
+    texel_px = ALGORITHMS[step.algorithm].accuracy.texel_px
+    return 0.0 if texel_px is None else texel_px(descriptor, light, step.settings, band, perspective)
 
 
 @kept("process", MIB)

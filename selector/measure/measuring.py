@@ -19,10 +19,13 @@ from selector.planner.planner import choose
 from selector.portfolio import portfolio
 from selector.winning import Figures, Verdict, best, overshoot
 from selector.words import duration, percent
-from shadows.plan import Plan, Predicted, Reasoned
+from shadows.algorithm import Reasoned
+from shadows.plan import Plan, Predicted
+from shadows.registry import NOTHING
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import AlgorithmName, CasterKind, Shadows, override
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind, Shadows, override
 from terrain.scene import Scene
 
 UNSURE = 1.5
@@ -138,7 +141,7 @@ def candidates_of(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, A
     plain = choose(descriptor, wishes, overrides, picks={})
     out: dict[str, list[Candidate]] = {}
     for light, per_kind in plain.algorithm.items():
-        casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != "none"}
+        casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NOTHING}
         unlike: dict[str, Candidate] = {}
         for pick in portfolio(descriptor, light, casting) if casting else []:
             plan = choose(descriptor, wishes, overrides, picks={light: pick})

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from selector.picks import Pick
 from selector.planner.advice_rules import RULES, Case
-from selector.serves import kinds_of_lights, serves
+from shadows.registry import FALLBACK, serves
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import AlgorithmName, Shadows
-
-FALLBACK: AlgorithmName = "shadow_map"
-"""What is taken where no rule speaks."""
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import Shadows
 
 NO_RULE = "no rule speaks for another, and a map serves every view, light and kind of casters"
 
@@ -17,7 +15,7 @@ NO_RULE = "no rule speaks for another, and a map serves every view, light and ki
 def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Pick]:
     """What the rules take for each light, with the first rule that applies as the reason, and its source."""
     picks = {}
-    for light in kinds_of_lights(descriptor):
+    for light in descriptor.light_kinds:
         taken = {kind: _first(Case(descriptor, light, kind, asked)) for kind in descriptor.casters}
         picks[light] = Pick(
             "rules", {kind: name for kind, (name, _) in taken.items()}, why={kind: why for kind, (_, why) in taken.items()}

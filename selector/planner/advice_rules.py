@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from selector.serves import SWEPT_M, swept_m
+from shadows.sweep.extent import SWEPT_M, swept_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CasterFacts, LampFacts, LightFacts
-from terrain.level.level import SUN, AlgorithmName, CasterKind, Shadows
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import SUN, CasterKind, Shadows
 
 MAPS_ERROR = 0.006
 """Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as

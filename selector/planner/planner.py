@@ -13,19 +13,17 @@ from pydantic_core import PydanticCustomError
 
 from selector.picks import Pick, Wishes
 from selector.planner.advice import advised
-from selector.planner.map_settings import lamp_map_settings, sun_map_settings
-from selector.planner.perspective_settings import perspective_map_settings
-from selector.planner.volume_settings import hybrid_settings, volume_settings
-from selector.serves import kinds_of_lights, parts_of
+from shadows.algorithm import Part, Reasoned, Settings, SettingsRequest, parts_of
 from shadows.passes import PassLog
-from shadows.plan import Plan, Reasoned, Settings, Step, SweepSettings, Target, TruthSettings, steps_of
-from shadows.registry import ALGORITHMS, Part, able
+from shadows.plan import Plan, Step, Target, steps_of
+from shadows.registry import ALGORITHMS, FALLBACK, NOTHING, able
 from shadows.render import passes_of
 from terrain.effects import EFFECTS
 from terrain.effects.cast_shadows import kind_of_sun, of_sun
 from terrain.errors import InputError, UnsupportedError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN, AlgorithmName, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import SUN, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
 
 SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
 """What can be asked for besides an algorithm and a target."""
@@ -80,13 +78,13 @@ class Planner:
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
-        return [one.kind for one in self._taken(light, None) if one.name != "none"]
+        return [one.kind for one in self._taken(light, None) if one.name != NOTHING]
 
     def steps(self, light: str, pick: Pick) -> tuple[Step, ...]:
         """What a pick comes to under its light. Raises as ``choose`` does."""
         company = (light, *pick.algorithm.items())
         if company not in self._companies:
-            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != "none"}
+            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != NOTHING}
         algorithm = self._companies[company]
         of_name = {name: self._resolved(light, name, pick)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
@@ -95,7 +93,7 @@ class Planner:
     def plan(self, picks: Mapping[str, Pick], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """The plan that comes of picks by light. Raises as ``choose`` does."""
         descriptor, asked, who = self.descriptor, self.asked, _who(self.overrides, "algorithm")
-        taken = [one for light in kinds_of_lights(descriptor) for one in self._taken(light, picks.get(light))]
+        taken = [one for light in descriptor.light_kinds for one in self._taken(light, picks.get(light))]
         reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
         algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
         settings: dict[str, dict[CasterKind, Settings]] = {}
@@ -128,7 +126,7 @@ class Planner:
         return {effect.name: effect.reason for effect in self.left_out}
 
     def _taken(self, light: str, pick: Pick | None) -> list[_Taken]:
-        who, kind_of_light, found = _who(self.overrides, "algorithm"), kinds_of_lights(self.descriptor)[light], []
+        who, kind_of_light, found = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
             wish, parts = self.choice.get(light, {}).get(caster), parts_of(self.descriptor, kind_of_light, caster)
@@ -146,8 +144,8 @@ class Planner:
         picked = self._picked(pick)
         key = (light, name, *picked.items())
         if key not in self._kept:
-            sharp = self._missing.get("soft_edges")
-            settings, reasons = _resolved(name, self.descriptor, light, self.asked.model_copy(update=picked), sharp)
+            asked, sharp_because = self.asked.model_copy(update=picked), self._missing.get("soft_edges")
+            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, sharp_because))
             self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
         return self._kept[key]
 
@@ -158,7 +156,7 @@ class Planner:
         chosen = [
             Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why
         ]
-        taken = {key for key in picked if hasattr(getattr(settings, "map", settings), key)}
+        taken = {} if settings is None else settings.asked_as
         return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
 
 
@@ -208,7 +206,7 @@ def _with_work(
     settings: dict[str, dict[CasterKind, Settings]],
 ) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out, when the algorithms are chosen: some have nothing to do with some algorithms."""
-    casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != "none"}
+    casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NOTHING}
     sun = algorithm.get(SUN, {})
     filtered = any(getattr(its, "filter", 1) != 1 for its in settings.get(SUN, {}).values())
     idle = {}
@@ -217,7 +215,7 @@ def _with_work(
     if "forest" not in casting:
         idle["alpha_test"] = "foliage casts by no algorithm"
     if not filtered:
-        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {'none'})) or 'lamps'} are sharp"
+        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NOTHING})) or 'lamps'} are sharp"
     if "relief" not in casting:
         idle["outside_casters"] = "ground casts by no algorithm"
     stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]
@@ -244,19 +242,19 @@ def _algorithm(
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
         if effect in missing:
-            return "none", missing[effect], False
+            return NOTHING, missing[effect], False
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
-        return "none", of_sun(descriptor).reason, False
+        return NOTHING, of_sun(descriptor).reason, False
     if wish is not None:
         return wish, f"asked for by {who}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
-        return "none", "level ground cannot cast", False
+        return NOTHING, "level ground cannot cast", False
     if light == SUN and not needed & set(forced) and not kind_of_sun(descriptor, caster).called_for:
-        return "none", kind_of_sun(descriptor, caster).reason, False
+        return NOTHING, kind_of_sun(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
-        return "none", f"{light} reaches nothing that is seen", False
+        return NOTHING, f"{light} reaches nothing that is seen", False
     if pick is None or caster not in pick.algorithm:
-        return "shadow_map", "it serves every view, light and kind of casters", True
+        return FALLBACK, "it serves every view, light and kind of casters", True
     return pick.algorithm[caster], pick.why.get(caster, pick.name), True
 
 
@@ -275,7 +273,7 @@ def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapp
         return ALGORITHMS[name].about
     if not free:
         return f"{who} asks for {', '.join(sorted({one.name for one in taken}))}"
-    if name == "none":
+    if name == NOTHING:
         return "there are casters and light"
     if name in rejected:
         return rejected[name]
@@ -300,48 +298,7 @@ def _settings_asked_for(
         name = f"{key} {value}"
         if value != "auto" and name not in told:
             reason = f"asked for by {_who(overrides, key)}"
-            if not any(_has(its, key, value) for its in resolved):
+            if not any(each.asked_as.get(key) == value for each in resolved):
                 reason += ", and left out: nothing that is taken has this to choose"
             found.append(Reasoned(name=name, reason=reason))
     return found
-
-
-def _has(settings: Settings, key: str, value: Any) -> bool:
-    for part in (settings, getattr(settings, "map", settings)):
-        if (its := getattr(part, key, None)) is not None:
-            return (len(its) if key == "cascades" else its) == value
-    return False
-
-
-def _resolved(
-    name: AlgorithmName, descriptor: Descriptor, light: str, asked: Shadows, sharp: str | None
-) -> tuple[Settings | None, list[Reasoned]]:
-    """Settings and the reasons for them; ``sharp`` says why the sun's edges need no filter."""
-    settings: Settings
-    ignored, hard = [], []
-    if light == SUN and sharp is not None and asked.filter != 1:
-        hard.append(Reasoned(name="filter 1", reason=f"sharp edges: {sharp}"))
-        asked = asked.model_copy(update={"filter": 1})
-    if asked.filter not in ("auto", 1, *(("sun",) if name == "sweep" else ())):
-        why = f"left out: the edges of {name} are sharp as they are"
-        ignored.append(Reasoned(name=f"filter {asked.filter}", reason=why))
-    if name == "none":
-        return None, []
-    if name == "planar":
-        return None, ignored
-    if name == "truth":
-        return TruthSettings(), ignored
-    if name == "sweep":
-        return SweepSettings(filter="sun" if asked.filter == "sun" else 1), ignored
-    if name == "shadow_volume":
-        return volume_settings(asked), ignored
-    if name == "hybrid":
-        settings, reasons = hybrid_settings(descriptor, light, asked)
-        return settings, [*ignored, *reasons]
-    if name == "perspective_shadow_map":
-        settings, reasons = perspective_map_settings(light, asked)
-    elif light == SUN:
-        settings, reasons = sun_map_settings(descriptor, asked)
-    else:
-        settings, reasons = lamp_map_settings(descriptor, next(lamp for lamp in descriptor.lamps if lamp.name == light), asked)
-    return settings, [*hard, *reasons]

@@ -11,24 +11,30 @@ thinner than a texel may lie between the texels' centres, and is missed. ``conse
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
+from shadows.algorithm import FEW_MAP_SIZES, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
 from shadows.attached import attached
 from shadows.hybrid.conservative_map import MASKED, SHADED
 from shadows.hybrid.maps import decided, pictures
-from shadows.maps.drawing import draw_map
+from shadows.hybrid.settings import HybridSettings, resolve_hybrid
+from shadows.hybrid.work import hybrid_work
+from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
-from shadows.maps.shadow_map import depths
+from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import lamp_map, sun_maps
 from shadows.passes import PassLog
-from shadows.plan import HybridSettings, ShadowMapSettings
 from shadows.volumes.drawing import count, faces_before
+from shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
 from shadows.volumes.tiles import marked_tiles
 from shadows.volumes.volumes import light_in_frame, volumes_of
 from terrain.casters.reach import Casters
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device
-from terrain.level.level import CasterKind
+from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
@@ -97,3 +103,30 @@ def _compared(
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED
     return verdict
+
+
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+    sizes = (512, 2048) if grid != "few" and light == SUN and not descriptor.relief_m else (1024,)
+    for size in sizes:
+        yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]
+
+
+ALGORITHM = Algorithm(
+    name="hybrid",
+    about="a small map, and shadow volumes only where it cannot decide",
+    plural="hybrid",
+    fill=fill,
+    passes=PASSES,
+    refuses=NO_VOLUME,
+    layers=("shadow-map", "stencil", "silhouettes", "volumes"),
+    settings=(HybridSettings,),
+    resolve=resolve_hybrid,
+    keeps=("shadows.hybrid.maps", *KEEPS),
+    search=Search(map_sizes_beside=FEW_MAP_SIZES, hopeless=too_much_ground, variants=({"mask": "original"}, {"map_size": 2048})),
+    cost=Cost(
+        hybrid_work,
+        passes={"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"},
+        calibrated=_calibrated,
+    ),
+    mark=Mark("triangle", "green"),
+)

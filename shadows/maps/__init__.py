@@ -1,4 +1,4 @@
 """Depth maps: `shadow_map` and `perspective_shadow_map`; where their maps lie, how they are drawn and looked up.
 
-May import: attached, passes, plan.
+May import: algorithm, attached, passes, work.
 """

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from moderngl import Framebuffer
 
+from shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
-from shadows.plan import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from terrain.cache import Same
 from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.casters.reach import Casters
@@ -91,6 +91,12 @@ def draw_map(
     if content is not None:
         gl.depth_targets.keep(target, content)
     return target
+
+
+def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
+    """A map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts; the light's up is at the top."""
+    texels = gl.read(target, -1)
+    return texels if drawn.uniforms["lamp"] else texels[::-1]
 
 
 def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:

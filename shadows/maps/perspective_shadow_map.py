@@ -42,25 +42,32 @@ Taps, their weights, kept maps and foliage are as in ``shadows.maps.shadow_map``
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
+
 import numpy as np
 
+from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
 from shadows.attached import attached
-from shadows.maps.drawing import draw_map
+from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
 from shadows.maps.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, projected, uniform_matrix
-from shadows.maps.shadow_map import depths
+from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
+from shadows.maps.settings import PerspectiveMapSettings
+from shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
 from shadows.maps.windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
+from shadows.maps.work import perspective_map_work
 from shadows.passes import PassLog
-from shadows.plan import PerspectiveMapSettings
 from terrain.casters.casting import anything_casts, caster_trees
 from terrain.casters.reach import Casters
 from terrain.compiled import compiled
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.stand import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device
-from terrain.level.level import SUN, CasterKind
+from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
@@ -241,3 +248,45 @@ def _bounds(matrix, plain, nearest, position, chosen):
                 if k < 2:
                     outermost[2 * k + 1] = i
     return low, high, outermost
+
+
+def _texel_m(
+    scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer
+) -> float | np.ndarray:
+    """A texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
+    receivers = buffer.there & ~attached(buffer, scene, light)
+    if not receivers.any():
+        return 0.0
+    drawn, _ = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
+    return texel_on_level_ground_m(np.reshape(drawn.uniforms["map_rows"], (4, 4)), buffer.position_frame_m)
+
+
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+    """Sizes and taps, as far as the grid goes."""
+    asked = calibrated_maps(descriptor, light, grid)
+    for overrides in [*asked.sizes, *(each for each in asked.filters if each["filter"] != "sun")]:
+        yield resolve_perspective_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]
+
+
+ALGORITHM = Algorithm(
+    name="perspective_shadow_map",
+    about="a map in the space of the picture: fine near the eye",
+    plural="perspective shadow maps",
+    fill=fill,
+    passes=PASSES,
+    refuses={
+        "map": "a map has no perspective that it could follow",
+        "omni": "what shines all round has no one map in post-perspective space",
+    },
+    layers=("shadow-map",),
+    settings=(PerspectiveMapSettings,),
+    resolve=resolve_perspective_map,
+    keeps=("terrain.gl.depth_targets",),
+    search=Search(
+        tuned={"map_size": TUNED_SIZES},
+        compared=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),
+    ),
+    cost=Cost(perspective_map_work, calibrated=_calibrated),
+    accuracy=Accuracy(texel_px=perspective_map_texel_px, texel_m=_texel_m),
+    mark=Mark("diamond", "sky"),
+)

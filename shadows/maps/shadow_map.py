@@ -77,20 +77,28 @@ throw the same shadow, and lie a whole body behind the lit ones. Everything else
 
 from __future__ import annotations
 
-import numpy as np
-from moderngl import Framebuffer
+from collections.abc import Iterator
+from itertools import product
+from typing import Any
 
-from shadows.maps.drawing import draw_map
+import numpy as np
+
+from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
+from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
+from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
+from shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import nearest_caster_m
+from shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
 from shadows.maps.windows import DepthMap, lamp_map, sun_maps
+from shadows.maps.work import shadow_map_work
 from shadows.passes import PassLog
-from shadows.plan import LampMapSettings, ShadowMapSettings
 from terrain.casters.casting import anything_casts, caster_trees
 from terrain.casters.reach import Casters
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gl.device import Device, device
-from terrain.level.level import CasterKind
+from terrain.gl.device import device
+from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
@@ -134,7 +142,46 @@ def fill(
     return visibility
 
 
-def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
-    """A map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts; the light's up is at the top."""
-    texels = gl.read(target, -1)
-    return texels if drawn.uniforms["lamp"] else texels[::-1]
+def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
+    """Whether there are as many cascades: under the sun, in a perspective view of as many bands of distance."""
+    return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
+
+
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+    """Sizes, cascades and taps, as far as the grid goes."""
+    asked = calibrated_maps(descriptor, light, grid)
+    for overrides in [*asked.sizes, *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()), *asked.filters]:
+        yield resolve_shadow_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]
+
+
+CALIBRATED_CASCADES: tuple[dict[str, Any], ...] = (
+    {"map_size": 1024, "cascades": 2}, {"map_size": 1024, "cascades": 4}, {"map_size": 2048, "cascades": 4},
+)  # fmt: skip
+
+MIDDLE = {"map_size": 1024, "filter": 1}
+VARIANTS: tuple[dict[str, Any], ...] = tuple(MIDDLE | change for change in (
+    {"cascades": 1}, {"cascades": 2}, {"cascades": 4}, {"filter": "sun"}, {"filter": 5}, {"depth_bits": 16}, {"depth_bits": 24},
+    {"depth_bits": 32}, {"bias": "normal_offset"}, {"bias": "polygon_offset"}, {"fit": "tight"}, {"culling": "front"},
+))  # fmt: skip
+"""What the report turns one at a time, from a map of the middle's settings."""
+
+ALGORITHM = Algorithm(
+    name="shadow_map",
+    about="depth map from the light, which follows what is looked at",
+    plural="shadow maps",
+    fill=fill,
+    passes=PASSES,
+    layers=("shadow-map",),
+    settings=(ShadowMapSettings, LampMapSettings),
+    resolve=resolve_shadow_map,
+    keeps=("terrain.gl.depth_targets", "shadows.maps.sun_disc.samples_before_edges"),
+    search=Search(
+        tuned={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
+        tunes=_tunes,
+        compared=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
+        variants=VARIANTS,
+    ),
+    cost=Cost(shadow_map_work, calibrated=_calibrated),
+    accuracy=Accuracy(texel_px=shadow_map_texel_px, texel_m=shadow_map_texel_m),
+    mark=Mark("circle", "blue"),
+)

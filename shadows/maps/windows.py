@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from shadows.attached import attached
+from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import border_texels
-from shadows.plan import Cascade, LampMapSettings, ShadowMapSettings
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.stand import Stand

@@ -1,4 +1,4 @@
 """The line sweep: `sweep`, lines along the sun's azimuth over the heightfield. Compiled loops, no OpenGL.
 
-May import: passes, plan.
+May import: algorithm, passes, work.
 """

@@ -22,16 +22,21 @@ ground take their level from the very triangles that cast. In perspective these 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Part, Search, Settings
 from shadows.passes import PassLog
-from shadows.plan import SweepSettings
+from shadows.sweep.extent import SWEPT_M, swept_m
 from shadows.sweep.grid import NO_LEVELS, Points, passed, sweep
 from shadows.sweep.lines import LOWEST
 from shadows.sweep.rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
+from shadows.sweep.settings import SweepSettings, resolve_sweep
+from shadows.work import Task, Work, is_decimated
 from terrain.casters.reach import Casters
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.grid import MapView
@@ -180,3 +185,62 @@ def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: in
         above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[asked.window]
     above_m[asked.others] = others_above_m
     return buffer.height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
+
+
+def _work(task: Task, settings: SweepSettings) -> Work:
+    nodes = task.nodes + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
+    strips = STRIPS if settings.filter == "sun" else 1
+    rasterised = task.triangles("relief") * task.decimated
+    counts = {
+        "blocks": 1.0, "nodes": nodes, "steps": nodes * settings.lines * strips, "pixels": task.pixels, "points": task.seen,
+        "answers": task.seen * strips, "decimated": rasterised, "outside": task.outside_triangles / 2.0,
+    }  # fmt: skip
+    return {task.by_view("sweep"): counts}
+
+
+def _ground_nodes(task: Task) -> float:
+    """Nodes of a perspective view's whole ground; half its triangles where they are not told."""
+    relief = task.stand("relief")
+    return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
+
+
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings]:
+    yield SweepSettings()
+    yield SweepSettings(lines=4)
+    if grid == "full":
+        yield SweepSettings(filter="sun")
+
+
+def _too_wide(descriptor: Descriptor, kind: CasterKind) -> bool:
+    return (swept_m(descriptor) or 0.0) > SWEPT_M
+
+
+ONE_AZIMUTH = "its lines run along the one azimuth of the sun: a lamp's rays spread"
+
+REFUSES: dict[Part, str] = {
+    "spot": ONE_AZIMUTH,
+    "omni": ONE_AZIMUTH,
+    "meshes": "it knows one height per place, and a mesh may have several above each other",
+    "forest": "a tree is no heightfield: light passes under its crown and between its leaves",
+}
+
+EXACT, DECIMATED = "sweep", "sweep of decimated ground"
+"""Errors are told apart by whether the drawn triangles of the ground leave out nodes."""
+
+ALGORITHM = Algorithm(
+    name="sweep",
+    about="lines along the sun's azimuth over the heightfield, good at every azimuth; needs no OpenGL",
+    plural="sweep",
+    fill=fill,
+    passes=PASSES,
+    refuses=REFUSES,
+    layers=("shadow-height",),
+    needs_opengl=False,
+    settings=(SweepSettings,),
+    resolve=resolve_sweep,
+    keeps=("shadows.sweep.rays.ground_of_level",),
+    search=Search(hopeless=_too_wide, variants=({"filter": "sun"},)),
+    cost=Cost(_work, calibrated=_calibrated),
+    accuracy=Accuracy(groups=(EXACT, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else EXACT),
+    mark=Mark("star", "orange"),
+)

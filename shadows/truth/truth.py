@@ -10,18 +10,22 @@ changes when the ground is cut from north-west to south-east, instead of as draw
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
+from pydantic import Field
 
+from shadows.algorithm import Algorithm, Cost, ResolvedSettings, Settings, SettingsRequest
 from shadows.attached import attached, lamp_in_frame, turned_away
 from shadows.passes import PassLog
-from shadows.plan import TruthSettings
+from shadows.work import Task, Work
 from terrain.cache import MIB, kept
 from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
 from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.casters.reach import Casters, casters_of
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, RELIEF
@@ -39,6 +43,12 @@ UNLIMITED_TRIANGLES = 2**31
 PASSES = ("rays",)
 
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
+
+
+class TruthSettings(Settings):
+    """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
+
+    sun_samples: int = Field(default=1, ge=1, le=1024)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,3 +332,32 @@ def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DE
     angle, distance = number * np.pi * (3.0 - 5.0**0.5), np.tan(np.radians(radius_deg)) * np.sqrt((number + 0.5) / samples)
     directions = to_sun + distance[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * aside)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    return TruthSettings(), request.without_filter("truth")
+
+
+def _work(task: Task, settings: TruthSettings) -> Work:
+    rays = task.facing * settings.sun_samples
+    return {"truth": {"blocks": 1.0, "seen": task.seen, "rays": rays, "triangles": task.all_triangles}}
+
+
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings]:
+    if grid == "full":
+        yield TruthSettings()
+
+
+ALGORITHM = Algorithm(
+    name="truth",
+    about="rays: the reference, not for real time",
+    plural="truth",
+    fill=fill,
+    passes=PASSES,
+    served=False,
+    needs_opengl=False,
+    settings=(TruthSettings,),
+    resolve=_resolve,
+    keeps=("shadows.truth.truth.ray_scene",),
+    cost=Cost(_work, calibrated=_calibrated),
+)

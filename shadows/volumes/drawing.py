@@ -19,8 +19,8 @@ import numpy as np
 from moderngl import Framebuffer
 
 from shadows.passes import PassRecord
-from shadows.plan import VolumeSettings
 from shadows.volumes.layers import may_shade_near
+from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receiving, sample_points
 from shadows.volumes.volumes import Volumes

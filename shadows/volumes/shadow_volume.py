@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Part, Search
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import VolumeSettings
 from shadows.volumes.drawing import count, faces_before, silhouettes_seen
+from shadows.volumes.settings import VolumeSettings, resolve_volumes
 from shadows.volumes.volumes import light_in_frame, volumes_of
+from shadows.volumes.work import volume_work
 from terrain.casters.reach import Casters
+from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
@@ -44,3 +47,43 @@ def fill(
         counts = count(buffer, scene, at, volumes, settings, wanted, False, record)
     log.keep("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
+
+
+MOST_GROUND = 2**18
+"""Triangles of ground from which on volumes of its edges are no candidate: measured, they take ten to twenty times what a sweep
+does, and are no better (docs/accuracy.md).
+"""
+
+
+def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
+    """Whether the ground has too many triangles for volumes of its edges."""
+    of_kind = (each for each in descriptor.stands if each.kind == kind == "relief")
+    return sum(each.triangles + each.outside_triangles for each in of_kind) > MOST_GROUND
+
+
+NO_VOLUME: dict[Part, str] = {
+    "forest": "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads",
+    "bent map": DRAWS_IN_THE_VIEW,
+}
+"""What no volume can serve, and why."""
+
+KEEPS = ("shadows.volumes.volumes", "shadows.volumes.volumes._structure", "shadows.volumes.volumes._has_gaps")
+"""Caches of volumes."""
+
+ALGORITHM = Algorithm(
+    name="shadow_volume",
+    about="volumes of shadow counted in the stencil: exact to the pixel",
+    plural="shadow volumes",
+    fill=fill,
+    passes=PASSES,
+    refuses=NO_VOLUME,
+    layers=("stencil", "silhouettes", "volumes"),
+    settings=(VolumeSettings,),
+    resolve=resolve_volumes,
+    keeps=KEEPS,
+    search=Search(
+        map_sizes_beside=FEW_MAP_SIZES, hopeless=too_much_ground, variants=({"stencil": "two_pass"}, {"counting": "z_fail"})
+    ),
+    cost=Cost(volume_work, passes={"silhouettes": "silhouettes", "counting": "stencil"}),
+    mark=Mark("square", "vermilion"),
+)

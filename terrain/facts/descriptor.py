@@ -25,6 +25,8 @@ from terrain.geo.grid import BLOCK_PX
 from terrain.level.level import SUN, CasterKind
 from terrain.level.parts import Weather
 
+LightKind = Literal["sun", "spot", "omni"]
+
 
 def _number_of_text(fact: object) -> object:
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(fact, fact) if isinstance(fact, str) else fact
@@ -83,6 +85,12 @@ class Descriptor(Facts):
     moves: bool = False
     weather: Weather = Weather()
     facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_number_of_text), AfterValidator(_a_number)]]] = {}
+
+    @property
+    def light_kinds(self) -> dict[str, LightKind]:
+        """The lights in order, each with its kind; a level without any has the sun's, which is nowhere."""
+        sun: dict[str, LightKind] = {SUN: "sun"} if self.highest_sun_deg is not None or not self.lamps else {}
+        return sun | {lamp.name: lamp.kind for lamp in self.lamps}
 
     @model_validator(mode="before")
     @classmethod

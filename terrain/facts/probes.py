@@ -19,6 +19,9 @@ from terrain.geo.world import LocalFrame
 PROBES = 1000
 """Probes from which rays go to a light, at most."""
 
+HALF_A_HIT = 0.5 / PROBES
+"""What no probe was hit by may be there all the same: half a probe's share."""
+
 PROBES_AMONG_TREES = 500
 """As many where there are trees, whose leaves cost most to miss."""
 

@@ -18,6 +18,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError
+from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
@@ -31,9 +32,6 @@ from terrain.level.parts import (
     Water,
     Weather,
 )
-
-AlgorithmName = Literal["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
-"""Shadow algorithms a level may name; a test holds this equal to ``shadows.registry``."""
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
@@ -98,7 +96,7 @@ class Level(Model):
     @field_validator("lights")
     @classmethod
     def _own_names(cls, value: dict[str, LightSpec]) -> dict[str, LightSpec]:
-        taken = (SUN, *get_args(CasterKind), *get_args(AlgorithmName), "auto")
+        taken = (SUN, *get_args(CasterKind), *ALGORITHM_NAMES, "auto")
         for name in value:
             if name in taken:
                 raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(taken)})
@@ -157,7 +155,7 @@ def algorithm_choice(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN
     A name alone is for every one of the ``lights``; kinds without a light are the sun's. ``auto`` gives an empty choice.
     Raises ``PydanticCustomError`` with what is allowed.
     """
-    kinds, names = get_args(CasterKind), (*get_args(AlgorithmName), "auto")
+    kinds, names = get_args(CasterKind), (*ALGORITHM_NAMES, "auto")
 
     def name_of(item: Any) -> str:
         if item not in names:

@@ -11,9 +11,9 @@ import numpy as np
 from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
+from shadows.algorithm import Settings
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import Settings
 from shadows.visibility import fill_steps
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View

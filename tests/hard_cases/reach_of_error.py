@@ -14,9 +14,10 @@ import numpy as np
 
 from shadows.attached import attached
 from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
-from shadows.plan import PerspectiveMapSettings, ShadowMapSettings, Step
+from shadows.plan import Step
 from shadows.truth.truth import ALL_KINDS, ray_scene
 from terrain.casters.casting import caster_trees
 from terrain.describe import describe

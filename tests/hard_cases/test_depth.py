@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from selector.planner.map_settings import DEPTH_PX
+from shadows.algorithm import Settings
 from shadows.maps.drawing import draw_map
+from shadows.maps.resolve import DEPTH_PX
+from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import DepthMap, distances, steps_of, sun_maps
 from shadows.passes import PassRecord
-from shadows.plan import Settings, ShadowMapSettings
 from terrain.describe import describe
 from terrain.gl.device import device
 from terrain.scene import Scene

@@ -18,7 +18,7 @@ from pyproj import Transformer
 
 from shadows.attached import attached
 from shadows.maps.perspective_shadow_map import perspective_map
-from shadows.plan import PerspectiveMapSettings
+from shadows.maps.settings import PerspectiveMapSettings
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN

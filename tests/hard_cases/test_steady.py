@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from selector.planner.map_settings import EXTENT_STEP
 from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.maps import perspective_shadow_map
 from shadows.maps.drawing import draw_map
 from shadows.maps.lookup import look_up
+from shadows.maps.resolve import EXTENT_STEP
+from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import BORDER_TEXELS, sun_maps
 from shadows.passes import PassRecord
-from shadows.plan import ShadowMapSettings, Step
+from shadows.plan import Step
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer

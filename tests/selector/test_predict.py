@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import MANNERS, Counted, ErrorModel
+from selector.cost.error_model import Counted, ErrorModel, error_groups
 from selector.picks import Asked
-from selector.planner.planner import Planner, planner_of
+from selector.planner.planner import Planner, choose, planner_of
 from selector.predict import Option, options_of, predicted_plan
 from selector.words import duration, percent
 from shadows.plan import Plan
-from terrain.errors import InputError, UnsupportedError
+from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
@@ -27,10 +27,10 @@ TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "sele
 ERRORS = ErrorModel(
     counted={kind: Counted(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},
     perspective=2.0,
-    floor=dict.fromkeys(MANNERS, 1e-4),
-    interior=dict.fromkeys(MANNERS, 0.0),
-    spread=dict.fromkeys(MANNERS, 0.05),
-    interior_spread=dict.fromkeys(MANNERS, 0.05),
+    floor=dict.fromkeys(error_groups(), 1e-4),
+    interior=dict.fromkeys(error_groups(), 0.0),
+    spread=dict.fromkeys(error_groups(), 0.05),
+    interior_spread=dict.fromkeys(error_groups(), 0.05),
 )
 """Errors about which little is left to chance."""
 
@@ -209,9 +209,19 @@ def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
         planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
 
 
-def test_a_device_that_knows_nothing_of_some_work_is_refused():
-    with pytest.raises(InputError, match="no rates for mask"):
-        planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
+def test_what_a_device_has_no_rates_for_is_left_out_with_the_reason():
+    plan = planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
+    assert plan.policy == "predict" and plan.predicted is not None
+    said = {one.name: one.reason for one in plan.rejected}
+    assert said["hybrid"] == "this device has no rates for mask (skugga calibrate measures them)"
+
+
+def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why():
+    plan = planned(described(), device(rates_ns={"another part": {"blocks": 1.0}}))
+    assert plan.policy == "rules" and plan.predicted is None and plan.target.met is None
+    assert plan.algorithm == choose(described(), asked(described())).algorithm
+    why = next(one.reason for one in plan.reasons if one.name == "policy rules")
+    assert why.startswith("nothing can be predicted, so the rules decide: ") and "shadow_map: this device has no rates" in why
 
 
 @pytest.mark.parametrize("max_error", [0.0, 1e-6])

@@ -17,11 +17,10 @@ from hypothesis import strategies as st
 from shadows import planar
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import TruthSettings
 from shadows.planar import clip_from_plane, onto_plane
 from shadows.render import render_frame
+from shadows.truth.truth import TruthSettings, truth_of
 from shadows.truth.truth import fill as truth_fill
-from shadows.truth.truth import truth_of
 from terrain.casters.reach import NO_CASTERS, casters_of
 from terrain.gbuffer.antialias import sampled
 from terrain.gbuffer.picture import geometry_of

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import Plan, TruthSettings
+from shadows.plan import Plan
 from shadows.render import render_frame
 from shadows.truth.metrics import block_shares, coverage_error, errors_of
-from shadows.truth.truth import coverage_truth, fill, truth_of
+from shadows.truth.truth import TruthSettings, coverage_truth, fill, truth_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from math import floor, log10
 
-from api.report.page.marks import GRAY, stage_colours
+from api.report.page.marks import COLOURS, stage_colours
 from api.report.page.markup import tag
 from api.report.page.scales import round_time
 from api.report.summary import Figures
@@ -74,7 +74,7 @@ def stages_of(figures: Figures) -> dict[str, float]:
 def _colours(figures: list[Figures]) -> dict[str, str]:
     found = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in found if name != REST])
-    return colours | ({REST: GRAY} if REST in found else {})
+    return colours | ({REST: COLOURS["gray"]} if REST in found else {})
 
 
 def _whole_ms(figures: Figures) -> float:

@@ -5,12 +5,17 @@ The colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from math import cos, pi, sin
 
 from api.report.page.markup import tag
+from shadows.algorithm import Mark, MarkColour
+from shadows.registry import ALGORITHMS, FALLBACK
 
-BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, GRAY = "#0072b2", "#d55e00", "#009e73", "#b8558f", "#e69f00", "#56b4e9", "#6b7280"
+COLOURS: dict[MarkColour, str] = {
+    "blue": "#0072b2", "vermilion": "#d55e00", "green": "#009e73", "purple": "#b8558f", "orange": "#e69f00", "sky": "#56b4e9",
+    "gray": "#6b7280", "black": "#000000",
+}  # fmt: skip
 
 POINTS: dict[str, str] = {
     "circle": "circle",
@@ -32,45 +37,31 @@ POINTS: dict[str, str] = {
 """Corners of shapes about the size of a circle of radius 1."""
 
 
-@dataclass(frozen=True)
-class Mark:
-    """A shape of ``POINTS`` in a colour, filled or not."""
-
-    shape: str
-    colour: str
-    filled: bool = True
-
-    def drawn(self, x: float, y: float, radius: float = 6.0) -> str:
-        """The mark as SVG around a point."""
-        paint = {"fill": self.colour, "stroke": "#fff"} if self.filled else {"fill": "#fff", "stroke": self.colour}
-        paint |= {
-            "stroke_width": f"{(1.0 if self.filled else 2.2) / radius:.3f}",
-            "transform": f"translate({x:.1f} {y:.1f}) scale({radius:g})",
-        }
-        return tag("circle", r=1, **paint) if self.shape == "circle" else tag("polygon", points=POINTS[self.shape], **paint)
-
-
-MARKS = {
-    "shadow_map": Mark("circle", BLUE),
-    "perspective_shadow_map": Mark("diamond", SKY),
-    "shadow_volume": Mark("square", VERMILION),
-    "hybrid": Mark("triangle", GREEN),
-    "planar": Mark("wedge", PURPLE),
-    "sweep": Mark("star", ORANGE),
-    "none": Mark("cross", GRAY),
-}
-SPARE = Mark("cross", "#000000")
+def drawn(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
+    """A mark as SVG around a point."""
+    colour = COLOURS[mark.colour]
+    paint = {"fill": colour, "stroke": "#fff"} if mark.filled else {"fill": "#fff", "stroke": colour}
+    paint |= {
+        "stroke_width": f"{(1.0 if mark.filled else 2.2) / radius:.3f}",
+        "transform": f"translate({x:.1f} {y:.1f}) scale({radius:g})",
+    }
+    return tag("circle", r=1, **paint) if mark.shape == "circle" else tag("polygon", points=POINTS[mark.shape], **paint)
 
 
 def mark_of(family: str) -> Mark:
     """The mark of algorithms at work together (``summary.family``): that of the first but shadow maps, hollow if not alone."""
     names = family.split(" + ")
-    lead = next((name for name in names if name != "shadow_map"), names[0])
-    mark = MARKS.get(lead, SPARE)
-    return mark if len(names) == 1 else Mark(mark.shape, mark.colour, filled=False)
+    lead = next((name for name in names if name != FALLBACK), names[0])
+    mark = ALGORITHMS[lead].mark if lead in ALGORITHMS else SPARE
+    return mark if len(names) == 1 else replace(mark, filled=False)
 
 
-STAGES = (BLUE, ORANGE, GREEN, VERMILION, SKY, PURPLE, "#8c6d31", "#f0e442", "#332288", "#88ccee", "#999933", "#44aa99")
+SPARE = Mark("cross", "black")
+
+STAGES = (
+    *(COLOURS[name] for name in ("blue", "orange", "green", "vermilion", "sky", "purple")),
+    *("#8c6d31", "#f0e442", "#332288", "#88ccee", "#999933", "#44aa99"),
+)
 
 
 def stage_colours(stages: list[str]) -> dict[str, str]:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 
-from api.report.page.marks import MARKS, mark_of
+from api.report.page.marks import drawn, mark_of
 from api.report.page.markup import tag
 from api.report.page.scales import Scale, round_time, scale_of
-from api.report.summary import FLOORS, NONE, Figures, casts, family, on_front
+from api.report.summary import FLOORS, Figures, casts, family, on_front
 from selector.measure.compare import Comparison
 from selector.words import duration, percent
+from shadows.registry import ALGORITHMS, NOTHING
 
 WIDTH, HEIGHT = 860.0, 540.0
 LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0
@@ -68,7 +69,7 @@ def still(comparison: Comparison, title: list[str], style: str) -> str:
     for k, name in enumerate(names):
         down, across = divmod(k, LEGEND_COLUMNS)
         x, y = LEGEND_PX + across * (WIDTH - LEGEND_PX) / LEGEND_COLUMNS, foot + 1.4 * LINE_PX * down
-        keys.append(tag("g", mark_of(name).drawn(8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})"))
+        keys.append(tag("g", drawn(mark_of(name), 8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})"))
     height = foot + 1.4 * LINE_PX * -(-len(names) // LEGEND_COLUMNS)
     return tag(
         "svg",
@@ -92,13 +93,13 @@ def legend(comparison: Comparison) -> str:
 
 def _families(comparison: Comparison) -> list[str]:
     found = {family(row.figures, comparison.light) for row in comparison.rows}
-    ranks = {name: k for k, name in enumerate(MARKS)}
-    return sorted(found - {NONE} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
+    ranks = {name: k for k, name in enumerate(ALGORITHMS)}
+    return sorted(found - {NOTHING} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
 
 
 def swatch(name: str) -> str:
     """The mark of an algorithm as a small picture beside its name."""
-    return tag("svg", mark_of(name).drawn(8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
+    return tag("svg", drawn(mark_of(name), 8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
 def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
@@ -147,7 +148,7 @@ def _mark(point: Point, comparison: Comparison) -> str:
         "a",
         tag("title", escape(said)),
         tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
-        mark_of(family(figures, comparison.light)).drawn(point.x, point.y, 7.0 if figures["pareto"] else 5.2),
+        drawn(mark_of(family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
         href=f"#row-{point.row}",
         data_row=point.row,
         aria_label=said,

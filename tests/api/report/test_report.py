@@ -21,13 +21,14 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from api.report.page.bars import REST, bars, stages_of
-from api.report.page.marks import MARKS, mark_of
+from api.report.page.marks import mark_of
 from api.report.page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
 from api.report.page.scales import scale_of
 from api.report.page.scatter import HEIGHT, WIDTH, scatter
 from api.report.report import MOST_BYTES, report, write_report, write_scatter
 from api.report.summary import casts, family
 from selector.measure.compare import Comparison, Row, false_colours
+from shadows.registry import ALGORITHMS
 from terrain.geo.camera import PerspectiveView
 from tests.api.report.test_summary import COLS, NONE, ROWS, comparison, figures
 
@@ -311,7 +312,7 @@ def test_one_slow_row_does_not_hide_the_others() -> None:
 
 
 def test_marks_differ_in_shape_and_colour() -> None:
-    marks = list(MARKS.values())
+    marks = [each.mark for each in ALGORITHMS.values() if each.served]
     assert len({mark.shape for mark in marks}) == len({mark.colour for mark in marks}) == len(marks)
     assert mark_of("shadow_map + sweep") == mark_of("sweep + shadow_map") != mark_of("sweep")
     assert mark_of("sweep + hybrid").colour == mark_of("sweep").colour

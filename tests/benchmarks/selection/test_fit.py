@@ -9,8 +9,12 @@ import pytest
 
 from benchmarks.selection.fit import KINDS, MAPS, START, Case, _model, _Terms, cases_of, fitted
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
-from selector.cost.error_model import DECIMATED, LEAST, LEAST_INTERIOR, LEAST_SPREAD, MANNERS, Counted, ErrorModel
-from shadows.plan import Cascade, PerspectiveMapSettings, ShadowMapSettings, Step, SweepSettings, VolumeSettings
+from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, Counted, ErrorModel, error_groups
+from shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
+from shadows.plan import Step
+from shadows.sweep.settings import SweepSettings
+from shadows.sweep.sweep import DECIMATED
+from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, CasterKind
@@ -25,10 +29,10 @@ TRUE = ErrorModel(
         "forest": Counted(most=0.9, half_px=0.8, steepness=1.1),
     },
     perspective=1.7,
-    floor=dict.fromkeys(MANNERS, 0.0) | {"shadow_map": 2e-3, "perspective_shadow_map": 1e-3},
-    interior=dict.fromkeys(MANNERS, 0.0),
-    spread=dict.fromkeys(MANNERS, 0.0),
-    interior_spread=dict.fromkeys(MANNERS, 0.0),
+    floor=dict.fromkeys(error_groups(), 0.0) | {"shadow_map": 2e-3, "perspective_shadow_map": 1e-3},
+    interior=dict.fromkeys(error_groups(), 0.0),
+    spread=dict.fromkeys(error_groups(), 0.0),
+    interior_spread=dict.fromkeys(error_groups(), 0.0),
 )
 
 

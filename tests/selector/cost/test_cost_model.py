@@ -9,15 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.cost.cost_model import predicted_ms, predicted_parts_ms
+from selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.work import sun_windows, work_of
+from selector.cost.unmeasured import UnmeasuredError
 from selector.picks import Asked
-from selector.planner.map_settings import sun_map_settings
 from selector.planner.planner import choose
 from selector.portfolio import portfolio
-from shadows.plan import Cascade, HybridSettings, LampMapSettings, ShadowMapSettings, SweepSettings, VolumeSettings
-from terrain.errors import InputError
+from shadows.hybrid.settings import HybridSettings
+from shadows.maps.resolve import sun_map_settings
+from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
+from shadows.maps.work import sun_windows
+from shadows.sweep.settings import SweepSettings
+from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import Band, CasterFacts, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
@@ -176,7 +179,7 @@ def test_times_are_counts_times_rates():
 
 
 def test_a_part_without_rates_is_refused_by_name():
-    with pytest.raises(InputError, match="silhouettes, perspective"):
+    with pytest.raises(UnmeasuredError, match="shadow_volume: .* no rates for silhouettes, perspective"):
         predicted_ms(profile({"planar": {"blocks": 1.0}}), described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
 
 

@@ -9,36 +9,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from selector.cost.error_model import (
-    DECIMATED,
-    HALF_A_HIT,
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
-    MANNERS,
     UNKNOWN,
     Counted,
     ErrorModel,
     Errors,
+    error_group_of,
+    error_groups,
     expected_errors,
     fitted,
     kinds_of_step,
-    manner_of,
     pooled,
     texel_px_of,
 )
 from selector.winning import MOST_INTERIOR
-from shadows.plan import (
-    Cascade,
-    HybridSettings,
-    LampMapSettings,
-    PerspectiveMapSettings,
-    ShadowMapSettings,
-    Step,
-    SweepSettings,
-    VolumeSettings,
-)
+from shadows.hybrid.settings import HybridSettings
+from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.plan import Step
+from shadows.sweep.settings import SweepSettings
+from shadows.sweep.sweep import DECIMATED
+from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from terrain.facts.probes import HALF_A_HIT
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN
 
@@ -52,10 +47,10 @@ MODEL = ErrorModel(
         "forest": Counted(most=0.5, half_px=1.0, steepness=1.0),
     },
     perspective=2.0,
-    floor={name: 0.001 * number for number, name in enumerate(MANNERS)},
-    interior=dict.fromkeys(MANNERS, 0.25),
-    spread={name: 0.1 * (1 + number) for number, name in enumerate(MANNERS)},
-    interior_spread=dict.fromkeys(MANNERS, 0.5),
+    floor={name: 0.001 * number for number, name in enumerate(error_groups())},
+    interior=dict.fromkeys(error_groups(), 0.25),
+    spread={name: 0.1 * (1 + number) for number, name in enumerate(error_groups())},
+    interior_spread=dict.fromkeys(error_groups(), 0.5),
 )
 
 
@@ -231,11 +226,11 @@ def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
         return described(stands=(CasterFacts(kind="relief", triangles=1000, nodes=nodes),))
 
     fine, coarse = on_ground(WHOLE_TRIANGLES // 2), on_ground(WHOLE_TRIANGLES // 2 + 1)
-    assert [manner_of(each, swept) for each in (fine, coarse, on_ground(None))] == ["sweep", DECIMATED, "sweep"]
+    assert [error_group_of(each, swept) for each in (fine, coarse, on_ground(None))] == ["sweep", DECIMATED, "sweep"]
     assert expected_errors(fine, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor["sweep"])
     assert expected_errors(coarse, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("relief",))
-    assert manner_of(coarse, drawn) == "shadow_map"  # which draws the ground that is shown
+    assert error_group_of(coarse, drawn) == "shadow_map"  # which draws the ground that is shown
     assert fitted().floor[DECIMATED] > 100.0 * fitted().floor["sweep"]
 
 
@@ -298,5 +293,5 @@ def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(exp
 def test_the_constants_that_come_with_the_package_are_those_of_every_manner():
     model = fitted()
     for its in (model.floor, model.interior, model.spread, model.interior_spread):
-        assert set(its) == set(MANNERS) and min(its.values()) >= 0.0
+        assert set(its) == set(error_groups()) and min(its.values()) >= 0.0
     assert min(model.spread.values()) >= LEAST_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}

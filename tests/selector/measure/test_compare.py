@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from api.catalogue import find_level
 from selector.candidates import MOST, candidates, name_of
 from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_light
-from selector.measure.footprint import texel_footprint_px, texel_on_level_ground_m
+from selector.measure.footprint import texel_footprint_px
 from shadows.attached import attached
+from shadows.maps.texels import texel_on_level_ground_m
 from shadows.passes import PassLog
 from shadows.render import render_frame
 from shadows.visibility import fill_steps, looked_for

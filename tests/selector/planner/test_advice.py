@@ -29,7 +29,8 @@ from selector.planner.advice_rules import (
     Case,
 )
 from selector.planner.planner import choose
-from selector.serves import SWEPT_M, serves
+from shadows.registry import serves
+from shadows.sweep.extent import SWEPT_M
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CasterFacts, LightFacts

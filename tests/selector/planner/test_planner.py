@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from selector.picks import Pick
 from selector.planner.planner import choose
-from shadows import visibility as visibility_module
 from shadows.maps import shadow_map
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
@@ -167,7 +168,7 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
         with log.run(log.named(light, kinds, shadow_map.PASSES)[1]):
             return np.ones(buffer.there.shape, np.float32)
 
-    monkeypatch.setitem(visibility_module.FILLS, "shadow_map", lazy)
+    monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=lazy))
     with pytest.raises(RenderError, match="are not the plan's"):
         render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 

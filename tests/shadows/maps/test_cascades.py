@@ -10,10 +10,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.map_settings import CASCADE_PX, LARGEST
 from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.maps import shadow_map
+from shadows.maps.resolve import CASCADE_PX, LARGEST
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import errors_of

@@ -14,8 +14,8 @@ from selector.measure.compare import measure
 from shadows.attached import attached
 from shadows.maps import perspective_shadow_map
 from shadows.maps.post_perspective import CONE_DEG
+from shadows.maps.settings import PerspectiveMapSettings
 from shadows.passes import PassLog
-from shadows.plan import PerspectiveMapSettings
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import coverage_truth, truth_of
 from terrain.casters.reach import casters_of

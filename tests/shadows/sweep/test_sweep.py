@@ -8,9 +8,9 @@ import pytest
 from selector.planner.planner import choose
 from shadows.attached import attached
 from shadows.passes import PassLog
-from shadows.plan import SweepSettings
 from shadows.render import render_frame
 from shadows.sweep import sweep
+from shadows.sweep.settings import SweepSettings
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import ray_scene, truth_of
 from terrain.casters import reach

@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-
 from selector.planner.volume_settings import hybrid_settings
+
 from shadows.attached import attached
 from shadows.hybrid import hybrid
 from shadows.passes import PassLog
-from shadows.plan import SweepSettings, TruthSettings, VolumeSettings
 from shadows.sweep import sweep
+from shadows.sweep.settings import SweepSettings
 from shadows.truth.metrics import Errors, errors_of
-from shadows.truth.truth import Truth, truth_of
+from shadows.truth.truth import Truth, TruthSettings, truth_of
 from shadows.truth.truth import fill as truth_fill
 from shadows.volumes import shadow_volume
+from shadows.volumes.settings import VolumeSettings
 from terrain.cache import forget
 from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.describe import describe

@@ -13,9 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from shadows.attached import attached
 from shadows.passes import PassRecord
-from shadows.plan import VolumeSettings
 from shadows.volumes import drawing as volume_drawing
 from shadows.volumes.drawing import count
+from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.tiles import TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.volumes import light_in_frame, volumes_of
 from tests.shadows.boxes import box, level_of

@@ -1,19 +1,21 @@
-"""Settings of shadow maps from rules: how many texels and cascades, how many bits, how many taps, and why."""
+"""What the settings of depth maps are resolved from: how many texels and cascades, how many bits, how many taps, and why."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.windows import BORDER_TEXELS
-from shadows.plan import Cascade, LampMapSettings, Reasoned, ShadowMapSettings
 from terrain.cache import MIB, kept
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import Band, LampFacts
-from terrain.level.level import Shadows
+from terrain.level.level import SUN, Shadows
 
 TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
@@ -32,8 +34,53 @@ DEPTH_PX = 0.25
 LARGEST, SMALLEST = 4096, 512
 """Automatic map sizes."""
 
+TUNED_SIZES = (1024, 2048, 512, 4096)
+"""Map sizes that policies try, in this order."""
+
+CALIBRATED_SIZES = (512, 1024, 2048, 4096)
+
+PERSPECTIVE_TEXELS = 1024
+"""Texels a side of a perspective map, unless the level says otherwise: they go where the eye sees them, so that few do."""
+
+NO_CHOICE = {
+    "fit": ("tight", "a perspective map follows the camera, and is always fitted closely"),
+    "cascades": (1, "a perspective map is one map, which is fine near the eye by itself"),
+    "bias": ("receiver_plane", "a perspective map is compared on the triangle that is seen"),
+    "culling": ("none", "a perspective map is drawn whole, since it needs no bias"),
+}
+"""What a shadow map may be asked for: the only way of a perspective one, and why."""
+
 EXTENT_STEP = 2.0**0.25
 """Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
+
+
+@dataclass(frozen=True)
+class CalibratedMaps:
+    """What a calibration asks of a light's maps: sizes, then filters."""
+
+    sizes: list[dict[str, Any]]
+    filters: list[dict[str, Any]]
+
+
+def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> CalibratedMaps:
+    """As far as the grid goes (``shadows.algorithm.Cost``)."""
+    sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
+    taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
+    return CalibratedMaps([{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": each} for each in taps])
+
+
+def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
+    """Settings of a light's shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
+    settings, reasons = resolve_map(replace(request, shadows=request.sharpened))
+    return settings, [*request.why_sharpened, *reasons]
+
+
+def resolve_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
+    """The same of any map that is not in the space of the picture, just as it is asked for."""
+    if request.light == SUN:
+        return sun_map_settings(request.descriptor, request.shadows)
+    lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows)
 
 
 def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
@@ -109,6 +156,38 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
         taps = 3
         reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="the penumbra that is asked for is that of the sun's disc"))
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(asked)), reasons
+
+
+def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
+    """Settings of a light's perspective shadow map, and the reasons for what was left to choose.
+
+    Raises ``UnsupportedError`` for the penumbra of the sun's disc.
+    """
+    light, asked = request.light, request.sharpened
+    if asked.filter == "sun":
+        reason = "texels of a perspective map are as uneven as the picture: 1, 2, 3 or 5 taps a side; shadow_map has the penumbra"
+        raise UnsupportedError("filter", "sun", reason)
+    who = "" if light == SUN else f"{light}: "
+    reasons = [
+        *request.why_sharpened,
+        *(
+            Reasoned(name=f"{who}{key} {getattr(asked, key)}", reason=f"left out: {why}")
+            for key, (only, why) in NO_CHOICE.items()
+            if getattr(asked, key) not in ("auto", only)
+        ),
+    ]
+    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
+    if size == "auto":
+        size = PERSPECTIVE_TEXELS
+        reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small where the eye is near: few will do"))
+    if bits == "auto":
+        bits = 24 if light == SUN else 32
+        why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
+        reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits would not do far away"))
+    if taps == "auto":
+        taps = 3
+        reasons.append(Reasoned(name=f"{who}filter 3", reason="nine taps smooth the stairs of texels along shadow edges"))
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
 
 
 def _bias_and_culling(asked: Shadows) -> dict[str, Any]:

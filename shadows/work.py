@@ -1,4 +1,10 @@
-"""A step of a plan as quantities that the work of several algorithms is counted in: pixels, casters, areas across the light."""
+"""What a step of a plan has to do, counted from the descriptor alone: pixels, texels, triangles, trees, faces of volumes.
+
+The counts of each part of an algorithm (named after the algorithm, or after what several share, and after the kind of view or
+light where the work is another one) are of things that take the same time whatever the scene, as far as may be: a device's time is
+the sum of counts times its rates (``selector.cost.cost_model``). Counts of a map view are those of one block. Each algorithm
+counts its own parts; here is what several of them count by.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +15,17 @@ from math import cos, erfc, log, pi, radians, sin, sqrt
 
 import numpy as np
 
-from selector.serves import kinds_of_lights
-from shadows.registry import LightKind
-from terrain.facts.descriptor import Descriptor
+from terrain.facts.descriptor import Descriptor, LightKind
 from terrain.facts.parts import CasterFacts, LightFacts
 from terrain.gbuffer.antialias import SIDE, samples_per_pixel
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN, CasterKind
+
+Counts = dict[str, float]
+"""How often each thing is done, by name."""
+
+Work = dict[str, Counts]
+"""Counts by part of an algorithm."""
 
 DENSEST = 0.98
 """No wood is taken to stop a larger share of the light."""
@@ -44,7 +54,7 @@ class Task:
 
     @property
     def light_kind(self) -> LightKind:
-        return kinds_of_lights(self.descriptor)[self.light]
+        return self.descriptor.light_kinds[self.light]
 
     @property
     def in_map(self) -> bool:
@@ -105,6 +115,29 @@ class Task:
     def decimated(self) -> bool:
         """Whether a perspective view's ground is drawn with fewer triangles than its nodes make."""
         return is_decimated(self.descriptor)
+
+    @property
+    def ground_triangles(self) -> float:
+        """Triangles of the ground that casts."""
+        return self.triangles("relief") + self.outside_triangles
+
+    @property
+    def all_triangles(self) -> float:
+        return self.ground_triangles + self.triangles("meshes") + self.triangles("forest")
+
+    @property
+    def nodes(self) -> float:
+        """Nodes of a map's block, however many pixels they are."""
+        return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
+
+    @property
+    def seen_light_m2(self) -> float:
+        """What is seen across the light, square metres."""
+        return self.level_light_m2 * self.facts.area_share
+
+    def by_view(self, part: str) -> str:
+        """A part's name with the kind of view, for what is another work in a map."""
+        return f"{part}, {self.descriptor.view_kind}"
 
     @property
     def trees(self) -> float:

@@ -1,0 +1,39 @@
+"""Algorithms that are tried together, each for some kinds of casters: what is nobody's own, as one algorithm's settings are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind
+
+
+@dataclass(frozen=True)
+class Mix:
+    """Algorithms by kind of casters; kinds that are not named go by ``shadows.registry.FALLBACK``.
+
+    ``in_portfolio`` says whether policies choose it, ``in_report`` whether the accuracy report compares it.
+    """
+
+    name: str
+    algorithm: Mapping[CasterKind, AlgorithmName]
+    in_portfolio: bool = True
+    in_report: bool = True
+
+
+MIXES = (
+    Mix("sweep+shadow_volume", {"relief": "sweep", "meshes": "shadow_volume"}),
+    Mix(
+        "sweep+perspective_shadow_map",
+        {"relief": "sweep", "meshes": "perspective_shadow_map", "forest": "perspective_shadow_map"},
+        in_report=False,
+    ),
+    Mix("sweep+hybrid", {"relief": "sweep", "meshes": "hybrid"}),
+    Mix("shadow_map+shadow_volume", {"meshes": "shadow_volume"}),
+    Mix(
+        "perspective_shadow_map+shadow_volume", {"relief": "perspective_shadow_map", "meshes": "shadow_volume"}, in_portfolio=False
+    ),
+    Mix("shadow_map+perspective_shadow_map", {"meshes": "perspective_shadow_map"}, in_portfolio=False),
+)
+"""The most telling ones first: what comes last is cut off where candidates become too many."""

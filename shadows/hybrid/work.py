@@ -1,0 +1,57 @@
+"""The work of the hybrid: that of its map, of the comparison that marks pixels, and of its volumes in these."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.hybrid.settings import HybridSettings
+from shadows.maps.windows import POSITION_ERROR
+from shadows.maps.work import shadow_map_work
+from shadows.volumes.tiles import TILE_PX
+from shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
+from shadows.work import Task, Work
+from terrain.facts.parts import TEXEL_LADDER_PX
+
+FINEST_SHARE = 256.0 * POSITION_ERROR
+"""A texel of a hybrid's map is never less than so large a share of how far what is seen reaches."""
+
+
+def hybrid_work(task: Task, settings: HybridSettings) -> Work:
+    """Of the hybrid."""
+    texel_px, size = _texel_px(task, settings.map.map_size)
+    counting = {
+        task.by_view("silhouettes"): silhouette_counts(task),
+        task.by_view("counting"): stencil_counts(task, settings, _uncertain(task, texel_px + TILE_PX)),
+    }
+    if settings.mask == "original":
+        return counting | shadow_map_work(task, settings.map)
+    _, caps, ground = volume_faces(task)
+    faces = 6.0 if task.light_kind == "omni" else 1.0
+    texels = faces * size**2
+    drawn = {
+        "blocks": 1.0, "texels": texels, "texels of ground": texels if task.stand("relief") else 0.0,
+        "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing,
+    }  # fmt: skip
+    mask = {"blocks": 1.0, "facing": task.facing, "pixels": task.pixels, "texels": texels}
+    return counting | {task.by_view("conservative map"): drawn, "mask": mask}
+
+
+def _texel_px(task: Task, map_size: int) -> tuple[float, float]:
+    """A texel of a hybrid's one map in pixels, and texels a side."""
+    across_m = np.sqrt(task.seen_light_m2)
+    far_m = max((band.far_m for band in task.descriptor.bands), default=across_m)
+    texel_m = max(across_m / map_size, FINEST_SHARE * far_m / 2.0)
+    return texel_m / task.descriptor.pixel_m, across_m / texel_m
+
+
+def _uncertain(task: Task, side_px: float) -> float:
+    """The share of the picture within squares of a side, pixels, that a shadow's edge passes through; 1 where nothing is known."""
+    if not task.facts.casts:
+        return 1.0
+    ladder = np.log2(TEXEL_LADDER_PX)
+    shares = [
+        band.share * np.interp(np.log2(side_px), ladder, band.differs)
+        for kind, casting in task.facts.casts.items() if kind in task.kinds
+        for band in casting.bands
+    ]  # fmt: skip
+    return float(min(sum(shares), 1.0))

@@ -1,0 +1,90 @@
+"""How large the texels of depth maps are: in pixels, expected from a descriptor, and in metres, at the points of a picture."""
+
+from __future__ import annotations
+
+from math import radians, sqrt, tan
+
+import numpy as np
+
+from shadows.attached import lamp_in_frame
+from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.parts import CastBand
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import SUN, CasterKind
+from terrain.scene import Scene
+
+
+def shadow_map_texel_px(
+    descriptor: Descriptor, light: str, settings: ShadowMapSettings | LampMapSettings, band: CastBand, perspective: float
+) -> float:
+    """A texel's side of the sun's map or a lamp's in a band, in pixels, across the light (the geometric mean of both sides)."""
+    if isinstance(settings, LampMapSettings):
+        return _uniform_px(descriptor, light, band) / settings.map_size
+    ends = (cascade.far_m for cascade in settings.cascades[:-1])
+    number = sum(1 for end in ends if end is not None and band.near_m >= end * (1.0 - 1e-9))
+    right, up = settings.cascades[number].texel_m
+    return sqrt(right * up) / band.pixel_m
+
+
+def perspective_map_texel_px(
+    descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
+) -> float:
+    """The same of a perspective map, with as many texels to a pixel's side as ``perspective`` says."""
+    seen_px = perspective * sqrt(descriptor.rows * descriptor.cols)
+    return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
+
+
+def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
+    """What one uniform map of the light covers along a side, in pixels of a band."""
+    lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
+    if light == SUN or lamp is None:
+        right, up, _ = descriptor.receivers_light_m or (band.pixel_m, band.pixel_m, 0.0)
+        return sqrt(right * up) / band.pixel_m
+    tangent = 1.0 if lamp.kind == "omni" else tan(radians(lamp.cutoff_deg))
+    return 2.0 * tangent * (band.light_m or lamp.reference_m) / band.pixel_m
+
+
+def shadow_map_texel_m(
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    settings: ShadowMapSettings | LampMapSettings,
+    buffer: GeometryBuffer,
+) -> float | np.ndarray:
+    """A texel's larger side on level ground at a buffer's points (rows, cols), or everywhere, metres; 0 without a sun."""
+    if isinstance(settings, LampMapSettings):
+        lamp = scene.lamps[light]
+        position, _ = lamp_in_frame(buffer, lamp)
+        way = position - buffer.position_frame_m
+        length_m = np.linalg.norm(way, axis=-1)
+        tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
+        return 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)
+    if scene.sun is None:
+        return 0.0
+    sine = np.sin(np.radians(max(scene.sun.altitude_deg, 0.5)))
+    sides = [max(cascade.texel_m[0], cascade.texel_m[1] / sine) for cascade in settings.cascades]
+    ends_m = [cascade.far_m for cascade in settings.cascades[:-1] if cascade.far_m is not None]
+    return np.array(sides)[np.searchsorted(ends_m, _from_eye_m(buffer))]
+
+
+def _from_eye_m(buffer: GeometryBuffer) -> np.ndarray:
+    """How far a perspective view's points (rows, cols) are from the eye; 0 in a map."""
+    if not isinstance(buffer.view, PerspectiveView):
+        return np.asarray(0.0)
+    eye, _ = buffer.view.in_frame(buffer.frame)
+    return np.linalg.norm(buffer.position_frame_m - eye, axis=-1)
+
+
+def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.ndarray) -> np.ndarray:
+    """A texel's larger side on level ground at points (..., 3), metres, where a projective map (4, 4) takes a frame to texels.
+
+    A metre is as many texels as the least singular value of the map's derivative says, in the direction where texels are largest
+    (J. Blinn, Consider the Lowly 2 x 2 Matrix, 1996).
+    """
+    x, y, _, w = np.moveaxis(position_frame_m @ map_from_frame[:, :3].T + map_from_frame[:, 3], -1, 0)
+    (ux, uy), (vx, vy), _, (wx, wy) = map_from_frame[:, :2]
+    a, b, c, d = ((k - at / w * along) / w for k, at, along in ((ux, x, wx), (uy, x, wy), (vx, y, wx), (vy, y, wy)))
+    least = np.abs(np.hypot(a + d, b - c) - np.hypot(a - d, b + c)) / 2.0
+    return 1.0 / np.maximum(least, 1e-30)

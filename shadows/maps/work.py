@@ -1,0 +1,81 @@
+"""The work of depth maps: drawing them and looking them up."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+
+from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.maps.windows import BORDER_TEXELS, SIZE_STEP
+from shadows.work import Counts, Task, Work
+from terrain.facts.descriptor import Descriptor
+from terrain.level.level import SUN
+
+Windows = list[tuple[float, float]]
+"""Texels of each of a light's maps, and its area across the light in square metres."""
+
+
+def shadow_map_work(task: Task, settings: ShadowMapSettings | LampMapSettings) -> Work:
+    """Of the sun's maps, or a lamp's."""
+    if isinstance(settings, ShadowMapSettings):
+        windows = sun_windows(task.descriptor, settings)
+        return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing)}
+    faces = 6 if task.light_kind == "omni" else 1
+    windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
+    return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.seen)}
+
+
+def perspective_map_work(task: Task, settings: PerspectiveMapSettings) -> Work:
+    """Of a perspective map."""
+    windows = [(float(settings.map_size**2), task.seen_light_m2)]
+    return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing)}
+
+
+def _counts(task: Task, windows: Windows, filter: int | str, looked_up: float) -> Counts:
+    """Drawing depth maps and looking them up. Both together: a device may put off the one until the other needs it."""
+    count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
+    leaves, trees = 0.0, 0.0
+    for window_texels, window_m2 in windows:
+        leaves += window_texels * task.tree_layers if task.trees else 0.0
+        trees += task.trees_within(window_m2) if task.light == SUN else task.trees
+    counts = {
+        "blocks": 1.0, "maps": count, "fitted pixels": task.pixels * count, f"look-ups, filter {filter}": looked_up,
+        # The larger a map, the less of it a cache holds.
+        "look-ups by texels": looked_up * texels / max(count, 1.0) / 2.0**20,
+        "texels": texels, "texels of ground": texels if task.stand("relief") else 0.0, "texels of leaves": leaves,
+        # What casters cover of a map: nothing that is seen tells it of a lamp's.
+        "texels in shadow": texels * task.facts.cast_share if task.light == SUN else 0.0,
+        "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
+    }  # fmt: skip
+    ground = {"ground": count * task.ground_triangles}
+    if task.in_map:  # the nodes of the block are looked at whatever casts
+        ground |= {"pixels": task.pixels, "nodes": task.nodes}
+    else:
+        ground["trees drawn"] = trees
+    return counts | ground
+
+
+def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
+    """Texels of each of a sun's maps and its area across the light, square metres, as ``shadows.maps.windows`` lays them."""
+    spans_m = []
+    if descriptor.bands:
+        near_m = 0.0
+        for cascade in settings.cascades:
+            far_m = np.inf if cascade.far_m is None else cascade.far_m
+            run = [band for band in descriptor.bands if near_m <= band.near_m < far_m]
+            if run:
+                spans_m.append((tuple(
+                    max(band.high_light_m[k] for band in run) - min(band.low_light_m[k] for band in run) for k in (0, 1)
+                ), cascade))  # fmt: skip
+            near_m = far_m
+    elif descriptor.receivers_light_m is not None:
+        spans_m.append((descriptor.receivers_light_m[:2], settings.cascades[0]))
+    windows = []
+    for span_m, cascade in spans_m:
+        size = [side / texel + 2 * BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
+        if settings.fit == "tight":
+            size = [float(settings.map_size)] * 2
+        texels = float(ceil(size[0] / SIZE_STEP) * SIZE_STEP * ceil(size[1] / SIZE_STEP) * SIZE_STEP)
+        windows.append((texels, span_m[0] * span_m[1]))
+    return windows

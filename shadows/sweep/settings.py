@@ -1,0 +1,22 @@
+"""Settings of the line sweep, and what they are resolved from."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from shadows.algorithm import ResolvedSettings, Settings, SettingsRequest
+
+
+class SweepSettings(Settings):
+    """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
+
+    lines: int = Field(default=8, ge=1, le=16)
+    filter: Literal[1, "sun"] = 1
+
+
+def resolve_sweep(request: SettingsRequest) -> ResolvedSettings:
+    """Settings of the line sweep: of the filters it has the sun's disc alone."""
+    soft = request.sharpened.filter == "sun"
+    return SweepSettings(filter="sun" if soft else 1), request.without_filter("sweep", "sun")

@@ -1,0 +1,31 @@
+"""The names of shadow algorithms that a level may ask for. What they are is said by ``shadows.registry``, a floor above."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
+
+ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
+"""All names. ``shadows.registry.register`` adds to them, so nobody keeps a copy."""
+
+
+class _OneOfThem:
+    """Holds a string to the names of the moment."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(_known, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": "string", "enum": list(ALGORITHM_NAMES)}
+
+
+def _known(name: str) -> str:
+    if name not in ALGORITHM_NAMES:
+        *others, last = (f"'{each}'" for each in ALGORITHM_NAMES)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+    return name
+
+
+AlgorithmName = Annotated[str, _OneOfThem()]
