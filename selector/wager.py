@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, log
 
-from selector.winning import NOTHING, Figures, Verdict, best, overshoot
+from selector.winning import Figures, Verdict, best, overshoot
+from shadows.registry import NOTHING
 
 MISSED = 10.0
 """What a missed target costs, in times what a candidate that is likely to meet it does."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from selector.words import duration, percent
+from shadows.registry import NOTHING
 
 MOST_INTERIOR = 0.001
 """Share of the decidable pixels that may be wrong inside a shadow or a light: more is failure, not aliasing. It is also the least
@@ -14,9 +15,6 @@ that overshoots of an error are held against, so that a target of no error has a
 
 ALIKE = 1.05
 """Times that lie as close as this count as one: the more accurate of two such candidates is taken."""
-
-NOTHING = "none"
-"""The name of what casts no shadows."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,341 @@
+"""A new algorithm is one record: one made up here is validated in a level, planned, refused, drawn, kept, compared, calibrated and
+chosen like any other. And those that there are, are named in few places.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from api.report.page.marks import mark_of
+from selector.candidates import candidates, name_of
+from selector.cost import calibration
+from selector.cost.calibration import calibrate
+from selector.cost.calibration_scenes import stages
+from selector.cost.device_profile import DeviceProfile
+from selector.measure.compare import compare
+from selector.planner.planner import choose
+from selector.predict import predicted_plan
+from selector.select import select
+from shadows.algorithm import (
+    Accuracy,
+    Algorithm,
+    Cost,
+    ErrorConstants,
+    Mark,
+    Reasoned,
+    ResolvedSettings,
+    Search,
+    Settings,
+    SettingsRequest,
+)
+from shadows.plan import Plan
+from shadows.registry import ALGORITHMS, able, register, served_algorithms
+from shadows.render import render_frame
+from shadows.truth.truth import lit_from, ray_scene
+from shadows.work import Task, Work
+from terrain.cache import Cache, Missing, caches, forget
+from terrain.describe import describe
+from terrain.errors import LevelError, UnsupportedError
+from terrain.facts.descriptor import Descriptor
+from terrain.level.algorithm_names import ALGORITHM_NAMES
+from terrain.level.level import SUN, load_level
+from terrain.scene import Scene, build_scene
+
+ROOT = Path(__file__).resolve().parents[1]
+
+PASSES = ("coarse rays",)
+TOO_NEAR = "coarse rays are for what is far away, as the sun is"
+
+answers: Cache[np.ndarray] = Cache("tests.coarse_rays", "light", 2**26)
+cast: list[int] = []
+"""How many rays each call cast."""
+
+
+class CoarseRaysSettings(Settings):
+    """A ray for each square of so many pixels a side."""
+
+    square_px: int
+
+
+def fill(buffer, scene, light, kinds, casters, settings, log):
+    """Visibility by rays from one pixel of each square, which speaks for all of it."""
+    (rays_pass,) = log.named(light, kinds, PASSES)
+    with log.run(rays_pass):
+        found = answers.get(scene, buffer.view, light, kinds, settings)
+        if isinstance(found, Missing):
+            lit = lit_from(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
+            side = settings.square_px
+            chosen = lit[side // 2 :: side, side // 2 :: side]
+            rows, cols = (np.minimum(np.arange(size) // side, most - 1) for size, most in zip(lit.shape, chosen.shape, strict=True))
+            found = chosen[np.ix_(rows, cols)].astype(np.float32)
+            cast.append(chosen.size)
+            answers.put(scene, buffer.view, light, kinds, settings, value=found)
+        return found.copy()
+
+
+def resolve(request: SettingsRequest) -> ResolvedSettings:
+    asked = request.sharpened.map_size
+    side = 4 if asked == "auto" else max(4096 // asked, 1)
+    return CoarseRaysSettings(square_px=side), [Reasoned(name=f"square_px {side}", reason="fewer rays would be seen")]
+
+
+def work(task: Task, settings: CoarseRaysSettings) -> Work:
+    return {"coarse rays": {"blocks": 1.0, "rays": task.seen / settings.square_px**2, "triangles": task.all_triangles}}
+
+
+GOOD = ErrorConstants(floor=0.004, interior=0.0, spread=0.05, interior_spread=0.05)
+
+ALGORITHM = Algorithm(
+    name="coarse_rays",
+    about="a ray for each square of pixels",
+    plural="coarse rays",
+    fill=fill,
+    passes=PASSES,
+    refuses={"omni": TOO_NEAR, "spot": TOO_NEAR},
+    settings=(CoarseRaysSettings,),
+    resolve=resolve,
+    keeps=("tests.coarse_rays",),
+    search=Search(compared=({"map_size": 4096}, {"map_size": 512})),
+    cost=Cost(work, calibrated=lambda descriptor, light, grid: [CoarseRaysSettings(square_px=side) for side in (1, 4, 16)]),
+    accuracy=Accuracy(constants={"coarse_rays": GOOD}),
+    mark=Mark("cross", "vermilion"),
+)
+
+
+@pytest.fixture
+def registered() -> Iterator[Callable[[Algorithm], None]]:
+    """What registers an algorithm for the time of a test."""
+    before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
+    yield register
+    ALGORITHMS.clear()
+    ALGORITHMS.update(before)
+    ALGORITHM_NAMES[:] = names
+
+
+@pytest.fixture
+def coarse_rays(registered) -> None:
+    registered(ALGORITHM)
+    answers.clear()
+    cast.clear()
+
+
+LEVEL = {
+    "version": 1,
+    "terrain": {"generate": {"kind": "ridges", "size": [800, 800], "cell": 20, "relief": 120, "seed": 3}},
+    "sun": {"azimuth": 240, "altitude": 25},
+    "lights": {"lamp": {"kind": "omni", "position": [0, 0, 60]}},
+}
+
+
+def level_file(tmp_path: Path, **keys) -> Path:
+    path = tmp_path / "level.yaml"
+    path.write_text(json.dumps(LEVEL | keys), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    """Ridges under the sun alone."""
+    return build_scene(load_level(level_file(tmp_path, lights={})))
+
+
+def plan_by(scene: Scene, view, **asked) -> Plan:
+    return choose(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **asked})
+
+
+def test_a_level_may_name_it(coarse_rays, tmp_path):
+    loaded = load_level(level_file(tmp_path, shadows={"algorithm": {"relief": "coarse_rays"}}))
+    assert loaded.level.shadows.algorithm == {"relief": "coarse_rays"}
+    assert served_algorithms()[-1] == "coarse_rays"
+    with pytest.raises(LevelError, match="coarse_rays"):  # taken: no light may be called so
+        load_level(level_file(tmp_path, lights={"coarse_rays": LEVEL["lights"]["lamp"]}))
+
+
+def test_until_it_is_registered_nobody_knows_it(tmp_path):
+    with pytest.raises(LevelError, match=r"shadows\.algorithm: .*'coarse_rays'.*shadow_map"):
+        load_level(level_file(tmp_path, shadows={"algorithm": "coarse_rays"}))
+
+
+def test_it_is_planned_with_its_own_settings_and_survives_json(coarse_rays, scene):
+    view = scene.view(size=(64, 64))
+    plan, coarser = plan_by(scene, view), plan_by(scene, view, map_size=512)
+    assert plan.settings[SUN]["relief"] == CoarseRaysSettings(square_px=4)
+    assert coarser.settings[SUN]["relief"] == CoarseRaysSettings(square_px=8)
+    assert "sun/relief: coarse rays" in plan.passes
+    assert {one.name: one.reason for one in plan.reasons}["square_px 4"] == "fewer rays would be seen"
+    assert Plan.model_validate_json(plan.model_dump_json()) == plan
+    assert json.loads(plan.model_dump_json())["settings"][SUN]["relief"] == {"square_px": 4}
+    by_maps = choose(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"})
+    assert "coarse_rays" in {one.name for one in by_maps.rejected}
+
+
+def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
+    lit = build_scene(load_level(level_file(tmp_path)))
+    view = lit.view(size=(64, 64))
+    with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; what can: shadow_map"):
+        choose(describe(lit, view), lit.loaded.level, {"algorithm": "coarse_rays"})
+    assert "coarse_rays" in able(("map", "sun", "relief", "uneven")) and "coarse_rays" not in able(("map", "omni", "relief"))
+
+
+def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
+    view = scene.view(size=(64, 64))
+    whole = render_frame(scene, view, plan_by(scene, view, map_size=4096)).visibility
+    truth = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
+    assert np.array_equal(whole, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
+    frame = render_frame(scene, view, plan_by(scene, view))
+    assert [record.name for record in frame.passes] == frame.plan.passes
+    differs = frame.visibility[frame.there] != truth[frame.there]
+    assert 0.0 < differs.mean() < 0.2 and len(cast) == 2
+    again = render_frame(scene, view, plan_by(scene, view))
+    assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was kept
+
+    (cache,) = (each for each in caches("light") if each.name in ALGORITHM.keeps)
+    assert len(cache) > 0
+    ALGORITHM.forget()
+    assert len(cache) == 0
+    render_frame(scene, view, plan_by(scene, view))
+    assert len(cache) > 0 and len(cast) == 3
+    forget("light")
+    assert len(cache) == 0
+
+
+def test_it_is_compared(gl, coarse_rays, scene):
+    view = scene.view(size=(96, 96))
+    names = {name_of(plan) for plan in candidates(scene, view)}
+    assert {"coarse_rays-4", "coarse_rays-1", "coarse_rays-8"} <= names
+    plans = [plan_by(scene, view, map_size=size) for size in (4096, 1024, 256)]
+    rows = compare(scene, view, plans=plans).rows
+    wrong = [row.figures["wrong_cast"] for row in rows]
+    assert [row.figures["algorithm"][SUN]["relief"] for row in rows] == ["coarse_rays"] * 3
+    assert wrong[0] == 0.0 < wrong[1] < wrong[2]
+    assert mark_of("coarse_rays") == ALGORITHM.mark
+
+
+def test_it_is_calibrated(gl, coarse_rays, monkeypatch):
+    monkeypatch.setattr(calibration, "TURNS", 2)
+    monkeypatch.setattr(
+        calibration,
+        "stages",
+        lambda folder: (replace(each, grid="few") for each in stages(folder) if each.name == "few_balls_small"),
+    )
+    found = calibrate()
+    assert found.residuals["coarse_rays"].rows == 3
+    assert sum(found.rates_ns["coarse rays"].values()) > 0.0
+
+
+def device(**rates: dict[str, float]) -> DeviceProfile:
+    """A device on which maps and volumes take long."""
+    slow = {
+        "shadow_map, map": {"blocks": 90e6}, "silhouettes, map": {"blocks": 90e6}, "counting, map": {"blocks": 90e6},
+        "conservative map, map": {"blocks": 90e6}, "mask": {"blocks": 90e6}, "sweep, map": {"blocks": 40e6},
+    }  # fmt: skip
+    return DeviceProfile(
+        renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2026, 1, 1, tzinfo=UTC), took_s=1.0,
+        rates_ns={**slow, **rates},
+    )  # fmt: skip
+
+
+RATES = {"coarse rays": {"blocks": 1e6}}
+
+
+@pytest.fixture
+def ridges(scene) -> Descriptor:
+    return describe(scene, scene.view(size=(64, 64)))
+
+
+def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges, scene):
+    level = scene.loaded.level
+    plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
+    assert plan.algorithm[SUN]["relief"] == "coarse_rays" and plan.predicted is not None and plan.predicted.ms == pytest.approx(1.0)
+    assert plan.predicted.wrong_cast == pytest.approx(GOOD.floor)
+
+    ten_times = replace(GOOD, floor=10.0 * GOOD.floor)  # as wrong an error model as that is believed, and it is not taken
+    registered(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": ten_times})))
+    other = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
+    assert other.algorithm[SUN]["relief"] == "sweep"
+    said = {one.name: one.reason for one in other.rejected}
+    assert "chance of more than 2 %" in said["coarse_rays"] or said["coarse_rays"].startswith("expected at best: an error of 4.0 %")
+
+
+@pytest.mark.parametrize(
+    ("change", "rates", "why"),
+    [
+        ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet (benchmarks/selection fits them)"),
+        ({}, {}, "this device has no rates for coarse rays (skugga calibrate measures them)"),
+    ],
+)
+def test_what_is_not_measured_yet_is_said_and_something_else_is_taken(
+    coarse_rays, registered, ridges, scene, change, rates, why
+):  # fmt: skip
+    registered(replace(ALGORITHM, **change))
+    level, measured = scene.loaded.level, device(**rates)
+    plan = predicted_plan(ridges, level, None, measured)
+    assert plan.policy == "predict" and plan.algorithm[SUN]["relief"] == "sweep"
+    assert {one.name: one.reason for one in plan.rejected}["coarse_rays"] == why
+    named = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
+    assert named.algorithm[SUN]["relief"] == "coarse_rays" and named.predicted is None and named.target.met is None
+    reason = next(one.reason for one in named.reasons if one.name == "policy rules")
+    assert reason == f"nothing can be predicted, so the rules decide: coarse_rays: {why}"
+
+
+OF_ITS_OWN = {
+    "shadow_map": "shadows/maps/",
+    "perspective_shadow_map": "shadows/maps/",
+    "shadow_volume": "shadows/volumes/",
+    "hybrid": "shadows/hybrid/",
+    "planar": "shadows/planar.py",
+    "sweep": "shadows/sweep/",
+    "truth": "shadows/truth/",
+}
+
+MAY_NAME = {
+    "terrain/level/algorithm_names.py": "the words that a level may use",
+    "selector/mixes.py": "algorithms that are tried together",
+    "selector/planner/advice_rules.py": "what each rule of advice takes",
+}
+"""Modules besides an algorithm's own that name one, and why."""
+
+
+def named_elsewhere(root: Path) -> dict[str, set[str]]:
+    """Modules outside of an algorithm's own room with its name as a word -> which names."""
+    found: dict[str, set[str]] = {}
+    for floor in ("terrain", "shadows", "selector", "api"):
+        for path in (root / floor).rglob("*.py"):
+            name = path.relative_to(root).as_posix()
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Constant) and node.value in OF_ITS_OWN and not name.startswith(OF_ITS_OWN[str(node.value)]):
+                    found.setdefault(name, set()).add(str(node.value))
+    return found
+
+
+def test_an_algorithm_is_named_by_itself_and_in_three_more_places():
+    assert set(OF_ITS_OWN) | {"none"} == set(ALGORITHMS)
+    assert set(named_elsewhere(ROOT)) == set(MAY_NAME)
+
+
+def test_a_chain_over_names_would_be_found(tmp_path):
+    (tmp_path / "selector").mkdir()
+    (tmp_path / "selector" / "chain.py").write_text(
+        'def taps(name):\n    return 3 if name == "shadow_map" else 1\n', encoding="utf-8"
+    )
+    assert named_elsewhere(tmp_path) == {"selector/chain.py": {"shadow_map"}}
+
+
+def test_every_cache_of_a_room_is_kept_by_an_algorithm(gl):
+    """What an algorithm says that it keeps is there, and what the rooms of algorithms keep, one of them says."""
+    there = {cache.name for cache in caches()}
+    kept = {name for each in ALGORITHMS.values() for name in each.keeps}
+    assert kept <= there
+    rooms = tuple(f"shadows.{room}." for room in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
+    assert {name for name in there if name.startswith(rooms)} - {
+        "shadows.maps.resolve._of_runs",
+        "shadows.maps.resolve._splits",
+    } <= kept
