@@ -7,11 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.http.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, check_pixels, only, parse_size, wishes
+from api.http.parameters import PICTURE_PARAMETERS, Layer, View, check_pixels, only, parse_size, wishes
 from api.http.routes_tiles import PICTURE_DOCS
 from api.http.service import TheService, unless_gone
 from api.http.tiles import MEDIA_TYPES, check_format
-from api.workers.jobs import PictureFormat, Snapshot, SnapshotJob
+from api.workers.jobs import PictureFormat, Snapshot, SnapshotJob, Wishes
 from terrain.errors import InputError
 
 router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
@@ -51,10 +51,10 @@ async def snapshot(
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
         level=served.key, view=name, layer=layer, format=format, size=given_size,
-        light=None if layer == "color" else light, seconds=seconds, sun=wanted.sun, overrides=wanted.overrides,
+        light=None if layer == "color" else light, seconds=seconds, wishes=wanted,
     )  # fmt: skip
 
-    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}))
+    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
     headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
     if is_fresh(request, headers["ETag"]):

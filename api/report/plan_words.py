@@ -6,6 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
+from selector.planner.planner import SETTINGS
 from selector.words import duration, listed, percent
 from shadows.plan import Plan, Reasoned, Settings, Step, Target
 from shadows.registry import ALGORITHMS
@@ -26,7 +27,8 @@ WINDS = (
 
 ALWAYS_SAID = ("cascades", "map_size", "depth_bits", "filter")
 """Settings that are said whether or not there is a reason for them."""
-ORDER = (*ALWAYS_SAID, "fit", "bias", "culling", "mask", "stencil", "counting")
+
+ORDER = (*ALWAYS_SAID, *(key for key in SETTINGS if key not in ALWAYS_SAID))
 
 _NAMES = re.compile(rf"\b({'|'.join(name for name in (*ALGORITHMS, *EFFECTS) if '_' in name)})\b")
 
@@ -193,8 +195,10 @@ def _setting(key: str, value: object) -> str:
             return f"{value} x {value} taps"
         case "culling", "none":
             return "no culling"
+        case _, str() if key != "culling":
+            return f"{spoken(value)} {spoken(key)}"
         case _:
-            return f"{spoken(f'{value}')} {key}" if key in ("fit", "bias", "mask", "stencil", "counting") else f"{key} {value}"
+            return f"{spoken(key)} {value}"
 
 
 def _aloud(plan: Plan) -> Plan:
