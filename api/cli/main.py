@@ -15,6 +15,7 @@ from api.catalogue import bundled_levels, find_level
 from api.cli import doctor as doctor_checks
 from api.cli.options import overrides_of, with_shadow_options
 from api.errors import exit_status
+from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from terrain.errors import InputError, SkuggaError
 from terrain.level.level import parse_sun
 
@@ -29,6 +30,14 @@ _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
 LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
+_FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
+LayerName = Annotated[
+    str,
+    typer.Option(
+        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or what an algorithm leaves behind: "
+        f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 View = Annotated[str, typer.Option(help="A view of the level.")]
@@ -68,13 +77,7 @@ def render(
     level: LevelName,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
     view: View = "map",
-    layer: Annotated[
-        str,
-        typer.Option(
-            help="color, shadow, mask, visibility, depth or position; or what an algorithm leaves behind: shadow-map, stencil, "
-            "silhouettes, volumes, shadow-height."
-        ),
-    ] = "color",
+    layer: LayerName = "color",
     time: Time = None,
     azimuth: Azimuth = None,
     altitude: Altitude = None,
@@ -88,7 +91,6 @@ def render(
 ) -> None:
     """Render one snapshot of a level's view into a file."""
     from api.cli.snapshot import snapshot, statistics
-    from api.layers import PASS_LAYERS, check_suffix, write_layer
 
     check_suffix(layer, output)
     overrides = overrides_of("render", asked)

@@ -11,7 +11,7 @@ from fastapi import Query, Request
 from pydantic import BeforeValidator
 
 from api.http.served import SERVED_ALGORITHMS, names_in
-from api.layers import PictureLayer
+from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import taking
 from api.workers.jobs import Overrides, ServedPolicy, Wishes
 from terrain.errors import InputError
@@ -126,12 +126,7 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
         raise InputError("size", f"{size[0]}x{size[1]}", allowed)
 
 
-Layer = Annotated[
-    PictureLayer,
-    Query(
-        description="`color` is shaded relief with cast shadows; `shadow` is black with the shadow as opacity; "
-        "`mask` is gray: 0 shadow, 255 lit, 128 no surface."
-    ),
-]
+_LAYERS_IN_WORDS = "; ".join(f"`{name}` is {LAYERS[name].about}" for name in PICTURE_LAYERS)
+Layer = Annotated[PictureLayer, Query(description=f"{_LAYERS_IN_WORDS}.")]
 
 View = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]

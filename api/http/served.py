@@ -8,11 +8,11 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from api.errors import NotServedError
 from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
-from api.layers import PictureLayer
+from api.layers import PICTURE_LAYERS
 from api.workers.jobs import LevelKey
 from shadows.registry import ALGORITHMS
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
@@ -106,7 +106,7 @@ class ServedLevel:
             "views": list(level.views),
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
-            "layers": list(get_args(PictureLayer)),
+            "layers": list(PICTURE_LAYERS),
             "algorithms": list(SERVED_ALGORITHMS),
             "sun": sun,
             "tile_matrix_sets": {name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()},

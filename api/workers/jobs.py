@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
-from api.layers import PictureLayer
+from api.layers import PictureFormat, PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.parts import SunSpec
@@ -20,8 +20,6 @@ from terrain.level.parts import SunSpec
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
     from terrain.scene import Scene
-
-PictureFormat = Literal["png", "webp", "jpg"]
 
 ServedPolicy = Literal["rules", "predict"]
 """Policies that a request may name; ``measure`` takes minutes, at design time."""
