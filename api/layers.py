@@ -1,11 +1,13 @@
-"""Layers of a frame and their files: the same for the command line and HTTP."""
+"""Layers of a frame and their files: the same for the command line and HTTP. A layer is a record in ``LAYERS``, and no more."""
 
 from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
 from PIL import Image
@@ -13,23 +15,15 @@ from PIL import Image
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
-PictureLayer = Literal["color", "shadow", "mask"]
-DataLayer = Literal["visibility", "depth", "position"]
-
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
-LAYERS: tuple[str, ...] = (*get_args(PictureLayer), *get_args(DataLayer), *get_args(PassLayer))
-SUFFIXES: dict[str, tuple[str, ...]] = {
-    "color": (".png", ".webp", ".tif", ".jpg"),
-    "shadow": (".png", ".webp", ".tif"), "mask": (".png", ".webp", ".tif"),
-    "visibility": (".npy", ".tif"), "depth": (".npy", ".tif"), "position": (".npy",),
-    "shadow-map": (".npy", ".png"), "stencil": (".npy", ".png"), "shadow-height": (".npy", ".tif"),
-    "silhouettes": (".npy", ".png"), "volumes": (".npy", ".png"),
-}  # fmt: skip
-"""Layer -> file suffixes that can hold it without loss, or as a picture to look at."""
+"""Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
+
+PictureFormat = Literal["png", "webp", "jpg"]
+MEDIA_TYPES: dict[PictureFormat, str] = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
+"""Formats of pictures over HTTP."""
 
 VOLUME_COLOR = (255, 120, 30)
 """sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
@@ -58,82 +52,163 @@ class Pictured(Protocol):
     def opaque(self) -> np.ndarray: ...
 
 
-def picture_of(frame: Pictured, layer: str) -> np.ndarray:
-    """A picture layer as a uint8 array, row 0 northernmost.
+@dataclass(frozen=True, kw_only=True)
+class Layer:
+    """A layer: ``about`` what it is, the ``suffixes`` of files that hold it without loss or as a picture to look at, and how
+    its array is made, row 0 the upper one.
 
-    ``color`` and ``shadow`` are RGBA (shadow: black, alpha = 1 - visibility), transparent where there is no surface (the sky of
-    a perspective view's colour is opaque); ``mask`` is gray: 0 shadow, 255 lit, 128 no surface. Raises ``InputError``.
+    A layer with a ``picture`` (of uint8: gray or RGBA, with JPEG RGBA) is served over HTTP, in those formats that are among its
+    suffixes; any other has ``data``. ``shown`` makes of an array that is no picture one for PNG, over the frame's colour.
+    ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` may be compressed with loss, and is of all
+    lights together; others are to be computed with, and of one light.
     """
-    there, visibility = frame.there, frame.visibility
-    if layer == "color":
-        alpha = np.where(frame.opaque, np.uint8(255), np.uint8(0))
-        return np.concatenate([frame.color, alpha[..., None]], axis=-1)
-    if layer == "shadow":
-        out = np.zeros((*there.shape, 4), np.uint8)
-        out[..., 3] = np.rint(255.0 * (1.0 - np.where(there, visibility, 1.0)))
-        return out
-    if layer == "mask":
-        return np.where(there, np.where(visibility < 0.5, MASK_SHADOW, MASK_LIT), MASK_NO_SURFACE).astype(np.uint8)
-    raise InputError("layer", layer, ", ".join(get_args(PictureLayer)))
+
+    about: str = ""
+    suffixes: tuple[str, ...]
+    picture: Callable[[Pictured], np.ndarray] | None = None
+    data: Callable[[Scene, Frame], np.ndarray] | None = None
+    shown: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    nodata: float | None = None
+    to_look_at: bool = False
+
+    @property
+    def formats(self) -> tuple[PictureFormat, ...]:
+        """The formats that it is served in."""
+        return tuple(each for each in MEDIA_TYPES if f".{each}" in self.suffixes) if self.picture else ()
+
+
+def _color(frame: Pictured) -> np.ndarray:
+    """RGBA, transparent where there is no surface; the sky of a perspective view is opaque."""
+    alpha = np.where(frame.opaque, np.uint8(255), np.uint8(0))
+    return np.concatenate([frame.color, alpha[..., None]], axis=-1)
+
+
+def _shadow(frame: Pictured) -> np.ndarray:
+    """RGBA: black, alpha = 1 - visibility, transparent where there is no surface."""
+    out = np.zeros((*frame.there.shape, 4), np.uint8)
+    out[..., 3] = np.rint(255.0 * (1.0 - np.where(frame.there, frame.visibility, 1.0)))
+    return out
+
+
+def _mask(frame: Pictured) -> np.ndarray:
+    classes = np.where(frame.visibility < 0.5, MASK_SHADOW, MASK_LIT)
+    return np.where(frame.there, classes, MASK_NO_SURFACE).astype(np.uint8)
+
+
+def _visibility(scene: Scene, frame: Frame) -> np.ndarray:
+    """float32, NaN where there is no surface."""
+    return frame.visibility
+
+
+def _depth(scene: Scene, frame: Frame) -> np.ndarray:
+    """float32, metres: in a map straight down from the level's highest ground, else along the view's axis from the eye."""
+    view = frame.view
+    if isinstance(view, MapView):
+        return np.where(frame.there, scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
+    return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
+
+
+def _position(scene: Scene, frame: Frame) -> np.ndarray:
+    """float64 (rows, cols, 3): x and y in the view's CRS (of a perspective view, that of the level's maps), and the height."""
+    view = frame.view
+    out = np.full((view.rows, view.cols, 3), np.nan)
+    row, col = np.nonzero(frame.there)
+    if isinstance(view, MapView):
+        out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
+        out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
+        out[row, col, 2] = frame.height_m[row, col]
+    elif frame.position_earth_m is not None:
+        out[row, col] = np.stack(scene.world.map_position(scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
+    return out
+
+
+def _kept(layer: PassLayer) -> Callable[[Scene, Frame], np.ndarray]:
+    """A layer of ``shadows.passes`` as it was kept, of the frame's first light."""
+
+    def data(scene: Scene, frame: Frame) -> np.ndarray:
+        by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
+        if not by_light:
+            raise InputError("layer", layer, "a layer of something that was drawn: the view shows nothing under a light")
+        if light not in by_light:
+            raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
+        return by_light[light]
+
+    return data
+
+
+def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint16, nearest to the light brightest, black where nothing casts."""
+    return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
+
+
+def _spread(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint8, values spread so that the largest is bright."""
+    return array * np.uint8(255 // max(int(array.max()), 1))
+
+
+def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint8 (rows, cols, 3): volumes translucent over the frame's colour, which is repeated where several algorithms left their
+    volumes beside one another.
+    """
+    behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
+    covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
+    return np.rint((1.0 - covered) * behind + covered * np.array(VOLUME_COLOR)).astype(np.uint8)
+
+
+LAYERS: dict[str, Layer] = {
+    "color": Layer(
+        about="shaded relief with cast shadows", picture=_color, suffixes=(".png", ".webp", ".tif", ".jpg"), to_look_at=True
+    ),
+    "shadow": Layer(about="black with the shadow as opacity", picture=_shadow, suffixes=(".png", ".webp", ".tif")),
+    "mask": Layer(
+        about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
+        picture=_mask, suffixes=(".png", ".webp", ".tif"), nodata=MASK_NO_SURFACE,
+    ),
+    "visibility": Layer(data=_visibility, suffixes=(".npy", ".tif"), nodata=np.nan),
+    "depth": Layer(data=_depth, suffixes=(".npy", ".tif"), nodata=np.nan),
+    "position": Layer(data=_position, suffixes=(".npy",)),
+    "shadow-map": Layer(data=_kept("shadow-map"), suffixes=(".npy", ".png"), shown=_gray_of_depths),
+    "stencil": Layer(data=_kept("stencil"), suffixes=(".npy", ".png"), shown=_spread),
+    "silhouettes": Layer(data=_kept("silhouettes"), suffixes=(".npy", ".png")),
+    "volumes": Layer(data=_kept("volumes"), suffixes=(".npy", ".png"), shown=_over_color),
+    "shadow-height": Layer(data=_kept("shadow-height"), suffixes=(".npy", ".tif"), nodata=np.nan),
+}  # fmt: skip
+"""All layers. What the service serves, what the command line writes, and what either says of them, is read off here."""
+
+PICTURE_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.picture)
+"""Layers that are served over HTTP."""
+
+if TYPE_CHECKING:
+    PictureLayer = str
+else:
+    PictureLayer = Literal[PICTURE_LAYERS]
+
+
+def picture_of(frame: Pictured, layer: str) -> np.ndarray:
+    """A picture layer as a uint8 array, row 0 northernmost. Raises ``InputError``."""
+    picture = LAYERS[layer].picture if layer in LAYERS else None
+    if picture is None:
+        raise InputError("layer", layer, ", ".join(PICTURE_LAYERS))
+    return picture(frame)
 
 
 def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
-    """Any layer of a frame, row 0 the upper one: a picture layer, or data with NaN where there is no surface.
-
-    ``visibility`` is float32; ``depth`` float32, metres: in a map straight down from the level's highest ground, in
-    perspective along the view's axis from the eye; ``position`` float64 (rows, cols, 3), x and y in the view's CRS (of a
-    perspective view: that of the level's maps) and height in metres. The layers of ``shadows.passes`` are as they were kept,
-    of the frame's first light. Raises ``InputError``.
-    """
-    if layer in get_args(PictureLayer):
-        return picture_of(frame, layer)
-    if layer in PASS_LAYERS:
-        return _kept(frame, layer)
-    view, there = frame.view, frame.there
-    if layer == "visibility":
-        return frame.visibility
-    if layer == "depth" and isinstance(view, MapView):
-        return np.where(there, scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
-    if layer == "depth" and isinstance(view, PerspectiveView):
-        return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
-    if layer == "position":
-        out = np.full((view.rows, view.cols, 3), np.nan)
-        row, col = np.nonzero(there)
-        if isinstance(view, MapView):
-            out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
-            out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
-            out[row, col, 2] = frame.height_m[row, col]
-        elif frame.position_earth_m is not None:
-            out[row, col] = np.stack(scene.world.map_position(scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
-        return out
-    raise InputError("layer", layer, ", ".join(LAYERS))
+    """Any layer of a frame, row 0 the upper one: a picture, or data, NaN where there is no surface. Raises ``InputError``."""
+    data = known(layer).data
+    return picture_of(frame, layer) if data is None else data(scene, frame)
 
 
-def _kept(frame: Frame, layer: PassLayer) -> np.ndarray:
-    by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
-    if not by_light:
-        raise InputError("layer", layer, "a layer of something that was drawn: the view shows nothing under a light")
-    if light not in by_light:
-        raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
-    return by_light[light]
+def known(layer: str) -> Layer:
+    """A layer by its name. Raises ``InputError``."""
+    if layer not in LAYERS:
+        raise InputError("layer", layer, ", ".join(LAYERS))
+    return LAYERS[layer]
 
 
 def viewable(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """A layer as a picture for PNG. ``shadow-map``: uint16, nearest to the light brightest, black where nothing casts.
-
-    ``stencil``: uint8, its values spread so that the largest is bright. ``volumes``: uint8 (rows, cols, 3), translucent over the
-    frame's ``color``, which is repeated where several algorithms left their volumes beside one another. Any other layer is a
-    picture already.
-    """
-    if layer == "shadow-map":
-        return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
-    if layer == "stencil":
-        return array * np.uint8(255 // max(int(array.max()), 1))
-    if layer == "volumes":
-        behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
-        covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
-        return np.rint((1.0 - covered) * behind + covered * np.array(VOLUME_COLOR)).astype(np.uint8)
-    return array
+    """A layer as a picture for PNG, over the frame's ``color``; most are pictures already."""
+    shown = LAYERS[layer].shown
+    return array if shown is None else shown(array, color)
 
 
 def encode_picture(array: np.ndarray, suffix: str) -> bytes:
@@ -160,22 +235,20 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
         with path.open("wb") as file:
             np.save(file, array)
     elif suffix == ".tif":
-        _write_tiff(frame, array, path)
+        _write_tiff(frame, array, path, LAYERS[layer].nodata)
     else:
         path.write_bytes(encode_picture(viewable(layer, array, frame.color), suffix))
 
 
 def check_suffix(layer: str, path: Path) -> None:
     """Raise ``InputError`` unless a file of this suffix can hold the layer."""
-    if layer not in SUFFIXES:
-        raise InputError("layer", layer, ", ".join(LAYERS))
-    if path.suffix.lower() not in SUFFIXES[layer]:
-        raise InputError("output", str(path), f"for layer {layer}: {', '.join(SUFFIXES[layer])}")
+    if path.suffix.lower() not in known(layer).suffixes:
+        raise InputError("output", str(path), f"for layer {layer}: {', '.join(LAYERS[layer].suffixes)}")
     if not path.parent.is_dir():
         raise FileNotFoundError(2, "its folder does not exist", str(path))
 
 
-def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:
+def _write_tiff(frame: Frame, array: np.ndarray, path: Path, nodata: float | None) -> None:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.transform import from_bounds
@@ -185,7 +258,6 @@ def _write_tiff(frame: Frame, array: np.ndarray, path: Path) -> None:
     where = {}
     if isinstance(view, MapView):
         where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
-    nodata = np.nan if bands.dtype.kind == "f" else (MASK_NO_SURFACE if len(bands) == 1 else None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
         with rasterio.open(

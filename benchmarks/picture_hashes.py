@@ -17,12 +17,11 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
 from api.catalogue import bundled_levels
-from api.layers import DataLayer, PictureLayer, layer_of
+from api.layers import LAYERS, PASS_LAYERS, layer_of
 from selector.planner.planner import choose
 from shadows.registry import ALGORITHMS
 from shadows.render import render_frame
@@ -53,8 +52,9 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
         return
     yield "plan", hash_of(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
     yield "reach", hash_of(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
-    for layer in (*get_args(PictureLayer), *get_args(DataLayer)):
-        yield layer, hash_of(layer_of(scene, frame, layer))
+    for layer in LAYERS:
+        if layer not in PASS_LAYERS:
+            yield layer, hash_of(layer_of(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
         yield f"visibility of {light}", hash_of(visibility)
     for layer, by_light in sorted(frame.layers.items()):

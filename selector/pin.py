@@ -23,15 +23,12 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from selector.picks import Wishes
-from selector.planner.planner import choose
+from selector.planner.planner import SETTINGS, choose
 from shadows.plan import Plan
 from shadows.registry import NOTHING
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
-
-SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling", "stencil", "counting", "mask")
-"""What of a plan's settings a level can name."""
 
 POLICIES_PICK = ("map_size",)
 """Settings that policies other than the rules pick for each view, so that they are pinned even where the rules agree."""

@@ -69,12 +69,13 @@ class Settings(BaseModel):
     @property
     def label(self) -> list[str]:
         """What tells these settings from those that an algorithm has by itself, a word each: part of a candidate's name."""
-        return self.changed(*type(self).model_fields)
+        return self.changed()
 
-    def changed(self, *names: str) -> list[str]:
-        """The values of those fields that are not their defaults."""
-        fields = type(self).model_fields
-        return [str(getattr(self, name)) for name in names if name in fields and getattr(self, name) != fields[name].default]
+    def changed(self, *but: str) -> list[str]:
+        """The values that are not the defaults, of what a level can ask for; but for some fields."""
+        defaults = {name: each.default for name, each in type(self).model_fields.items() if not each.is_required()}
+        named = [name for name in defaults if name in Shadows.model_fields and name not in but]
+        return [str(getattr(self, name)) for name in named if getattr(self, name) != defaults[name]]
 
 
 @dataclass(frozen=True)

@@ -68,12 +68,13 @@ MAY_IMPORT = {
     "api.errors": "",
     "api.layers": "",
     "api.settings": "",
+    "api.shadow_parameters": "",
     "api.catalogue": "",
     "api.report": "",
     "api.calibrated": "report",
     "api.workers": "calibrated errors layers settings",
-    "api.http": "errors layers settings workers",
-    "api.cli": "calibrated catalogue errors http layers report settings",
+    "api.http": "errors layers settings shadow_parameters workers",
+    "api.cli": "calibrated catalogue errors http layers report settings shadow_parameters",
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
 

@@ -1,4 +1,4 @@
 """The command line: `main` holds the commands, the others what single commands do.
 
-May import: calibrated, catalogue, errors, http, layers, report, settings.
+May import: calibrated, catalogue, errors, http, layers, report, settings, shadow_parameters.
 """

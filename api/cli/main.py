@@ -13,9 +13,11 @@ import typer
 
 from api.catalogue import bundled_levels, find_level
 from api.cli import doctor as doctor_checks
+from api.cli.options import overrides_of, with_shadow_options
 from api.errors import exit_status
+from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from terrain.errors import InputError, SkuggaError
-from terrain.level.level import parse_algorithm, parse_sun
+from terrain.level.level import parse_sun
 
 app = typer.Typer(
     help="Terrain with the sun's true cast shadows.",
@@ -28,6 +30,14 @@ _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
 LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
+_FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
+LayerName = Annotated[
+    str,
+    typer.Option(
+        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or what an algorithm leaves behind: "
+        f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 View = Annotated[str, typer.Option(help="A view of the level.")]
@@ -38,18 +48,6 @@ Size = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
 Bounds = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
 Crs = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
 Seconds = Annotated[float | None, typer.Option(help="The clock of moving casters.")]
-
-Algorithm = Annotated[str | None, typer.Option(help="auto, a name, or relief=NAME,forest=NAME,LIGHT=NAME.")]
-MapSize = Annotated[int | None, typer.Option(help="Shadow-map texels a side, 64 to 8192.")]
-Cascades = Annotated[int | None, typer.Option(help="Shadow maps of a perspective view, 1 to 4.")]
-DepthBits = Annotated[int | None, typer.Option(help="16, 24 or 32.")]
-Filter = Annotated[str | None, typer.Option(help="Taps a side: 1, 2, 3 or 5; or sun: the penumbra of its disc.")]
-Bias = Annotated[str | None, typer.Option(help="receiver_plane, normal_offset or polygon_offset.")]
-Culling = Annotated[str | None, typer.Option(help="Faces of closed bodies left out of a shadow map: none or front.")]
-Fit = Annotated[str | None, typer.Option(help="Where shadow maps lie: stable (a fixed lattice) or tight.")]
-Stencil = Annotated[str | None, typer.Option(help="Both sides of shadow volumes in one_pass, or in two_pass.")]
-Counting = Annotated[str | None, typer.Option(help="auto, or z_fail for all shadow volumes.")]
-Mask = Annotated[str | None, typer.Option(help="What a hybrid leaves to volumes: conservative or original.")]
 
 
 @app.callback()
@@ -74,47 +72,28 @@ def serve(
 
 
 @app.command()
+@with_shadow_options("render")
 def render(
     level: LevelName,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
     view: View = "map",
-    layer: Annotated[
-        str,
-        typer.Option(
-            help="color, shadow, mask, visibility, depth or position; or what an algorithm leaves behind: shadow-map, stencil, "
-            "silhouettes, volumes, shadow-height."
-        ),
-    ] = "color",
-    algorithm: Algorithm = None,
+    layer: LayerName = "color",
     time: Time = None,
     azimuth: Azimuth = None,
     altitude: Altitude = None,
     size: Size = None,
     bounds: Bounds = None,
     crs: Crs = None,
-    map_size: MapSize = None,
-    cascades: Cascades = None,
-    depth_bits: DepthBits = None,
-    filter: Filter = None,
-    bias: Bias = None,
-    culling: Culling = None,
-    fit: Fit = None,
-    stencil: Stencil = None,
-    counting: Counting = None,
-    mask: Mask = None,
     light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
     seconds: Seconds = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
+    **asked: Any,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
     from api.cli.snapshot import snapshot, statistics
-    from api.layers import PASS_LAYERS, check_suffix, write_layer
 
     check_suffix(layer, output)
-    overrides = _overrides(
-        algorithm, filter, map_size=map_size, cascades=cascades, depth_bits=depth_bits, bias=bias, culling=culling, fit=fit,
-        stencil=stencil, counting=counting, mask=mask,
-    )  # fmt: skip
+    overrides = overrides_of("render", asked)
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
         kept = frozenset(each for each in PASS_LAYERS if each == layer)
@@ -125,6 +104,7 @@ def render(
 
 
 @app.command()
+@with_shadow_options("select")
 def select(
     level: LevelName,
     view: View = "map",
@@ -136,35 +116,20 @@ def select(
     descriptor: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view, as POST /plan takes them.")
     ] = None,
-    max_error: Annotated[float | None, typer.Option(help="Share of the cast shadow that may be wrong, up to 1.")] = None,
-    max_ms: Annotated[float | None, typer.Option(help="Milliseconds that shadows may take.")] = None,
-    algorithm: Algorithm = None,
     time: Time = None,
     azimuth: Azimuth = None,
     altitude: Altitude = None,
     size: Size = None,
     bounds: Bounds = None,
     crs: Crs = None,
-    map_size: MapSize = None,
-    cascades: Cascades = None,
-    depth_bits: DepthBits = None,
-    filter: Filter = None,
-    bias: Bias = None,
-    culling: Culling = None,
-    fit: Fit = None,
-    stencil: Stencil = None,
-    counting: Counting = None,
-    mask: Mask = None,
     seconds: Seconds = None,
+    **asked: Any,
 ) -> None:
     """Choose algorithms and settings for a view, and say why."""
     from api.cli.choice import choose, pin_down, write_descriptor
     from api.report.plan_words import in_words
 
-    overrides = _overrides(
-        algorithm, filter, max_error=max_error, max_ms=max_ms, map_size=map_size, cascades=cascades, depth_bits=depth_bits,
-        bias=bias, culling=culling, fit=fit, stencil=stencil, counting=counting, mask=mask,
-    )  # fmt: skip
+    overrides = overrides_of("select", asked)
     seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
         choice = choose(find_level(level), view, policy, overrides, *seen, anew=write)
@@ -299,15 +264,6 @@ def main() -> None:
 def _fail(message: str, status: int) -> int:
     typer.echo(f"skugga: {' '.join(message.split())}", err=True)
     return status
-
-
-def _overrides(algorithm: str | None, filter: str | None, **others: Any) -> dict[str, Any]:
-    """Options as a request's changes of a level's ``shadows``."""
-    return {
-        "algorithm": None if algorithm is None else parse_algorithm(algorithm, "--algorithm"),
-        "filter": int(filter) if filter is not None and filter.isdecimal() else filter,
-        **others,
-    }
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -9,10 +9,11 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.http.answers import json_answer
-from api.http.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
+from api.http.parameters import PICTURE_PARAMETERS, Layer, only, wishes
 from api.http.problems import problem_docs
 from api.http.service import TheService
-from api.workers.jobs import PictureFormat
+from api.layers import PictureFormat
+from api.workers.jobs import Wishes
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 

@@ -16,7 +16,7 @@ from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, Vie
 from api.http.problems import problem_docs
 from api.http.served import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import TheService, unless_gone
-from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
+from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles, Wishes
 from selector.picks import Asked
 from selector.select import select
 from shadows.plan import Plan
@@ -52,7 +52,7 @@ async def plan(
     """What the selector chooses for a view, or for the tiles of a zoom, and why."""
     served = await service.level(level)
     seen = _seen(served, view, zoom, tms)
-    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, sun=sun, overrides=wanted.overrides)
+    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, wishes=Wishes(sun=sun, overrides=wanted.overrides))
     answer = await unless_gone(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json))
@@ -75,7 +75,7 @@ async def descriptor(
 ) -> Any:
     """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
     served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), sun=sun)
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), wishes=Wishes(sun=sun))
     answer = await unless_gone(request, service.pool.run(job))
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json))

@@ -7,11 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.http.parameters import PICTURE_PARAMETERS, Layer, View, Wishes, check_pixels, only, parse_size, wishes
-from api.http.routes_tiles import PICTURE_DOCS
+from api.http.parameters import PICTURE_PARAMETERS, Layer, View, check_pixels, only, parse_size, wishes
+from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
 from api.http.service import TheService, unless_gone
-from api.http.tiles import MEDIA_TYPES, check_format
-from api.workers.jobs import PictureFormat, Snapshot, SnapshotJob
+from api.http.tiles import check_format
+from api.layers import LAYERS, MEDIA_TYPES, PictureFormat
+from api.workers.jobs import Snapshot, SnapshotJob, Wishes
 from terrain.errors import InputError
 
 router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
@@ -26,13 +27,13 @@ async def snapshot(
     request: Request,
     service: TheService,
     level: str,
-    format: Annotated[PictureFormat, Path(description="PNG and WebP are lossless; JPEG is for `color` alone.")],
+    format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.")],
     wanted: Annotated[Wishes, Depends(wishes)],
     view: View = None,
     size: Annotated[str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.")] = None,
     layer: Layer = "color",
     light: Annotated[
-        str | None, Query(max_length=100, description="The light that `shadow` and `mask` show; default: the sun, else the first.")
+        str | None, Query(max_length=100, description=f"The light that {EXACT} show; default: the sun, else the first.")
     ] = None,
     seconds: Annotated[
         float | None, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.")
@@ -51,10 +52,10 @@ async def snapshot(
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
         level=served.key, view=name, layer=layer, format=format, size=given_size,
-        light=None if layer == "color" else light, seconds=seconds, sun=wanted.sun, overrides=wanted.overrides,
+        light=None if LAYERS[layer].to_look_at else light, seconds=seconds, wishes=wanted,
     )  # fmt: skip
 
-    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}))
+    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
     headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
     if is_fresh(request, headers["ETag"]):

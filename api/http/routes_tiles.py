@@ -11,11 +11,13 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
-from api.http.parameters import PICTURE_PARAMETERS, Layer, Wishes, only, wishes
+from api.http.parameters import PICTURE_PARAMETERS, Layer, only, wishes
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService, unless_gone
-from api.http.tiles import MEDIA_TYPES, block_of_tile, check_format, cut, empty_tile, encode
-from api.workers.jobs import Block, BlockJob, PictureFormat
+from api.http.tiles import block_of_tile, check_format, cut, empty_tile, encode
+from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
+from api.workers.jobs import Block, BlockJob, Wishes
+from selector.words import listed
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
     200: {
@@ -33,7 +35,13 @@ router = APIRouter(
     default_response_class=Response,
 )
 
-Format = Annotated[PictureFormat, Path(description="WebP is lossless for `shadow` and `mask`; JPEG is for `color` alone.")]
+EXACT = listed([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+"""Layers to compute with, in words."""
+
+JPEG = listed([f"`{name}`" for name in PICTURE_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
+"""Layers that there are as JPEG, in words."""
+
+Format = Annotated[PictureFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone.")]
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
@@ -77,7 +85,7 @@ async def _answer(
     tms: str,
     zxy: tuple[int, int, int],
     scale: int,
-    format: str,
+    format: PictureFormat,
     wanted: Wishes,
     layer: str,
 ) -> Response:
@@ -104,10 +112,7 @@ async def _answer(
 
     zoom, x, y = zxy[0] + scale - 1, zxy[1] * scale, zxy[2] * scale
     block_x, block_y = block_of_tile(x, y)
-    job = BlockJob(
-        level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y,
-        sun=wanted.sun, overrides=wanted.overrides,
-    )  # fmt: skip
+    job = BlockJob(level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y, wishes=wanted)
     kept = service.pool.finished(job) is not None
     block = await unless_gone(request, service.pool.run(job))
     assert isinstance(block, Block)

@@ -8,13 +8,13 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from api.errors import NotServedError
 from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
-from api.layers import PictureLayer
+from api.layers import PICTURE_LAYERS
 from api.workers.jobs import LevelKey
-from shadows.registry import ALGORITHMS
+from shadows.registry import served_algorithms
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
@@ -23,9 +23,6 @@ from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
-
-SERVED_ALGORITHMS = tuple(name for name, algorithm in ALGORITHMS.items() if algorithm.served)
-"""Algorithms that may be drawn with over HTTP."""
 
 log = logging.getLogger("skugga")
 
@@ -106,8 +103,8 @@ class ServedLevel:
             "views": list(level.views),
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
-            "layers": list(get_args(PictureLayer)),
-            "algorithms": list(SERVED_ALGORITHMS),
+            "layers": list(PICTURE_LAYERS),
+            "algorithms": list(served_algorithms()),
             "sun": sun,
             "tile_matrix_sets": {name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()},
         }
@@ -158,10 +155,10 @@ class ServedLevels:
         remote = [source for source in loaded.sources if not _is_local(source)]
         if remote and not self._remote_sources:
             raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows what is not")
-        if not names_in(loaded.level.shadows.algorithm) <= set(SERVED_ALGORITHMS):
+        if not names_in(loaded.level.shadows.algorithm) <= set(served_algorithms()):
             raise LevelError(
                 f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
-                f"in a level that is served: {', '.join(['auto', *SERVED_ALGORITHMS])}",
+                f"in a level that is served: {', '.join(['auto', *served_algorithms()])}",
             )  # fmt: skip
         if loaded.level.shadows.fit == "tight":
             raise LevelError(f"{path}: shadows.fit", "tight", "in a level that is served: auto or stable; tight tiles do not join")

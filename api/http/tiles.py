@@ -8,12 +8,10 @@ import numpy as np
 from PIL import Image
 
 from api.http.matrices import BLOCK_TILES, TILE_PX
-from api.layers import MASK_NO_SURFACE, encode_picture, picture_of
+from api.layers import LAYERS, encode_picture, picture_of
 from api.workers.jobs import Block
 from terrain.cache import MIB, kept
 from terrain.errors import InputError
-
-MEDIA_TYPES = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
 
 LOSSY_QUALITY = 90
 """Of JPEG, and of WebP where a picture is to be looked at and not to be computed with."""
@@ -35,13 +33,14 @@ def cut(block: Block, x: int, y: int, layer: str, tiles: int = 1) -> np.ndarray:
 
 def check_format(layer: str, format: str) -> None:
     """Raise ``InputError`` where a format cannot hold a layer."""
-    if format == "jpg" and layer != "color":
-        raise InputError("format", format, f"png, webp for layer {layer}")
+    formats = LAYERS[layer].formats
+    if format not in formats:
+        raise InputError("format", format, f"{', '.join(formats)} for layer {layer}")
 
 
 def encode(array: np.ndarray, layer: str, format: str) -> bytes:
-    """The bytes of a picture. Data layers are without loss; JPEG has white where there is no surface."""
-    if layer == "color" and format == "webp":
+    """The bytes of a picture. Layers to compute with are without loss; JPEG has white where there is no surface."""
+    if LAYERS[layer].to_look_at and format == "webp":
         return _save(Image.fromarray(array), "WEBP", quality=LOSSY_QUALITY, method=2)
     if format == "jpg":
         ground = Image.new("RGB", array.shape[1::-1], "white")
@@ -55,8 +54,10 @@ def encode(array: np.ndarray, layer: str, format: str) -> bytes:
 def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
     """A tile without a surface."""
     side = tiles * TILE_PX
-    array = np.full((side, side), MASK_NO_SURFACE, np.uint8) if layer == "mask" else np.zeros((side, side, 4), np.uint8)
-    return encode(array, layer, format)
+    nothing = Block(
+        np.zeros((side, side, 3), np.uint8), np.full((side, side), np.nan, np.float32), "", "none", (), 0.0, 0.0, False, ""
+    )
+    return encode(picture_of(nothing, layer), layer, format)
 
 
 def _save(image: Image.Image, kind: str, **options: int) -> bytes:

@@ -6,10 +6,11 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
+from selector.planner.planner import SETTINGS
 from selector.words import duration, listed, percent
 from shadows.algorithm import Reasoned, Settings
 from shadows.plan import Plan, Step, Target
-from shadows.registry import ALGORITHMS
+from shadows.registry import ALGORITHMS, NOTHING
 from terrain.effects import EFFECTS
 from terrain.geo.sun import Sun
 from terrain.level.level import SUN
@@ -27,9 +28,10 @@ WINDS = (
 
 ALWAYS_SAID = ("cascades", "map_size", "depth_bits", "filter")
 """Settings that are said whether or not there is a reason for them."""
-ORDER = (*ALWAYS_SAID, "fit", "bias", "culling", "mask", "stencil", "counting")
 
-_NAMES = re.compile(rf"\b({'|'.join(name for name in (*ALGORITHMS, *EFFECTS) if '_' in name)})\b")
+ORDER = (*ALWAYS_SAID, *(key for key in SETTINGS if key not in ALWAYS_SAID))
+
+_WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
 
 AS_PICKED = "as picked"
 """The reason for a setting that comes with the algorithm, whose reason is told already."""
@@ -79,7 +81,7 @@ def choices(plan: Plan) -> list[str]:
         f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {spoken(name)}: {why[f'{light}/{kind}: {name}']}."
         for light, kinds in plan.algorithm.items()
         for kind, name in kinds.items()
-        if name != "none" and f"{light}/{kind}: {name}" in why
+        if name != NOTHING and f"{light}/{kind}: {name}" in why
     ]
 
 
@@ -105,7 +107,7 @@ def wanted(target: Target) -> str:
 
 def spoken(name: str) -> str:
     """The name of an algorithm or an effect as it is read aloud."""
-    return "no shadows" if name == "none" else name.replace("_", " ")
+    return "no shadows" if name == NOTHING else name.replace("_", " ")
 
 
 def overshoot(plan: Plan) -> str:
@@ -149,7 +151,7 @@ class _Told:
             reasons = self._named(f"{step.light}/{kind}: {step.algorithm}")
             why.setdefault("; ".join(reasons), []).append(kind)
         for reason, kinds in why.items():
-            taken = "casts nothing" if step.algorithm == "none" else f"by {spoken(step.algorithm)}"
+            taken = "casts nothing" if step.algorithm == NOTHING else f"by {spoken(step.algorithm)}"
             yield f"  {_capital(listed(kinds))} {taken}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
             reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
@@ -169,11 +171,14 @@ class _Told:
 
 def _values(settings: Settings | None) -> Iterator[tuple[str, object]]:
     """The settings of a step as overrides spell them; ``cascades`` is their number."""
-    for key in ORDER:
-        part = next((part for part in (settings, getattr(settings, "map", None)) if hasattr(part, key)), None)
-        if part is not None:
-            value = getattr(part, key)
-            yield key, len(value) if key == "cascades" else value
+    asked = {} if settings is None else settings.asked_as
+    yield from ((key, asked[key]) for key in ORDER if key in asked)
+
+
+def _spoken_name(found: re.Match[str]) -> str:
+    """The name of an algorithm or an effect without its underscores; any other word as it is."""
+    word = found.group()
+    return spoken(word) if word in ALGORITHMS or word in EFFECTS else word
 
 
 def _setting(key: str, value: object) -> str:
@@ -194,15 +199,17 @@ def _setting(key: str, value: object) -> str:
             return f"{value} x {value} taps"
         case "culling", "none":
             return "no culling"
+        case _, str() if key != "culling":
+            return f"{spoken(value)} {spoken(key)}"
         case _:
-            return f"{spoken(f'{value}')} {key}" if key in ("fit", "bias", "mask", "stencil", "counting") else f"{key} {value}"
+            return f"{spoken(key)} {value}"
 
 
 def _aloud(plan: Plan) -> Plan:
     """A plan whose reasons have the names of algorithms and effects as they are read aloud."""
 
     def aloud(reasoned: list[Reasoned]) -> list[Reasoned]:
-        return [Reasoned(name=one.name, reason=_NAMES.sub(lambda found: spoken(found.group()), one.reason)) for one in reasoned]
+        return [Reasoned(name=one.name, reason=_WORD.sub(_spoken_name, one.reason)) for one in reasoned]
 
     lists = ("effects", "left_out", "rejected", "reasons")
     return plan.model_copy(update={key: aloud(getattr(plan, key)) for key in lists})

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import urlencode
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
-from api.layers import PictureLayer
+from api.layers import PictureFormat, PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
-from terrain.level.level import parse_algorithm
+from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.parts import SunSpec
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
-
-PictureFormat = Literal["png", "webp", "jpg"]
+    from terrain.scene import Scene
 
 ServedPolicy = Literal["rules", "predict"]
 """Policies that a request may name; ``measure`` takes minutes, at design time."""
@@ -29,33 +30,53 @@ class _Value(BaseModel):
 
 
 class Overrides(_Value):
-    """What a request asks of the shadows; ``None`` leaves it to the level. ``algorithm`` is as the query spells it.
+    """What a request asks of the shadows: keys of a level's ``shadows`` and their values, in the order of the keys there.
 
-    Every field is one of ``terrain.level.level.Shadows``; what else a request asks is a field of the jobs, as ``sun`` is.
+    ``algorithm`` is as the query spells it. A key that is not asked for is not among them: the level has its say. What else a
+    request asks is a field of ``Wishes``.
     """
 
-    algorithm: str | None = None
-    map_size: int | None = None
-    depth_bits: int | None = None
-    filter: int | str | None = None
-    bias: str | None = None
-    culling: str | None = None
-    stencil: str | None = None
-    counting: str | None = None
-    mask: str | None = None
+    asked: tuple[tuple[str, Any], ...] = ()
+
+    @classmethod
+    def of(cls, asked: Mapping[str, Any]) -> Overrides:
+        """Of keys and values; ``None`` asks for nothing. Raises ``InputError``."""
+        ordered = {**dict.fromkeys(Shadows.model_fields), **asked}
+        return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
+
+    @field_validator("asked")
+    @classmethod
+    def _allowed(cls, asked: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+        override(Shadows(), _unspelt(asked))
+        return asked
 
     def for_selector(self) -> dict[str, Any]:
-        """As policies of ``selector.select`` take them. Raises ``InputError``."""
-        algorithm = None if self.algorithm is None else parse_algorithm(self.algorithm)
-        return {**self.model_dump(), "algorithm": algorithm}
+        """As policies of ``selector.select`` take them."""
+        return _unspelt(self.asked)
 
 
-class PlanOverrides(Overrides):
-    """What a request asks of a plan: of the shadows, and what they may cost."""
+def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in asked}
 
-    max_error: float | None = None
-    max_ms: float | None = None
-    cascades: int | None = None
+
+class Wishes(_Value):
+    """What a request asks whatever the view: of the sun (``None``: the level's own) and of the shadows.
+
+    Jobs carry it whole, and entity tags and caches of plans know all of it: a field more needs nothing but its line in
+    ``seen``.
+    """
+
+    sun: SunSpec | None = None
+    overrides: Overrides = Overrides()
+
+    def query(self, **more: str) -> str:
+        """The same wishes as a query string, with others before them; empty where nothing is asked."""
+        own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
+        return urlencode({**more, **own.pop("sun", {}), **own, **dict(self.overrides.asked)})
+
+    def seen(self, scene: Scene) -> Scene:
+        """A level's scene as the request wants to see it."""
+        return scene.with_sun(self.sun)
 
 
 class LevelKey(_Value):
@@ -73,8 +94,7 @@ class BlockJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    sun: SunSpec | None = None
-    overrides: Overrides = Overrides()
+    wishes: Wishes = Wishes()
 
 
 class Tiles(_Value):
@@ -90,8 +110,7 @@ class PlanJob(_Value):
     level: LevelKey
     view: str | Tiles
     policy: ServedPolicy = "predict"
-    sun: SunSpec | None = None
-    overrides: PlanOverrides = PlanOverrides()
+    wishes: Wishes = Wishes()
 
 
 class DescriptorJob(_Value):
@@ -99,7 +118,7 @@ class DescriptorJob(_Value):
 
     level: LevelKey
     view: str | Tiles
-    sun: SunSpec | None = None
+    wishes: Wishes = Wishes()
 
 
 class SnapshotJob(_Value):
@@ -116,8 +135,7 @@ class SnapshotJob(_Value):
     size: tuple[int, int] | None = None
     light: str | None = None
     seconds: float | None = None
-    sun: SunSpec | None = None
-    overrides: Overrides = Overrides()
+    wishes: Wishes = Wishes()
 
 
 Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob

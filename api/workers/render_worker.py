@@ -160,12 +160,12 @@ def _block(grid: Grid, x: int, y: int) -> MapView:
 
 def work(job: Job, desk: Desk) -> Result:
     """Do a job. Raises ``SkuggaError``."""
-    scene = desk.scenes.get(job.level).with_sun(job.sun)
+    scene = job.wishes.seen(desk.scenes.get(job.level))
+    overrides = job.wishes.overrides.for_selector()
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
         case PlanJob():
-            overrides = job.overrides.for_selector()
             plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, desk.device)
             return PlanAnswer(plan.model_dump_json())
         case BlockJob():
@@ -175,7 +175,7 @@ def work(job: Job, desk: Desk) -> Result:
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
-            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, job.overrides.for_selector(), device=desk.device))
+            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=desk.device))
             start = clock.perf_counter()
             body = encode_picture(picture_of(frame.under(job.light), job.layer), f".{job.format}")
             return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, desk))
@@ -190,9 +190,9 @@ def _plan_of_tiles(job: BlockJob, scene: Scene, desk: Desk) -> Plan:
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
-        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.overrides.for_selector(), device=desk.device)
+        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.wishes.overrides.for_selector(), device=desk.device)
 
-    return desk.plans.get((job.level, tiles, job.sun, job.overrides), make)
+    return desk.plans.get((job.level, tiles, job.wishes), make)
 
 
 def _facts(frame: Frame, desk: Desk) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class HybridSettings(VolumeSettings):
     @property
     def label(self) -> list[str]:
         """Texels a side, how pixels are marked, and what is not as it is by itself."""
-        return [str(self.map.map_size), self.mask, *self.changed("stencil", "counting")]
+        return [str(self.map.map_size), self.mask, *self.changed("mask")]
 
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:

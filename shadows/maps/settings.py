@@ -57,7 +57,7 @@ class ShadowMapSettings(Settings):
     def label(self) -> list[str]:
         """Texels a side, taps a side, bits, and what is not as it is by itself."""
         several = [f"{len(self.cascades)}cascades"] if len(self.cascades) > 1 else []
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed("fit", "bias", "culling")]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed()]
 
 
 class LampMapSettings(Settings):
@@ -73,7 +73,7 @@ class LampMapSettings(Settings):
     @property
     def label(self) -> list[str]:
         """Texels a side, taps a side, bits, and what is not as it is by itself."""
-        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed("bias", "culling")]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
 
 
 class PerspectiveMapSettings(Settings):
@@ -93,4 +93,4 @@ class PerspectiveMapSettings(Settings):
     @property
     def label(self) -> list[str]:
         """Texels a side, taps a side, bits."""
-        return [str(self.map_size), str(self.filter), str(self.depth_bits)]
+        return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -32,6 +32,7 @@ from terrain.level.parts import (
     Water,
     Weather,
 )
+from terrain.level.setting import Requests
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
@@ -52,21 +53,51 @@ Choice = dict[str, dict[CasterKind, AlgorithmName]]
 
 
 class Shadows(Model):
-    """What is asked of the shadows; ``auto`` leaves a choice to the selector."""
+    """What is asked of the shadows; ``auto`` leaves a choice to the selector.
 
-    algorithm: Literal["auto"] | AlgorithmName | dict[str, Any] = "auto"
-    max_error: float = Field(default=0.03, ge=0, le=1)
-    max_ms: float | None = Field(default=None, gt=0)
-    map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = "auto"
-    cascades: Literal["auto", 1, 2, 3, 4] = "auto"
-    depth_bits: Literal["auto", 16, 24, 32] = "auto"
-    filter: Literal["auto", 1, 2, 3, 5, "sun"] = "auto"
-    fit: Literal["auto", "stable", "tight"] = "auto"
-    bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = "auto"
-    culling: Literal["auto", "none", "front"] = "auto"
-    stencil: Literal["auto", "one_pass", "two_pass"] = "auto"
-    counting: Literal["auto", "z_fail"] = "auto"
-    mask: Literal["auto", "conservative", "original"] = "auto"
+    A setting is declared here and nowhere else. Its type, limits and description make the options of ``skugga render`` and
+    ``skugga select``, the parameters over HTTP and what crosses to render processes; ``Requests`` says where it is taken, if
+    that is not everywhere.
+    """
+
+    algorithm: Annotated[
+        Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
+    ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.")
+    max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
+        default=0.03, ge=0, le=1, description="Share of the cast shadow that may be wrong."
+    )
+    max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
+        default=None, gt=0, description="Milliseconds that shadows of a block may take."
+    )
+    map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
+        default="auto", description="Shadow-map texels a side."
+    )
+    cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
+        default="auto", description="Shadow maps of a perspective view."
+    )
+    depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of a shadow map's depths.")
+    filter: Literal["auto", 1, 2, 3, 5, "sun"] = Field(
+        default="auto", description="Shadow-map taps a side, or `sun` for the penumbra of the sun's disc."
+    )
+    fit: Annotated[Literal["auto", "stable", "tight"], Requests(take=("render", "select"))] = Field(
+        default="auto", description="Where shadow maps lie: on a fixed lattice, or close round what is seen."
+    )
+    bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
+        default="auto", description="What keeps a surface from shading itself in a shadow map."
+    )
+    culling: Literal["auto", "none", "front"] = Field(
+        default="auto", description="Faces of closed bodies that are left out of a shadow map."
+    )
+    stencil: Literal["auto", "one_pass", "two_pass"] = Field(
+        default="auto", description="Whether both sides of shadow volumes are drawn at once."
+    )
+    counting: Annotated[Literal["auto", "z_fail"], Requests(auto=True)] = Field(
+        default="auto",
+        description="Faces of shadow volumes that count: what each caster needs, or those behind the point for all.",
+    )
+    mask: Literal["auto", "conservative", "original"] = Field(
+        default="auto", description="How a hybrid finds the pixels that it leaves to volumes."
+    )
 
     @field_validator("algorithm")
     @classmethod

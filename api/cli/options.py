@@ -1,0 +1,37 @@
+"""Settings of shadows as options of a command, and as what they ask of a level's ``shadows``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+from api.shadow_parameters import FunctionT, taking
+from terrain.level.level import Shadows, parse_algorithm
+from terrain.level.setting import FrontEnd, Setting, settings_of
+
+
+def with_shadow_options(command: FrontEnd) -> Callable[[FunctionT], FunctionT]:
+    """Decorate a command that takes ``**asked``: it has an option for every setting that it takes."""
+    return taking(command, _option, after="crs")
+
+
+def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:
+    """Options as a request's changes of a level's ``shadows``. Raises ``InputError``."""
+    found = dict(asked)
+    for each in settings_of(Shadows, command):
+        given = found.get(each.name)
+        if each.name == "algorithm" and given is not None:
+            found[each.name] = parse_algorithm(given, "--algorithm")
+        elif isinstance(given, str) and given.isdecimal() and any(isinstance(word, int) for word in each.words):
+            found[each.name] = int(given)
+    return found
+
+
+def _option(setting: Setting) -> Any:
+    about = setting.about.replace("`", "")
+    if setting.allowed:
+        about = f"{about.removesuffix('.')} ({setting.allowed})."
+    of_type: Any = setting.plain_type
+    return Annotated[of_type | None, typer.Option(help=about)]
