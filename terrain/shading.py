@@ -101,7 +101,7 @@ def shade(
     ``lamplight`` (rows, cols, 3) what comes from elsewhere. Black where nothing is there.
     """
     low, high = scene.height_range_m
-    to_sun = np.zeros(3) if scene.sun is None else buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+    to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
     tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
     light = daylight_of(scene)
     if albedo is None:
@@ -224,7 +224,7 @@ def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
     """The frame point that "up" points away from: the earth's centre, or one far below a flat world."""
     if scene.world.flat:
         return np.array([0.0, 0.0, -1e12])
-    return -buffer.frame.frame_from_earth @ buffer.frame.origin_earth_m
+    return buffer.frame.points_from_earth(np.zeros(3))
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.attached import attached, lamp_in_frame
+from shadows.attached import attached
 from shadows.maps.perspective_shadow_map import perspective_map
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from terrain.cache import MIB, kept
@@ -26,8 +26,7 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
         texel_m = np.array(sides)[np.searchsorted(ends_m, np.asarray(away_m))]
     elif isinstance(settings, LampMapSettings) and step is not None:
         lamp = scene.lamps[step.light]
-        position, _ = lamp_in_frame(buffer, lamp)
-        way = position - buffer.position_frame_m
+        way = lamp.in_frame(buffer.frame).position_frame_m - buffer.position_frame_m
         length_m = np.linalg.norm(way, axis=-1)
         tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
         texel_m = 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)

@@ -68,8 +68,7 @@ class Rays:
         return _placed(point_frame_m, middle, scale, known)
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        earth = point_frame_m @ frame.frame_from_earth + frame.origin_earth_m
-        x, y, _ = self.scene.world.map_position(self.grid.crs, earth)
+        x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return (self.grid.y0 - y) / self.grid.step, (x - self.grid.x0) / self.grid.step
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:

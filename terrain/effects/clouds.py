@@ -21,7 +21,6 @@ from terrain.facts.look import Look
 from terrain.facts.parts import Fact, number
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
 from terrain.ground.elevation import Elevation
 from terrain.ground.noise import GAIN, noise_at
 from terrain.ground.shown import Cells, cells_shown, whole
@@ -194,7 +193,7 @@ def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
     if scene.sun is None:
         return
     layer = layer_of(scene)
-    rotation, origin_m = _anchor_from_frame(scene, buffer.frame)
+    rotation, origin_m = scene.world.anchor_from_frame(buffer.frame)
     eye, spread = np.zeros(3), 0.0
     if isinstance(view, PerspectiveView):
         eye, spread = view.in_frame(buffer.frame)[0], view.pixel
@@ -202,13 +201,6 @@ def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
         sunlight, buffer.there, buffer.position_frame_m, buffer.height_m, rotation, origin_m, layer.height_m, layer.to_sun_anchor,
         layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, _map_pixel_m(scene, view), eye, spread,
     )  # fmt: skip
-
-
-def _anchor_from_frame(scene: Scene, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) from a frame to the anchor's axes, and the frame's origin (3,) there, metres."""
-    anchor_from_earth = scene.world.earth_from_anchor.T
-    rotation = np.ascontiguousarray(anchor_from_earth @ frame.frame_from_earth.T)
-    return rotation, anchor_from_earth @ (frame.origin_earth_m - scene.world.anchor_earth_m)
 
 
 def _map_pixel_m(scene: Scene, view: MapView | PerspectiveView) -> float:
@@ -320,7 +312,7 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
     """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
     between the points looked at too; past the farthest points, under the sky, a quarter farther.
     """
-    rotation, origin_m = _anchor_from_frame(scene, look.buffer.frame)
+    rotation, origin_m = scene.world.anchor_from_frame(look.buffer.frame)
     points, away_m, height_m = look.points_frame_m, look.away_m, look.height_m
     if not look.buffer.there.all():
         far = away_m > away_m.max(initial=0.0) / 1.25

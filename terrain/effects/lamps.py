@@ -49,7 +49,7 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look
             return False
         points, slack_m = _points_of_cells(scene, cells)
     else:
-        points = look.points_frame_m @ look.buffer.frame.frame_from_earth + look.buffer.frame.origin_earth_m
+        points = look.buffer.frame.points_to_earth(look.points_frame_m)
         slack_m = look.away_m * look.spacing
     to_points = points - lamp.position_earth_m
     slack_m = slack_m + scene.population.tallest_m
@@ -101,8 +101,7 @@ def shine(lamplight: np.ndarray, block: Block) -> None:
         if name not in scene.lamps:
             continue
         lamp = scene.lamps[name]
-        position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-        axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
+        position, axis, _ = lamp.in_frame(buffer.frame)
         color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
         outer, inner = (
             np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)

@@ -40,9 +40,7 @@ def lie_on(albedo: np.ndarray, block: Block) -> None:
     if not scene.loaded.level.weather.snow:
         return
     world = scene.world
-    anchor_from_earth = world.earth_from_anchor.T
-    rotation = np.ascontiguousarray(anchor_from_earth @ buffer.frame.frame_from_earth.T)
-    origin_m = anchor_from_earth @ (buffer.frame.origin_earth_m - world.anchor_earth_m)
+    rotation, origin_m = world.anchor_from_frame(buffer.frame)
     eye, spread, pixel_m = np.zeros(3), 0.0, 0.0
     if isinstance(view, PerspectiveView):
         eye, spread = view.in_frame(buffer.frame)[0], view.pixel

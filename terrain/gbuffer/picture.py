@@ -174,7 +174,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
 def solids_in(population: Population, frame: LocalFrame) -> np.ndarray | None:
     """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
     solids = population.solids
-    return None if solids is None else (solids.vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T
+    return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
 
 
 @kept("scene", 512 * MIB)
@@ -182,7 +182,7 @@ def _solid_faces(population: Population, frame: LocalFrame) -> tuple[np.ndarray,
     """Triangles, albedo, corner normals in a frame, and crease of a population's meshes."""
     solids = population.solids
     assert solids is not None
-    normals = (solids.corner_normals_earth @ frame.frame_from_earth.T).astype(np.float32)
+    normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
     return solids.triangles, solids.albedo.astype(np.float32), normals, population.solid_crease
 
 
@@ -202,9 +202,9 @@ def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     """Pixels (column, row) per metre along a frame's first two axes, (2, 2), at a view's middle."""
     point, _ = scene.world.ground(view.grid.crs, *view.centre)
-    middle = frame.frame_from_earth @ (point - frame.origin_earth_m)
+    middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
-    at = np.stack(scene.world.map_position(view.grid.crs, steps @ frame.frame_from_earth + frame.origin_earth_m), axis=-1)
+    at = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
     px = _pixels(view, at)[:, :2]
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 

@@ -75,8 +75,7 @@ class Surface:
         height, there = self.heights(row0, col0, rows, cols)
         exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)
         point, up = self.world.ground(self.grid.crs, x, y)
-        to_frame = frame.frame_from_earth.T
-        exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
+        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         position = _positions(exact, exact_rows, exact_cols, self._stride, row0, col0, height)
         there &= np.isfinite(position[..., 2])
         return SurfaceWindow(row0, col0, height, there, position)
@@ -89,8 +88,7 @@ class Surface:
         shape = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
         exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, *shape, self._stride)
         point, up = self.world.ground(self.grid.crs, x, y)
-        to_frame = frame.frame_from_earth.T
-        exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
+        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         return _scattered(exact, exact_rows, exact_cols, self._stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
     def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
