@@ -24,7 +24,7 @@ from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
 from terrain.ground.noise import GAIN, noise_at
 from terrain.ground.shown import Cells, cells_shown, whole
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
 
@@ -194,20 +194,15 @@ def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
         return
     layer = layer_of(scene)
     rotation, origin_m = scene.world.anchor_from_frame(buffer.frame)
-    eye, spread = np.zeros(3), 0.0
+    eye, spread, pixel_m = np.zeros(3), 0.0, 0.0
     if isinstance(view, PerspectiveView):
         eye, spread = view.in_frame(buffer.frame)[0], view.pixel
+    else:
+        pixel_m = map_pixel_m(scene.world, view)
     _shade_clouds(
         sunlight, buffer.there, buffer.position_frame_m, buffer.height_m, rotation, origin_m, layer.height_m, layer.to_sun_anchor,
-        layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, _map_pixel_m(scene, view), eye, spread,
+        layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, pixel_m, eye, spread,
     )  # fmt: skip
-
-
-def _map_pixel_m(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """Side of a map's pixels, metres; 0 in perspective."""
-    if isinstance(view, PerspectiveView):
-        return 0.0
-    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
 
 
 @compiled
@@ -267,7 +262,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
         assert isinstance(view, MapView)
         cells = cells_shown(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
-        nearest = farthest = _fade(_map_pixel_m(scene, view))
+        nearest = farthest = _fade(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
         away_m = look.away_m if len(look.away_m) else np.zeros(1)

@@ -13,7 +13,7 @@ from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import fractal_at
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, up_centre
 
@@ -45,7 +45,7 @@ def lie_on(albedo: np.ndarray, block: Block) -> None:
     if isinstance(view, PerspectiveView):
         eye, spread = view.in_frame(buffer.frame)[0], view.pixel
     else:
-        pixel_m = step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+        pixel_m = map_pixel_m(world, view)
     _lie_on(
         albedo, buffer.there, buffer.kind, buffer.position_frame_m, buffer.height_m, buffer.shading_normal_frame,
         buffer.albedo, up_centre(scene, buffer), rotation, origin_m, scene.elevation.water_m + SHORE_M, pixel_m, eye,

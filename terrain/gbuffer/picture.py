@@ -20,7 +20,7 @@ from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.level.level import CasterKind
 from terrain.population import Population
 from terrain.scene import Scene
@@ -141,7 +141,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     image = imagery_of(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
-    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    pixel_m = map_pixel_m(scene.world, view)
     solids, trees = scene.population.solids, stand_in_map(scene.population, frame, pixel_m)
     if solids is None and trees is None:
         return buffer
@@ -241,5 +241,5 @@ def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
     at = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
     cells = np.stack([map_coordinates(exact[..., k], at, order=1) for k in (0, 1)], axis=-1)
-    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    pixel_m = map_pixel_m(scene.world, view)
     return image.albedo(cells, pixel_m / image.cell_m(scene.world))

@@ -15,7 +15,7 @@ import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
-from terrain.geo.grid import Grid
+from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 
@@ -192,6 +192,11 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
     point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
+
+
+def map_pixel_m(world: World, view: MapView) -> float:
+    """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
+    return step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
 
 
 @compiled
