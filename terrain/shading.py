@@ -12,6 +12,7 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
+from terrain.srgb import linear_of_srgb, srgb_of_linear
 
 TINT = (
     (0.00, "#8fb07c"),
@@ -187,7 +188,7 @@ def _sky(rows, cols, tangents, up, horizon, zenith):
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
-    """sRGB (IEC 61966-2-1) as uint8 of linear display colour in [0, 1]."""
+    """sRGB as uint8 of linear display colour in [0, 1]."""
     return _srgb_table()[np.minimum((linear * _SRGB_STEPS).astype(np.int32), _SRGB_STEPS - 1)]
 
 
@@ -205,19 +206,14 @@ def tint_table() -> np.ndarray:
     """The hypsometric tint as linear colours (256, 3) over the level's relief."""
     stops = np.array([stop for stop, _ in TINT])
     colours = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in TINT])
-    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    linear = linear_of_srgb(colours)
     at = np.linspace(0.0, 1.0, 256)
     return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
 
 
 @kept("process", MIB)
 def _srgb_table() -> np.ndarray:
-    return np.rint(255.0 * srgb((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """sRGB (IEC 61966-2-1) of linear colour, continued beyond 1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 
 
 def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:

@@ -17,7 +17,8 @@ from terrain.geo.grid import MapView
 from terrain.ground.shown import Cells, cells_shown, parts
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
-from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
+from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of
+from terrain.srgb import srgb_of_linear
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -76,7 +77,7 @@ def _least_light(scene: Scene) -> float:
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
     least = 0.25 * sky if "meshes" not in scene.population.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
-    return float(more[np.argmax(srgb(least + more) - srgb(np.array(least)) > 0.75 * STEP)])
+    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * STEP)])
 
 
 @kept("scene", 16 * MIB)
