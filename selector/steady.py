@@ -27,8 +27,8 @@ import numpy as np
 from selector.picks import Pick, PolicyName, Wishes
 from selector.planner.planner import choose
 from selector.select import select
-from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import AlgorithmName, CasterKind

@@ -29,9 +29,9 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from selector.cost.task import is_decimated
-from selector.winning import MOST_INTERIOR
 from shadows.plan import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings, Step
 from shadows.registry import ALGORITHMS
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.cache import MIB, kept
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting

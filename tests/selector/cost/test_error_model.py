@@ -26,7 +26,6 @@ from selector.cost.error_model import (
     pooled,
     texel_px_of,
 )
-from selector.winning import MOST_INTERIOR
 from shadows.plan import (
     Cascade,
     HybridSettings,
@@ -37,6 +36,7 @@ from shadows.plan import (
     SweepSettings,
     VolumeSettings,
 )
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
