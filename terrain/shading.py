@@ -9,7 +9,7 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
+from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from terrain.srgb import linear_of_srgb, srgb_of_linear
@@ -244,7 +244,7 @@ def _shade(
             if not there[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
-            leaf = glow if kind[i, j] == 3 else 0.0
+            leaf = glow if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             # Direct light fades in over the first degree of the sun's altitude here.

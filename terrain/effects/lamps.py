@@ -12,6 +12,7 @@ from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
+from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.shown import Cells, cells_shown, parts
@@ -122,7 +123,7 @@ def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, ou
             away = np.sqrt(x * x + y * y + z * z)
             if not there[i, j] or away == 0.0 or visibility[i, j] == 0.0:
                 continue
-            leaf = glow if kind[i, j] == 3 else 0.0
+            leaf = glow if kind[i, j] == FOREST else 0.0
             across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away
             cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / away
             rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)

@@ -13,6 +13,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.gbuffer.ground_mesh import GroundMesh
+from terrain.gbuffer.resolve import NOTHING, RELIEF
 from terrain.gbuffer.stand import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -96,7 +97,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     there, position, height, normal, shading, crease, triangle = _pixels(
         window.position_frame_m, window.height_m, window.there, faces, smooth, row - row0, col - col0
     )
-    kind = there.astype(np.uint8)
+    kind = np.where(there, np.uint8(RELIEF), np.uint8(NOTHING))
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
 
 

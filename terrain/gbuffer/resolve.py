@@ -94,17 +94,17 @@ def _resolve(
             for k in range(3):
                 ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
             if t < ground:
-                kind[i, j] = 1
+                kind[i, j] = RELIEF
                 for c in range(3):
                     for k in range(3):
                         p[c, k] = ground_position[ground_triangles[t, c], k]
             elif t < ground + solid:
-                kind[i, j] = 2
+                kind[i, j] = MESHES
                 for c in range(3):
                     for k in range(3):
                         p[c, k] = solid_position[solid_triangles[t - ground, c], k]
             else:
-                kind[i, j] = 3
+                kind[i, j] = FOREST
                 tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
                 _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
             u, v = _on_plane(p, eye, ray)
@@ -183,7 +183,7 @@ def resolve_map(
             _face(p, normal[i, j])
             crease[i, j] = 0.0
             if t < solid:
-                kind[i, j] = 2
+                kind[i, j] = MESHES
                 crease[i, j] = solid_crease[t]
                 n = solid_normals[t]
                 for k in range(3):
@@ -194,7 +194,7 @@ def resolve_map(
                         normal[i, j, k] = -normal[i, j, k]
                         shading[i, j, k] = -shading[i, j, k]
             else:
-                kind[i, j] = 3
+                kind[i, j] = FOREST
                 _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
             _unit(shading[i, j])
 
