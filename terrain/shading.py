@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,6 +77,24 @@ class Daylight:
     sky: np.ndarray
 
 
+class Tints(NamedTuple):
+    """Linear colours (n, 3) of ground from ``low_m`` on to ``relief_m`` above it."""
+
+    low_m: float
+    relief_m: float
+    color: np.ndarray
+
+
+class LightHere(NamedTuple):
+    """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
+
+    has_sun: bool
+    to_sun_frame: np.ndarray
+    sun: np.ndarray
+    sky: np.ndarray
+    night: float
+
+
 def daylight_of(scene: Scene) -> Daylight:
     """The day's light over a level: clouds take the direct sun away where they are (all of it if there is nothing else, else
     by the effect ``clouds``), and make the sky grey.
@@ -108,9 +127,9 @@ def shade(
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     return _shade(
-        buffer.there, buffer.kind, buffer.height_m, buffer.shading_normal_frame, albedo, sunlight, to_sun, up_centre(scene, buffer),
-        buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint, light.sun, light.sky,
-        scene.sun is not None, night_of(scene), LEAF_GLOW, skylight, lamplight,
+        buffer.shown, Tints(low, max(high - low, 1.0), tint),
+        LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene)),
+        up_centre(scene, buffer), LEAF_GLOW, albedo, sunlight, skylight, lamplight,
     )  # fmt: skip
 
 
@@ -232,11 +251,11 @@ def dusk_of(sine):
 
 
 @compiled
-def _shade(
-    there, kind, height, normal, albedo, sunlight, to_sun, centre, position, low, relief, tint, sun, sky, has_sun, night, glow,
-    skylight, lamplight,
-):  # fmt: skip
+def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
+    there, kind, position, height, normal = shown
+    low, relief, tint = tints
+    has_sun, to_sun, sun, sky, night = light_here
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
     for i in range(rows):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
+from shadows.sweep.grid import NO_LEVELS, Turn, bordered, close_border, places, turn_towards
+from shadows.sweep.lines import Sheet
 from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled
@@ -143,7 +144,7 @@ class Ground:
         if angle == 0.0:
             return self.sheet
         level = np.float32(np.cos(angle)) * self.sheet.level - np.float32(np.sin(angle)) * self.towards_m
-        return replace(self.sheet, level=level)
+        return self.sheet._replace(level=level)
 
 
 def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[Ground]:

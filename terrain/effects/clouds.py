@@ -7,14 +7,14 @@ and frame. Clouds are no terrain: they change the colour, and no layer of visibi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
@@ -71,8 +71,7 @@ MAX_PLACES = 2**17
 """Places that a search for the densest cloud looks at: what is not decided by then counts as cloud."""
 
 
-@dataclass(frozen=True, eq=False)
-class CloudLayer:
+class CloudLayer(NamedTuple):
     """The clouds of a scene.
 
     Attributes
@@ -189,27 +188,18 @@ def _fade(pixel_m):
 
 def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
     """Take away the share of the sun's light that clouds hold back."""
-    buffer, scene, view = block.buffer, block.scene, block.view
+    buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
-    layer = layer_of(scene)
-    rotation, origin_m = scene.world.anchor_from_frame(buffer.frame)
-    eye, spread, pixel_m = np.zeros(3), 0.0, 0.0
-    if isinstance(view, PerspectiveView):
-        eye, spread = view.in_frame(buffer.frame)[0], view.pixel
-    else:
-        pixel_m = map_pixel_m(scene.world, view)
-    _shade_clouds(
-        sunlight, buffer.there, buffer.position_frame_m, buffer.height_m, rotation, origin_m, layer.height_m, layer.to_sun_anchor,
-        layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, pixel_m, eye, spread,
-    )  # fmt: skip
+    _shade_clouds(sunlight, buffer.shown, scene.world.anchor_from_frame(buffer.frame), layer_of(scene), pixel_size(block))
 
 
 @compiled
-def _shade_clouds(
-    sunlight, there, position, height, rotation, origin, layer_m, to_sun, centre, drift, threshold, cover, most, pixel_m, eye,
-    spread,
-):  # fmt: skip
+def _shade_clouds(sunlight, shown, anchor_from_frame, layer, size):
+    there, _, position, height, _ = shown
+    rotation, origin = anchor_from_frame
+    cover, threshold, most, layer_m, to_sun, centre, drift = layer
+    eye, spread, pixel_m = size
     fade = _fade(pixel_m)
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):

@@ -108,14 +108,12 @@ def shine(lamplight: np.ndarray, block: Block) -> None:
         outer, inner = (
             np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
         )
-        _shine(
-            lamplight, buffer.there, buffer.kind, buffer.shading_normal_frame, buffer.position_frame_m, visibility, position, axis,
-            color, outer, inner, LEAF_GLOW,
-        )  # fmt: skip
+        _shine(lamplight, buffer.shown, visibility, position, axis, color, outer, inner, LEAF_GLOW)
 
 
 @compiled
-def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, outer, inner, glow):
+def _shine(out, shown, visibility, lamp, axis, color, outer, inner, glow):
+    there, kind, position, _, normal = shown
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             n, p = normal[i, j], position[i, j]

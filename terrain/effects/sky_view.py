@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
 from terrain.facts.parts import Fact
@@ -132,12 +132,9 @@ def _highest_round(values, table, nodes, reach):
 
 def hide(skylight: np.ndarray, block: Block) -> None:
     """Take from each point's share of the sky what ground hides there."""
-    buffer, view, scene = block.buffer, block.view, block.scene
+    buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
-    if isinstance(view, MapView):
-        eye, tangent, width_m = np.zeros(3), 0.0, map_pixel_m(scene.world, view)
-    else:
-        eye, tangent, width_m = view.in_frame(buffer.frame)[0], view.pixel, 0.0
+    eye, tangent, width_m = pixel_size(block)
     nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
     _hide(skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
 

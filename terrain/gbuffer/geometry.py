@@ -8,6 +8,7 @@ that the node is the north-west corner of (to a neighbour where that one is miss
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,16 @@ from terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
 """Widest central difference of the shading normal, in nodes: beyond 16-fold magnification facets show."""
+
+
+class Shown(NamedTuple):
+    """What pixels show, as loops that shade them take it: arrays of a ``GeometryBuffer``."""
+
+    there: np.ndarray
+    kind: np.ndarray
+    position_frame_m: np.ndarray
+    height_m: np.ndarray
+    shading_normal_frame: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +92,11 @@ class GeometryBuffer:
     solids_frame_m: np.ndarray | None = None
     samples_from: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def shown(self) -> Shown:
+        """What a loop that shades needs of it."""
+        return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
