@@ -28,9 +28,9 @@ from selector.picks import Pick, PolicyName, Wishes
 from selector.planner.planner import choose
 from selector.portfolio import tuned_settings
 from selector.select import select
-from selector.winning import MOST_INTERIOR
 from shadows.plan import Plan
 from shadows.registry import NOTHING
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName

@@ -7,11 +7,7 @@ from dataclasses import dataclass
 
 from selector.words import duration, percent
 from shadows.registry import NOTHING
-
-MOST_INTERIOR = 0.001
-"""Share of the decidable pixels that may be wrong inside a shadow or a light: more is failure, not aliasing. It is also the least
-that overshoots of an error are held against, so that a target of no error has a nearest candidate, too.
-"""
+from shadows.truth.metrics import MOST_INTERIOR
 
 ALIKE = 1.05
 """Times that lie as close as this count as one: the more accurate of two such candidates is taken."""
@@ -65,7 +61,10 @@ def best(candidates: Sequence[Figures], max_error: float, max_ms: float | None =
 
 
 def overshoot(figures: Figures, max_error: float, max_ms: float | None = None) -> float:
-    """The larger of the overshoots of error, interior and time, each relative to what is allowed; 0 where the target is met."""
+    """The larger of the overshoots of error, interior and time, each relative to what is allowed; 0 where the target is met.
+
+    An error's is held against ``MOST_INTERIOR`` at least, so that a target of no error has a nearest candidate, too.
+    """
     return max(
         0.0,
         (figures.error - max_error) / max(max_error, MOST_INTERIOR),

@@ -8,7 +8,6 @@ from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST
 from terrain.level.level import SUN
-from terrain.lights import Lamp
 from terrain.scene import Scene
 
 GRAZING = 2.0**-20
@@ -27,18 +26,12 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
     if light == SUN:
         if not scene.sun_is_up or scene.sun is None:
             return np.ones(buffer.there.shape, bool)
-        return turned_away(buffer.normal_frame, leaves, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth)
+        return turned_away(buffer.normal_frame, leaves, scene.sun.in_frame(buffer.frame))
     lamp = scene.lamps[light]
-    position, axis = lamp_in_frame(buffer, lamp)
+    position, axis, _ = lamp.in_frame(buffer.frame)
     return _beside_lamp(
         buffer.position_frame_m, buffer.normal_frame, leaves, position, axis, float(np.cos(np.radians(lamp.cutoff_deg)))
     )
-
-
-def lamp_in_frame(buffer: GeometryBuffer, lamp: Lamp) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and unit axis (3,) of a lamp in a buffer's frame."""
-    position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-    return position, buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
 
 
 @compiled

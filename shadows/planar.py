@@ -30,7 +30,6 @@ import numpy as np
 from moderngl import Framebuffer
 
 from shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
-from shadows.attached import lamp_in_frame
 from shadows.maps.windows import POSITION_ERROR
 from shadows.passes import PassLog, PassRecord
 from shadows.work import Task, Work
@@ -124,13 +123,13 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
         middle, _ = scene.world.ground(view.grid.crs, *view.centre)
     else:
         middle = view.eye_earth_m
-    origin = frame.frame_from_earth @ (middle - frame.origin_earth_m)
+    origin = frame.points_from_earth(middle)
     origin[2] = scene.height_range_m[0]
     if light == SUN:
         assert scene.sun is not None
-        at = np.append(frame.frame_from_earth @ scene.sun.to_sun_earth, 0.0)
+        at = np.append(scene.sun.in_frame(frame), 0.0)
     else:
-        at = np.append(lamp_in_frame(buffer, scene.lamps[light])[0] - origin, 1.0)
+        at = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
     meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground shades nothing
     return Projected(origin, at, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds))
 

@@ -73,7 +73,7 @@ class Frame:
         """Earth-fixed points (rows, cols, 3) float64 of a perspective view, NaN in the sky; ``None`` in a map."""
         if self.position_frame_m is None or self.frame is None:
             return None
-        return self.position_frame_m @ self.frame.frame_from_earth + self.frame.origin_earth_m
+        return self.frame.points_to_earth(self.position_frame_m)
 
     @property
     def effects(self) -> frozenset[EffectName]:

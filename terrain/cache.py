@@ -58,6 +58,11 @@ def _by_identity(part: object) -> bool:
 _Function = type(lambda: None)
 
 
+def _key_of(parts: Iterable[object], gone: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
+    """The key under which a value lies that was made from some parts; ``gone`` is called when one that goes by identity does."""
+    return tuple(Same(part, gone) if _by_identity(part) else part for part in parts)
+
+
 class Missing:
     """What ``Cache.get`` answers where there is nothing; a value may be ``None``."""
 
@@ -99,7 +104,7 @@ class Cache(Generic[V]):
 
     def get(self, *parts: object) -> V | Missing:
         """The value under a key of some parts, or ``MISSING``."""
-        key = tuple(Same(part) if _by_identity(part) else part for part in parts)
+        key = _key_of(parts)
         with _lock:
             found = self._values.get(key)
             if found is None:
@@ -131,7 +136,7 @@ class Cache(Generic[V]):
     def drop(self, *parts: object) -> None:
         """Forget the value under a key."""
         with _lock:
-            self._drop(tuple(Same(part) if _by_identity(part) else part for part in parts))
+            self._drop(_key_of(parts))
 
     def clear(self) -> None:
         """Forget all."""
@@ -158,7 +163,7 @@ class Cache(Generic[V]):
                 with _lock:
                     cache._drop(held[0])
 
-        key = tuple(Same(part, gone) if _by_identity(part) else part for part in parts)
+        key = _key_of(parts, gone)
         held.append(key)
         return key
 

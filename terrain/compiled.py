@@ -12,7 +12,12 @@ R = TypeVar("R")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile ``function`` with numba: no fast-math (results must not depend on the machine), GIL released."""
+    """Compile ``function`` with numba: no fast-math (results must not depend on the machine), GIL released.
+
+    What belongs together it takes as a ``NamedTuple`` of its module, or of one that changes seldom: numba's cache notices a change
+    of the function's own file alone, and goes by the order of the fields. What may be ``None`` is a parameter of its own, so that
+    each variant is compiled without the code of the others.
+    """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
     try:
         return numba.njit(cache=True, **options)(function)

@@ -12,7 +12,7 @@ from terrain.casters.clip_space import bend_px
 from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
 from terrain.effects.lamps import lamp_reaches
-from terrain.facts.caster_facts import map_pixel_m, slopes_deg, stands_of, trees_of
+from terrain.facts.caster_facts import slopes_deg, stands_of, trees_of
 from terrain.facts.descriptor import Descriptor, joined
 from terrain.facts.light_facts import Seen, facts_of_lights
 from terrain.facts.look import Look, look_at_scene
@@ -22,7 +22,7 @@ from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m, step_at_anchor_m
 from terrain.scene import Scene
 
 NEAREST_M = 1.0
@@ -84,7 +84,7 @@ def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -
 
 
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
-    node_m, pixel_m = step_at_anchor_m(scene.world, view.grid), map_pixel_m(scene, view)
+    node_m, pixel_m = step_at_anchor_m(scene.world, view.grid), map_pixel_m(scene.world, view)
     relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.population.tallest_m
     return {
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,

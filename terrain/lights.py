@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from terrain.errors import LevelError
+from terrain.geo.world import LocalFrame
 from terrain.ground.place import Place
 from terrain.level.parts import LightSpec
 
 CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
+
+
+class LampInFrame(NamedTuple):
+    """A lamp in a frame: its place (3,), metres, its unit axis (3,), and the rotation (3, 3) from the frame to the lamp."""
+
+    position_frame_m: np.ndarray
+    axis_frame: np.ndarray
+    lamp_from_frame: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +48,14 @@ class Lamp:
     color: tuple[float, float, float]
     intensity: float
     reference_m: float
+
+    def in_frame(self, frame: LocalFrame) -> LampInFrame:
+        """Where it stands in a frame, and how it is turned there."""
+        return LampInFrame(
+            frame.points_from_earth(self.position_earth_m),
+            frame.directions_from_earth(self.earth_from_lamp[:, 2]),
+            self.earth_from_lamp.T @ frame.frame_from_earth.T,
+        )
 
 
 def lamp_of(name: str, spec: LightSpec, place: Place, where: str) -> Lamp:

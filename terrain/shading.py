@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
+from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
+from terrain.srgb import linear_of_srgb, srgb_of_linear
 
 TINT = (
     (0.00, "#8fb07c"),
@@ -75,6 +77,24 @@ class Daylight:
     sky: np.ndarray
 
 
+class Tints(NamedTuple):
+    """Linear colours (n, 3) of ground from ``low_m`` on to ``relief_m`` above it."""
+
+    low_m: float
+    relief_m: float
+    color: np.ndarray
+
+
+class LightHere(NamedTuple):
+    """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
+
+    has_sun: bool
+    to_sun_frame: np.ndarray
+    sun: np.ndarray
+    sky: np.ndarray
+    night: float
+
+
 def daylight_of(scene: Scene) -> Daylight:
     """The day's light over a level: clouds take the direct sun away where they are (all of it if there is nothing else, else
     by the effect ``clouds``), and make the sky grey.
@@ -101,15 +121,15 @@ def shade(
     ``lamplight`` (rows, cols, 3) what comes from elsewhere. Black where nothing is there.
     """
     low, high = scene.height_range_m
-    to_sun = np.zeros(3) if scene.sun is None else buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+    to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
     tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
     light = daylight_of(scene)
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     return _shade(
-        buffer.there, buffer.kind, buffer.height_m, buffer.shading_normal_frame, albedo, sunlight, to_sun, up_centre(scene, buffer),
-        buffer.position_frame_m, np.float64(low), np.float64(max(high - low, 1.0)), tint, light.sun, light.sky,
-        scene.sun is not None, night_of(scene), LEAF_GLOW, skylight, lamplight,
+        buffer.shown, Tints(low, max(high - low, 1.0), tint),
+        LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene)),
+        up_centre(scene, buffer), LEAF_GLOW, albedo, sunlight, skylight, lamplight,
     )  # fmt: skip
 
 
@@ -187,7 +207,7 @@ def _sky(rows, cols, tangents, up, horizon, zenith):
 
 
 def encoded(linear: np.ndarray) -> np.ndarray:
-    """sRGB (IEC 61966-2-1) as uint8 of linear display colour in [0, 1]."""
+    """sRGB as uint8 of linear display colour in [0, 1]."""
     return _srgb_table()[np.minimum((linear * _SRGB_STEPS).astype(np.int32), _SRGB_STEPS - 1)]
 
 
@@ -205,26 +225,21 @@ def tint_table() -> np.ndarray:
     """The hypsometric tint as linear colours (256, 3) over the level's relief."""
     stops = np.array([stop for stop, _ in TINT])
     colours = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in TINT])
-    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    linear = linear_of_srgb(colours)
     at = np.linspace(0.0, 1.0, 256)
     return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
 
 
 @kept("process", MIB)
 def _srgb_table() -> np.ndarray:
-    return np.rint(255.0 * srgb((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """sRGB (IEC 61966-2-1) of linear colour, continued beyond 1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 
 
 def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
     """The frame point that "up" points away from: the earth's centre, or one far below a flat world."""
     if scene.world.flat:
         return np.array([0.0, 0.0, -1e12])
-    return -buffer.frame.frame_from_earth @ buffer.frame.origin_earth_m
+    return buffer.frame.points_from_earth(np.zeros(3))
 
 
 @compiled
@@ -236,11 +251,11 @@ def dusk_of(sine):
 
 
 @compiled
-def _shade(
-    there, kind, height, normal, albedo, sunlight, to_sun, centre, position, low, relief, tint, sun, sky, has_sun, night, glow,
-    skylight, lamplight,
-):  # fmt: skip
+def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
+    there, kind, position, height, normal = shown
+    low, relief, tint = tints
+    has_sun, to_sun, sun, sky, night = light_here
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
     for i in range(rows):
@@ -248,7 +263,7 @@ def _shade(
             if not there[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
-            leaf = glow if kind[i, j] == 3 else 0.0
+            leaf = glow if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             # Direct light fades in over the first degree of the sun's altitude here.

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = ("terrain", "shadows", "selector", "api")
 """From the ground up: a floor imports only those before it."""
 
-LEAVES = {"terrain.errors", "terrain.compiled", "terrain.cache"}
+LEAVES = {"terrain.errors", "terrain.compiled", "terrain.cache", "terrain.srgb"}
 """What every module may import; they import one another at most."""
 
 MAY_IMPORT = {
@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "terrain.ground": "geo level",
     "terrain.meshes": "geo ground level",
     "terrain.trees": "geo ground level",
-    "terrain.lights": "ground level",
+    "terrain.lights": "geo ground level",
     "terrain.population": "geo ground level meshes trees",
     "terrain.scene": "geo ground level lights population",
     "terrain.gl": "ground",
@@ -44,7 +44,7 @@ MAY_IMPORT = {
     "shadows.volumes": "algorithm attached passes work",
     "shadows.hybrid": "algorithm attached kept_layers maps passes volumes work",
     "shadows.none": "algorithm",
-    "shadows.planar": "algorithm attached maps passes work",
+    "shadows.planar": "algorithm maps passes work",
     "shadows.sweep": "algorithm passes work",
     "shadows.truth": "algorithm attached passes work",
     "shadows.registry": "algorithm hybrid maps none planar sweep truth volumes",
@@ -58,13 +58,13 @@ MAY_IMPORT = {
     "selector.wager": "winning",
     "selector.portfolio": "mixes picks",
     "selector.planner": "picks",
-    "selector.cost": "winning",
+    "selector.cost": "",
     "selector.candidates": "mixes planner",
     "selector.pin": "picks planner",
     "selector.measure": "candidates picks planner portfolio winning words",
     "selector.predict": "cost picks planner portfolio wager winning words",
     "selector.select": "cost measure picks planner predict",
-    "selector.steady": "cost picks planner portfolio select winning",
+    "selector.steady": "cost picks planner portfolio select",
     "api.errors": "",
     "api.layers": "",
     "api.settings": "",

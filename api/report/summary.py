@@ -8,14 +8,13 @@ from typing import Any
 from selector.measure.compare import Comparison
 from selector.words import duration, listed, percent, two_digits
 from shadows.registry import NOTHING
+from shadows.truth.metrics import MOST_INTERIOR
 
 Figures = dict[str, Any]
 
 
 FLOORS = 3.0
 """Below so many noise floors an error cannot be told from none."""
-MAX_INTERIOR = 0.001
-"""A larger share of wrong pixels away from all shadow edges is failure, not aliasing."""
 HARDLY = 1.05
 """Times that differ by less than this ratio are not called different."""
 SMALL_ERROR = 0.03
@@ -103,7 +102,7 @@ class _Told:
         return f"Bringing the error from {percent(self.of(here))} down to {percent(self.of(there))} {steps}."
 
     def failures(self, rows: list[Figures]) -> list[str]:
-        failed = [f for f in rows if f["interior"] > MAX_INTERIOR and self.of(f) <= SMALL_ERROR]
+        failed = [f for f in rows if f["interior"] > MOST_INTERIOR and self.of(f) <= SMALL_ERROR]
         if not failed:
             return []
         worst = max(f["interior"] for f in failed)

@@ -15,7 +15,6 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
 from benchmarks.seeds.views import Held, Variant, found, held, level_of, scene_of
 from benchmarks.seeds.words import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
-from shadows.attached import lamp_in_frame
 from shadows.maps.windows import BORDER_TEXELS
 from shadows.truth.metrics import boundary
 
@@ -63,7 +62,7 @@ def texels_at_edges_px(look: Held, map_size: int) -> np.ndarray:
     buffer, lamp, receivers = look.buffer, look.scene.lamps[look.light], look.receivers
     edge = boundary(~look.truth.lit & receivers, receivers)
     points, normals = buffer.position_frame_m[edge].astype(np.float64), buffer.normal_frame[edge].astype(np.float64)
-    source, axis = lamp_in_frame(buffer, lamp)
+    source, axis, _ = lamp.in_frame(buffer.frame)
     to_light, to_eye = source - points, look.perspective.in_frame(buffer.frame)[0] - points
     cosines = [np.abs((way * normals).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (to_eye, to_light)]
     texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * BORDER_TEXELS)

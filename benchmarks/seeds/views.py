@@ -186,6 +186,6 @@ def found(look: Held, variant: Variant) -> Found:
 def shallow(look: Held, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
     """Where points see the sun once they are moved so far towards it: less than that behind the first thing that the sun meets."""
     assert look.scene.sun is not None
-    to_sun = buffer.frame.frame_from_earth @ look.scene.sun.to_sun_earth
+    to_sun = look.scene.sun.in_frame(buffer.frame)
     moved = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
     return lit_from(moved, look.scene, SUN, ray_scene(look.buffer, look.scene, look.casters, ALL_KINDS))

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-INTERIOR = 1e-3
-"""Interior error above which a plan meets no target."""
+from shadows.truth.metrics import MOST_INTERIOR
 
 MISSED = 10.0
 """What a missed target costs, in times the worst that meets it."""
@@ -63,7 +62,7 @@ class Instance:
         """Whether a row keeps to the error (or what truth's own noise leaves to tell) and to the time."""
         most = max(self.goal.max_error, 3.0 * self.view["noise_floor"])
         row = self.rows[name]
-        return self.error(name) <= most and row["interior"] <= INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+        return self.error(name) <= most and row["interior"] <= MOST_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
 
     def losses(self) -> dict[str, float]:
         """The loss of every row, as a multiple of the least."""
@@ -85,7 +84,7 @@ class Instance:
     def _overshoot(self, name: str) -> float:
         row = self.rows[name]
         late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
-        return max(self.error(name) / self.goal.max_error, row["interior"] / INTERIOR, late, 1e-3)
+        return max(self.error(name) / self.goal.max_error, row["interior"] / MOST_INTERIOR, late, 1e-3)
 
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[Instance]:
@@ -112,7 +111,7 @@ class Verdict:
     regret_met_p95: float
     """The same of the picks that met their target."""
     unclean: float
-    """Share in which its row has interior error above ``INTERIOR`` though a clean row met the target."""
+    """Share in which its row has interior error above ``MOST_INTERIOR`` though a clean row met the target."""
     loss: float
     single: float
     """Mean loss of the single best."""
@@ -140,7 +139,7 @@ def judged(
     can = np.array([any(map(one.meets, one.rows)) for one in instances])
     met = np.array([one.meets(taken[key]) for one, key in zip(instances, keys, strict=True)])
     single_met = np.array([one.meets(single[key]) for one, key in zip(instances, keys, strict=True)])
-    dirty = [able and one.rows[taken[key]]["interior"] > INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
+    dirty = [able and one.rows[taken[key]]["interior"] > MOST_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
     regret, gap = own - 1.0, float(best.mean() - 1.0)
     worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
     return Verdict(

@@ -28,10 +28,10 @@ from math import exp, log, log2
 from pydantic import BaseModel, ConfigDict, Field
 
 from selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
-from selector.winning import MOST_INTERIOR
 from shadows.algorithm import ErrorConstants
 from shadows.plan import Step
 from shadows.registry import ALGORITHMS
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.cache import MIB, kept
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting

@@ -155,8 +155,7 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
         faces = [(rotation, translation, pixels)]
     else:
         lamp = scene.lamps[light]
-        turn = lamp.earth_from_lamp.T @ buffer.frame.frame_from_earth.T
-        place = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+        place, _, turn = lamp.in_frame(buffer.frame)
         if lamp.kind == "spot":
             faces = [(turn, -turn @ place, pixels)]
         else:

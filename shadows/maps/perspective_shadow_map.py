@@ -212,10 +212,9 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
     """The sun or a lamp as a homogeneous point in the buffer's frame."""
     if light == SUN:
         assert scene.sun is not None
-        return Light(np.array([*(buffer.frame.frame_from_earth @ scene.sun.to_sun_earth), 0.0]), np.zeros(3))
+        return Light(np.array([*scene.sun.in_frame(buffer.frame), 0.0]), np.zeros(3))
     lamp = scene.lamps[light]
-    position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-    axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
+    position, axis, _ = lamp.in_frame(buffer.frame)
     return Light(np.array([*position, 1.0]), position + lamp.reference_m * axis)
 
 

@@ -6,7 +6,6 @@ from math import radians, sqrt, tan
 
 import numpy as np
 
-from shadows.attached import lamp_in_frame
 from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import CastBand
@@ -56,8 +55,7 @@ def shadow_map_texel_m(
     """A texel's larger side on level ground at a buffer's points (rows, cols), or everywhere, metres; 0 without a sun."""
     if isinstance(settings, LampMapSettings):
         lamp = scene.lamps[light]
-        position, _ = lamp_in_frame(buffer, lamp)
-        way = position - buffer.position_frame_m
+        way = lamp.in_frame(buffer.frame).position_frame_m - buffer.position_frame_m
         length_m = np.linalg.norm(way, axis=-1)
         tangent = 1.0 if lamp.kind == "omni" else np.tan(np.radians(lamp.cutoff_deg))
         return 2.0 * tangent * length_m / settings.map_size * length_m / np.maximum(np.abs(way[..., 2]), 0.01 * length_m)

@@ -144,8 +144,7 @@ def _sun_map(
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> DepthMap | None:
     """The map of a lamp; ``None`` where it shines on nothing."""
-    rotation = lamp.earth_from_lamp.T @ buffer.frame.frame_from_earth.T
-    position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
+    position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
     faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))

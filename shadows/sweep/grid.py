@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from shadows.sweep.lines import LOWEST, sweep_rows
+from shadows.sweep.lines import LOWEST, Sheet, Strip, sweep_rows
+from shadows.sweep.points import StripPoints, no_points
 from terrain.compiled import compiled
 from terrain.errors import UnsupportedError
 
@@ -77,16 +78,6 @@ def turn_towards(rows: float, cols: float) -> Turn:
     swapped = abs(cols) > abs(rows)
     along, across = (cols, rows) if swapped else (rows, cols)
     return Turn(swapped, along > 0, across > 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """A turned grid (n, m) between two columns of border (``bordered``), with its lines' places: what ``sweep_rows`` takes."""
-
-    level: np.ndarray
-    place: np.ndarray
-    at: np.ndarray
-    mirrored: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,11 +186,11 @@ def sweep(
         mine = mine[np.argsort(base[mine], kind="stable")]
         begins = np.searchsorted(base[mine], np.arange(n + 1))
         seen = np.ones(len(mine), np.bool_), np.empty(len(mine), np.float32)
-        bundle = (begins, points.row[mine], points.t[mine], points.own[mine], points.rounding, *seen)
-        about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, start - 1, held, no_peaks(lines, cells)
+        some = StripPoints(begins, points.row[mine], points.t[mine], points.own[mine], points.rounding, *seen)
+        its = Strip(lines, start - 1, held, no_peaks(lines, cells))
         before = min(max(first - 1, 0), end)
-        sweep_rows(*about, 0, before, NO_LEVELS, NO_MASK, bundle)
-        sweep_rows(*about, before, end, shade, lit, bundle)
+        sweep_rows(sheet, its, 0, before, NO_LEVELS, NO_MASK, some)
+        sweep_rows(sheet, its, before, end, shade, lit, some)
         points_lit[mine], points_above_m[mine] = seen
 
     with ThreadPoolExecutor(cores) as pool:
@@ -220,10 +211,9 @@ def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State 
     begin = State(low, np.full((lines, high - low), LOWEST, np.float32))
     if entry is not None:
         begin = entry.on(low, high - low, lines, factor)
-    none = np.zeros(0)
-    nothing = np.zeros(len(sheet.level) + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
-    about = sheet.level, sheet.place, sheet.at, lines, sheet.mirrored, low, begin.held, no_peaks(lines, high - low)
-    sweep_rows(*about, 0, len(sheet.level) - 1, NO_LEVELS, NO_MASK, nothing)
+    rows = len(sheet.level)
+    strip = Strip(lines, low, begin.held, no_peaks(lines, high - low))
+    sweep_rows(sheet, strip, 0, rows - 1, NO_LEVELS, NO_MASK, no_points(rows))
     return begin
 
 

@@ -12,6 +12,7 @@ it lies *towards* it. The horizon is the angle above that direction. Lines, plac
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,31 @@ STRIP_NODES = 2**21
 """Nodes of a whole grid that are worked on at a time, about."""
 
 
+class Section(NamedTuple):
+    """A turned grid (n, m) with borders: ``level`` and ``towards`` float32, metres, of its nodes, its lines' places (n, 4) and how
+    its quads are cut, as a ``shadows.sweep.lines.Sheet`` has these.
+    """
+
+    level: np.ndarray
+    towards: np.ndarray
+    place: np.ndarray
+    mirrored: bool
+
+
+class Asked(NamedTuple):
+    """Points (k,): in ``order`` (k,) by line and then row, where those of each line begin, the row ``base`` before each, and its
+    ``own`` level and how far it lies towards the sun (k, 2).
+
+    Written are the tangents ``beside`` (k, 2), on the line to its left and on the next.
+    """
+
+    begins: np.ndarray
+    order: np.ndarray
+    base: np.ndarray
+    own: np.ndarray
+    beside: np.ndarray
+
+
 def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
     """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
 
@@ -38,21 +64,19 @@ def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: i
     azimuth = np.radians(azimuth_deg)
     level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
+    section = Section(level, towards, place, turn.mirrored)
     n, m = level.shape
     out = np.full((n, m), LOWEST)
     low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
-        out[i, j] = slopes(level, towards, place, turn.mirrored, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
+        out[i, j] = slopes(section, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
     out[~np.isfinite(level)] = np.nan
     return turn.back(np.degrees(np.arctan(out[:, 1:-1])))
 
 
 def slopes(
-    level: np.ndarray,
-    towards: np.ndarray,
-    place: np.ndarray,
-    mirrored: bool,
+    section: Section,
     lines: int,
     row: np.ndarray,
     t: np.ndarray,
@@ -62,10 +86,10 @@ def slopes(
 ) -> np.ndarray:
     """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``LOWEST`` without any ground.
 
-    ``level`` and ``towards`` (n, m) float32, metres, are a turned grid's (``bordered``), ``place`` and ``mirrored`` as for
-    ``sweep_rows``. ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are
-    the ground's there.
+    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are the ground's
+    there.
     """
+    level, towards, place, mirrored = section
     if not len(row) or len(level) < 2:
         return np.full(len(row), LOWEST)  # a single row has nothing before it
     base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
@@ -77,10 +101,10 @@ def slopes(
     own = np.stack([own_level, own_towards], axis=1)
     near, beside = np.full(len(row), LOWEST), np.full((len(row), 2), LOWEST)
     _look_near(level, towards, place, mirrored, base, row, t, own, near)
+    asked = Asked(begins, order, base, own, beside)
 
     def strip(start: int) -> None:
-        stop = min(start + STRIP_LINES, count)
-        _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside)
+        _walk(section, lines, first, start, min(start + STRIP_LINES, count), asked)
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(strip, range(0, count, STRIP_LINES)))
@@ -129,8 +153,10 @@ def _nodes_between(place, at, low, high, cols):
 
 
 @compiled
-def _walk(level, towards, place, mirrored, lines, first, start, stop, begins, order, base, own, beside):
+def _walk(section, lines, first, start, stop, asked):
     """Walk the lines from the sun on, and answer the points to the right of each and, up to the next line, to its left."""
+    level, towards, place, mirrored = section
+    begins, order, base, own, beside = asked
     rows, cols = level.shape
     hull = np.empty((4 * rows, 2))
     for number in range(start, stop + 1):

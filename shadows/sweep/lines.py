@@ -23,6 +23,8 @@ the machine's vector instructions; nothing is gathered, nothing branches.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from shadows.sweep.points import cubic, see_points
@@ -38,33 +40,51 @@ STRAIGHT = 0.01
 """How far places in a run may be from changing linearly: run by run, they are interpolated between its ends."""
 
 
-@compiled
-def sweep_rows(level, place, at, lines, mirrored, first_cell, held, peaks, first, last, shade, lit, points):
-    """Take a strip of lines from before row ``first`` of a grid to before row ``last``, and see to what lies on the way.
+class Sheet(NamedTuple):
+    """A turned grid (n, m) between two columns of border (``shadows.sweep.grid.bordered``), with its lines' places.
 
-    ``level`` (n, m) float32 are the nodes' levels between two columns of border (``sweep_grid.bordered``), NaN where there is no
-    ground. ``place`` (n, 4) float64 are the cubics that take
-    t to a row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1),
-    else from (i, j + 1) to (i + 1, j). ``held`` (lines, cells) float32 is the strip's state, of the cells from ``first_cell`` on:
-    what the lines have met before row ``first``, and in the end, before row ``last``; ``peaks`` (2, lines, cells) are the highest
-    nodes met between each line and the next, and where there. The strip owns what stands from the start of
-    its second cell to the end of its last but two.
+    ``level`` float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take t to a
+    row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1), else from
+    (i, j + 1) to (i + 1, j).
+    """
+
+    level: np.ndarray
+    place: np.ndarray
+    at: np.ndarray
+    mirrored: bool
+
+
+class Strip(NamedTuple):
+    """Some lines, so many to a column, and what they have met before a row.
+
+    ``held`` (lines, cells) float32 is of the cells from ``first_cell`` on; ``peaks`` (2, lines, cells) float32 are the highest
+    nodes met between each line and the next, and where there. A strip owns what stands from the start of its second cell to the
+    end of its last but two.
+    """
+
+    lines: int
+    first_cell: int
+    held: np.ndarray
+    peaks: np.ndarray
+
+
+@compiled
+def sweep_rows(sheet, strip, first, last, shade, lit, points):
+    """Take a strip of lines from before row ``first`` of a sheet to before row ``last``, and see to what lies on the way.
 
     Of the nodes of rows (first, last] are written, where these are not empty, ``shade`` (n, m) float32, the level that a node must
-    reach to see the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes: (n + 1,) where those of each
-    row interval (i, i + 1] begin, then what ``sweep_points.see_points`` takes, in their order.
+    reach to see the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
     """
-    begins, row, t, own, rounding, points_lit, points_above_m = points
+    level, place, at, mirrored = sheet
+    lines, first_cell, held, peaks = strip
+    begins = points.begins
     nodes = shade.size > 0 or lit.size > 0
     for i in range(first, last):
         if nodes:
             _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i)
             _remember(level, place, at, lines, first_cell, peaks, i)
         if begins[i] < begins[i + 1]:
-            see_points(
-                level, place, lines, mirrored, first_cell, held, i, begins[i], begins[i + 1], row, t, own, rounding,
-                points_lit, points_above_m,
-            )  # fmt: skip
+            see_points(sheet, strip, i, points)
         for k in range(lines):
             _advance(level, place, lines, mirrored, first_cell, held[k], k, i)
 

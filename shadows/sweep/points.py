@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from terrain.compiled import compiled
 
 
-@compiled
-def see_points(level, place, lines, mirrored, first_cell, held, i, first, last, row, t, own, rounding, lit, above_m):
-    """Points of rows (i, i + 1], while the lines stand before row ``i``.
+class StripPoints(NamedTuple):
+    """Points (n,) of a strip besides nodes: (rows + 1,) where those of each row interval (i, i + 1] begin, and in their order
+    ``row`` and ``t``, which say where they are, and their ``own`` levels (NaN: on the ground there).
 
-    Of the points ``first`` to ``last``: ``row`` and ``t`` say where they are, ``own`` their levels (NaN: on the ground there).
     Written are ``above_m``, by how much the highest level on the way exceeds a point's, and ``lit``, whether that is no more than
     ``rounding``.
     """
+
+    begins: np.ndarray
+    row: np.ndarray
+    t: np.ndarray
+    own: np.ndarray
+    rounding: float
+    lit: np.ndarray
+    above_m: np.ndarray
+
+
+def no_points(rows: int) -> StripPoints:
+    """No points at all, of a grid of so many rows."""
+    none = np.zeros(0)
+    return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
+
+
+@compiled
+def see_points(sheet, strip, i, points):
+    """Points of rows (i, i + 1] of a ``Sheet``, while the lines of a ``Strip`` stand before row ``i``."""
+    level, place, _, mirrored = sheet
+    lines, first_cell, held, _ = strip
+    begins, row, t, own, rounding, lit, above_m = points
+    first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
     for n in range(first, last):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.grid import NO_LEVELS, Sheet, Turn, bordered, close_border, places, turn_towards
+from shadows.sweep.grid import NO_LEVELS, Turn, bordered, close_border, places, turn_towards
+from shadows.sweep.lines import Sheet
 from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled
@@ -68,8 +69,7 @@ class Rays:
         return _placed(point_frame_m, middle, scale, known)
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        earth = point_frame_m @ frame.frame_from_earth + frame.origin_earth_m
-        x, y, _ = self.scene.world.map_position(self.grid.crs, earth)
+        x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return (self.grid.y0 - y) / self.grid.step, (x - self.grid.x0) / self.grid.step
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +144,7 @@ class Ground:
         if angle == 0.0:
             return self.sheet
         level = np.float32(np.cos(angle)) * self.sheet.level - np.float32(np.sin(angle)) * self.towards_m
-        return replace(self.sheet, level=level)
+        return self.sheet._replace(level=level)
 
 
 def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[Ground]:

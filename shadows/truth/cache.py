@@ -77,7 +77,7 @@ def content_key(
         lamp = scene.lamps[light]
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg])
     elif scene.sun is not None:
-        to_light = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+        to_light = scene.sun.in_frame(buffer.frame)
     numbers = _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light, either_diagonal
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)

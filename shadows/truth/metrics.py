@@ -18,6 +18,9 @@ from terrain.cache import MIB, kept
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
 
+MOST_INTERIOR = 0.001
+"""Share of the decidable pixels that may be wrong inside a shadow or a light: more is failure, not aliasing."""
+
 PART_PX = 8
 """Size from which a connected part of wrong interior pixels counts as one."""
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from shadows.algorithm import Algorithm, Cost, ResolvedSettings, Settings, SettingsRequest
-from shadows.attached import attached, lamp_in_frame, turned_away
+from shadows.attached import attached, turned_away
 from shadows.passes import PassLog
 from shadows.work import Task, Work
 from terrain.cache import MIB, kept
@@ -169,7 +169,7 @@ def _on_other_diagonal(buffer: GeometryBuffer) -> GeometryBuffer:
 def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
     assert scene.sun is not None
     visibility = np.zeros(buffer.there.shape, np.float32)
-    for direction in sun_disc(buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, samples):
+    for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
         visibility += lit_towards(buffer, rays, direction)
     return visibility / np.float32(samples)
 
@@ -287,10 +287,9 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
     """Where a buffer's points see a light: bool (rows, cols), False off the surface."""
     if light == SUN:
         assert scene.sun is not None
-        return lit_towards(buffer, rays, buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, offsets)
+        return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets)
     facing = buffer.there & ~attached(buffer, scene, light)
-    position, _ = lamp_in_frame(buffer, scene.lamps[light])
-    way = position - buffer.position_frame_m[facing]
+    way = scene.lamps[light].in_frame(buffer.frame).position_frame_m - buffer.position_frame_m[facing]
     length = np.linalg.norm(way, axis=-1)
     way /= length[:, None]
     out = np.zeros(buffer.there.shape, bool)

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from shadows.attached import lamp_in_frame
 from shadows.passes import PassRecord
 from shadows.volumes.edges import Edges, closed_parts, edges_of, parts_of
 from shadows.volumes.layers import batches
@@ -87,8 +86,8 @@ def light_in_frame(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarr
     """A light (4,) homogeneous in a buffer's frame: the direction to the sun, or the place of a lamp."""
     if light == SUN:
         assert scene.sun is not None
-        return np.append(buffer.frame.frame_from_earth @ scene.sun.to_sun_earth, 0.0)
-    return np.append(lamp_in_frame(buffer, scene.lamps[light])[0], 1.0)
+        return np.append(scene.sun.in_frame(buffer.frame), 0.0)
+    return np.append(scene.lamps[light].in_frame(buffer.frame).position_frame_m, 1.0)
 
 
 _kept: Cache[list[Volumes]] = Cache("shadows.volumes.volumes", "light", 1024 * MIB)

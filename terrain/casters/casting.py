@@ -75,4 +75,4 @@ def caster_solids(population: Population, frame: LocalFrame) -> Mesh:
     """What stands for the meshes in a frame; the last ones are kept."""
     solids = population.solids
     assert solids is not None
-    return (solids.caster_vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T, solids.caster_triangles
+    return frame.points_from_earth(solids.caster_vertices_earth_m), solids.caster_triangles

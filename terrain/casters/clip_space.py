@@ -96,7 +96,7 @@ def _samples(
     x = view.grid.x(view.col0 + (col - 0.5) * view.col_step)
     y = view.grid.y(view.row0 + (row - 0.5) * view.row_step)
     ground, up = world.ground(view.grid.crs, x.ravel(), y.ravel())
-    ground, up = (ground - frame.origin_earth_m) @ frame.frame_from_earth.T, up @ frame.frame_from_earth.T
+    ground, up = frame.points_from_earth(ground), frame.directions_from_earth(up)
     points = []
     for height in (low, max(high, low + 1.0)):
         rise = height if curved else (height - ground[:, 2]) / up[:, 2]

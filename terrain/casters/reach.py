@@ -332,7 +332,7 @@ def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.n
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     there = np.flatnonzero(buffer.there)
     seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // STARTS, 1)]]
-    points = seen @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
+    points = buffer.frame.points_to_earth(seen)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
 

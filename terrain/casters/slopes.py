@@ -66,7 +66,7 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
             middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
             frame = world.frame_near(grid.crs, *middle)
             normals = quad_normals(surface.window(row, col, rows, cols, frame).position_frame_m)
-            _take(normals.reshape(-1, 3), _anchor_from_frame(world, frame), directions, reach)
+            _take(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, reach)
             if _known(reach) is None and np.isposinf(reach).any():
                 return None
     return _known(reach)
@@ -102,10 +102,6 @@ def _nothing() -> np.ndarray:
 
 def _known(reach: np.ndarray) -> np.ndarray | None:
     return reach if np.isfinite(reach).all() else None
-
-
-def _anchor_from_frame(world: World, frame: LocalFrame) -> np.ndarray:
-    return world.earth_from_anchor.T @ frame.frame_from_earth.T
 
 
 @compiled

@@ -13,7 +13,7 @@ from terrain.facts.parts import Fact
 from terrain.gbuffer.stand import any_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
 
@@ -33,7 +33,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     if scene.population.trees is None:
         return {}
     if isinstance(view, MapView):
-        pixel_m = step_at_anchor_m(scene.world, view.grid) * float((view.row_step * view.col_step) ** 0.5)
+        pixel_m = map_pixel_m(scene.world, view)
         return {"drawn": any_in_map(scene.population.trees, pixel_m)}
     stand = stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     return {"drawn": stand is not None and len(stand) > 0}

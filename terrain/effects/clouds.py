@@ -7,25 +7,24 @@ and frame. Clouds are no terrain: they change the colour, and no layer of visibi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
 from terrain.facts.parts import Fact, number
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
 from terrain.ground.elevation import Elevation
 from terrain.ground.noise import GAIN, noise_at
 from terrain.ground.shown import Cells, cells_shown, whole
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
 
@@ -72,8 +71,7 @@ MAX_PLACES = 2**17
 """Places that a search for the densest cloud looks at: what is not decided by then counts as cloud."""
 
 
-@dataclass(frozen=True, eq=False)
-class CloudLayer:
+class CloudLayer(NamedTuple):
     """The clouds of a scene.
 
     Attributes
@@ -190,39 +188,18 @@ def _fade(pixel_m):
 
 def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
     """Take away the share of the sun's light that clouds hold back."""
-    buffer, scene, view = block.buffer, block.scene, block.view
+    buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
-    layer = layer_of(scene)
-    rotation, origin_m = _anchor_from_frame(scene, buffer.frame)
-    eye, spread = np.zeros(3), 0.0
-    if isinstance(view, PerspectiveView):
-        eye, spread = view.in_frame(buffer.frame)[0], view.pixel
-    _shade_clouds(
-        sunlight, buffer.there, buffer.position_frame_m, buffer.height_m, rotation, origin_m, layer.height_m, layer.to_sun_anchor,
-        layer.centre_anchor_m, layer.drift_m, layer.threshold, layer.cover, layer.most, _map_pixel_m(scene, view), eye, spread,
-    )  # fmt: skip
-
-
-def _anchor_from_frame(scene: Scene, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) from a frame to the anchor's axes, and the frame's origin (3,) there, metres."""
-    anchor_from_earth = scene.world.earth_from_anchor.T
-    rotation = np.ascontiguousarray(anchor_from_earth @ frame.frame_from_earth.T)
-    return rotation, anchor_from_earth @ (frame.origin_earth_m - scene.world.anchor_earth_m)
-
-
-def _map_pixel_m(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """Side of a map's pixels, metres; 0 in perspective."""
-    if isinstance(view, PerspectiveView):
-        return 0.0
-    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    _shade_clouds(sunlight, buffer.shown, scene.world.anchor_from_frame(buffer.frame), layer_of(scene), pixel_size(block))
 
 
 @compiled
-def _shade_clouds(
-    sunlight, there, position, height, rotation, origin, layer_m, to_sun, centre, drift, threshold, cover, most, pixel_m, eye,
-    spread,
-):  # fmt: skip
+def _shade_clouds(sunlight, shown, anchor_from_frame, layer, size):
+    there, _, position, height, _ = shown
+    rotation, origin = anchor_from_frame
+    cover, threshold, most, layer_m, to_sun, centre, drift = layer
+    eye, spread, pixel_m = size
     fade = _fade(pixel_m)
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
@@ -275,7 +252,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
         assert isinstance(view, MapView)
         cells = cells_shown(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
-        nearest = farthest = _fade(_map_pixel_m(scene, view))
+        nearest = farthest = _fade(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
         away_m = look.away_m if len(look.away_m) else np.zeros(1)
@@ -320,7 +297,7 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
     """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
     between the points looked at too; past the farthest points, under the sky, a quarter farther.
     """
-    rotation, origin_m = _anchor_from_frame(scene, look.buffer.frame)
+    rotation, origin_m = scene.world.anchor_from_frame(look.buffer.frame)
     points, away_m, height_m = look.points_frame_m, look.away_m, look.height_m
     if not look.buffer.there.all():
         far = away_m > away_m.max(initial=0.0) / 1.25

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from terrain.facts.parts import Fact
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
 STEP = 1.0 / 255.0
@@ -53,6 +54,23 @@ class Block:
     view: MapView | PerspectiveView
     buffer: GeometryBuffer
     visibilities: dict[str, np.ndarray]
+
+
+class PixelSize(NamedTuple):
+    """How wide pixels are where they show something: all ``width_m`` in a map; in perspective, where that is 0, ``tangent`` (0 in
+    a map) at the distance 1 from the eye (3,).
+    """
+
+    eye_frame_m: np.ndarray
+    tangent: float
+    width_m: float
+
+
+def pixel_size(block: Block) -> PixelSize:
+    """How wide a block's pixels are."""
+    if isinstance(block.view, MapView):
+        return PixelSize(np.zeros(3), 0.0, map_pixel_m(block.scene.world, block.view))
+    return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel, 0.0)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,8 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
-from terrain.shading import daylight_of, sky_colors, srgb
+from terrain.shading import daylight_of, sky_colors
+from terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
 """What is left of a black object's contrast with the horizon at the distance called visibility."""
@@ -175,7 +176,7 @@ def _alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Whether colours (n, 3) look alike when encoded, however they lie in the encoder's bins: bool (n,)."""
     lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
     bins = np.ceil((bright - dark) / BIN)
-    return (255.0 * (srgb(lowest + bins * BIN) - srgb(lowest)) < 1.0).all(axis=1)
+    return (255.0 * (srgb_of_linear(lowest + bins * BIN) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
 
 
 def _metres(length_m: float) -> str:

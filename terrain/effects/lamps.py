@@ -12,12 +12,14 @@ from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
+from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.shown import Cells, cells_shown, parts
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
-from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of, srgb
+from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of
+from terrain.srgb import srgb_of_linear
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -49,7 +51,7 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look
             return False
         points, slack_m = _points_of_cells(scene, cells)
     else:
-        points = look.points_frame_m @ look.buffer.frame.frame_from_earth + look.buffer.frame.origin_earth_m
+        points = look.buffer.frame.points_to_earth(look.points_frame_m)
         slack_m = look.away_m * look.spacing
     to_points = points - lamp.position_earth_m
     slack_m = slack_m + scene.population.tallest_m
@@ -76,7 +78,7 @@ def _least_light(scene: Scene) -> float:
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
     least = 0.25 * sky if "meshes" not in scene.population.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
-    return float(more[np.argmax(srgb(least + more) - srgb(np.array(least)) > 0.75 * STEP)])
+    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * STEP)])
 
 
 @kept("scene", 16 * MIB)
@@ -101,20 +103,17 @@ def shine(lamplight: np.ndarray, block: Block) -> None:
         if name not in scene.lamps:
             continue
         lamp = scene.lamps[name]
-        position = buffer.frame.frame_from_earth @ (lamp.position_earth_m - buffer.frame.origin_earth_m)
-        axis = buffer.frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
+        position, axis, _ = lamp.in_frame(buffer.frame)
         color = np.array(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
         outer, inner = (
             np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
         )
-        _shine(
-            lamplight, buffer.there, buffer.kind, buffer.shading_normal_frame, buffer.position_frame_m, visibility, position, axis,
-            color, outer, inner, LEAF_GLOW,
-        )  # fmt: skip
+        _shine(lamplight, buffer.shown, visibility, position, axis, color, outer, inner, LEAF_GLOW)
 
 
 @compiled
-def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, outer, inner, glow):
+def _shine(out, shown, visibility, lamp, axis, color, outer, inner, glow):
+    there, kind, position, _, normal = shown
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             n, p = normal[i, j], position[i, j]
@@ -122,7 +121,7 @@ def _shine(out, there, kind, normal, position, visibility, lamp, axis, color, ou
             away = np.sqrt(x * x + y * y + z * z)
             if not there[i, j] or away == 0.0 or visibility[i, j] == 0.0:
                 continue
-            leaf = glow if kind[i, j] == 3 else 0.0
+            leaf = glow if kind[i, j] == FOREST else 0.0
             across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away
             cosine = -(axis[0] * x + axis[1] * y + axis[2] * z) / away
             rim = min(max((cosine - outer) / (inner - outer), 0.0), 1.0)

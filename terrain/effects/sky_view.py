@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
 from terrain.facts.parts import Fact
@@ -23,7 +23,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.shown import cells_shown, parts
 from terrain.ground.sky_horizons import SkyView, nodes_of, sky_view
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
 
@@ -89,11 +89,7 @@ def brightest(scene: Scene) -> float:
 
 def _times_halved(scene: Scene, view: MapView, baked: SkyView) -> float:
     """How often nodes are to be joined by two until they are as far apart as a map's pixels."""
-    return max(float(np.log2(_pixel_m(scene, view) / baked.node_m)), 0.0)
-
-
-def _pixel_m(scene: Scene, view: MapView) -> float:
-    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
 
 
 def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
@@ -136,12 +132,9 @@ def _highest_round(values, table, nodes, reach):
 
 def hide(skylight: np.ndarray, block: Block) -> None:
     """Take from each point's share of the sky what ground hides there."""
-    buffer, view, scene = block.buffer, block.view, block.scene
+    buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
-    if isinstance(view, MapView):
-        eye, tangent, width_m = np.zeros(3), 0.0, _pixel_m(scene, view)
-    else:
-        eye, tangent, width_m = view.in_frame(buffer.frame)[0], view.pixel, 0.0
+    eye, tangent, width_m = pixel_size(block)
     nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
     _hide(skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.look import Look
 from terrain.facts.parts import Fact
@@ -13,7 +13,6 @@ from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import fractal_at
-from terrain.ground.surface import step_at_anchor_m
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, up_centre
 
@@ -36,29 +35,20 @@ CLUMPS, CLUMP_M = 0.3, 0.9
 
 def lie_on(albedo: np.ndarray, block: Block) -> None:
     """Whiten what snow lies on, and lay bare the rock where it slid off."""
-    buffer, scene, view = block.buffer, block.scene, block.view
+    buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
         return
-    world = scene.world
-    anchor_from_earth = world.earth_from_anchor.T
-    rotation = np.ascontiguousarray(anchor_from_earth @ buffer.frame.frame_from_earth.T)
-    origin_m = anchor_from_earth @ (buffer.frame.origin_earth_m - world.anchor_earth_m)
-    eye, spread, pixel_m = np.zeros(3), 0.0, 0.0
-    if isinstance(view, PerspectiveView):
-        eye, spread = view.in_frame(buffer.frame)[0], view.pixel
-    else:
-        pixel_m = step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
     _lie_on(
-        albedo, buffer.there, buffer.kind, buffer.position_frame_m, buffer.height_m, buffer.shading_normal_frame,
-        buffer.albedo, up_centre(scene, buffer), rotation, origin_m, scene.elevation.water_m + SHORE_M, pixel_m, eye,
-        spread,
+        albedo, buffer.shown, buffer.albedo, up_centre(scene, buffer), scene.world.anchor_from_frame(buffer.frame),
+        scene.elevation.water_m + SHORE_M, pixel_size(block),
     )  # fmt: skip
 
 
 @compiled
-def _lie_on(
-    albedo, there, kind, position, height, normal, own, centre, rotation, origin, water_m, pixel_m, eye, spread
-):  # fmt: skip
+def _lie_on(albedo, shown, own, centre, anchor_from_frame, water_m, size):
+    there, kind, position, height, normal = shown
+    rotation, origin = anchor_from_frame
+    eye, spread, pixel_m = size
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             if not there[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):

@@ -249,7 +249,7 @@ def mirror(color: np.ndarray, block: Block) -> None:
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
     to_sun = sun = visibility = None
     if glints(scene, view) and scene.sun is not None and SUN in block.visibilities:
-        to_sun = buffer.frame.frame_from_earth @ scene.sun.to_sun_earth
+        to_sun = scene.sun.in_frame(buffer.frame)
         sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
     _mirror(
         color, water_in(buffer, scene), buffer.position_frame_m, eye, up_centre(scene, buffer), *sky_colors(scene),

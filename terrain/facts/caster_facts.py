@@ -14,7 +14,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m, step_at_anchor_m
 from terrain.population import Population
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
@@ -37,12 +37,8 @@ def trees_of(scene: Scene, view: MapView | PerspectiveView) -> Stand | None:
     """The trees as a view draws them, those of a map in the frame at the anchor; ``None`` where the level has none."""
     if isinstance(view, PerspectiveView):
         return stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
-    return stand_in_map(scene.population, scene.world.frame_near_earth(scene.world.anchor_earth_m), map_pixel_m(scene, view))
-
-
-def map_pixel_m(scene: Scene, view: MapView) -> float:
-    """The side of a map's pixels on the ground at the anchor, metres."""
-    return step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    frame = scene.world.frame_near_earth(scene.world.anchor_earth_m)
+    return stand_in_map(scene.population, frame, map_pixel_m(scene.world, view))
 
 
 def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:

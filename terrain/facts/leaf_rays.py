@@ -7,7 +7,7 @@ A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ NEAREST_M = 0.01
 """A leaf nearer to a ray's start is the one that it starts from."""
 
 
-@dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(NamedTuple):
     """Trees by cells: those of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
 
     ``low_m`` (2,) is the first cell's corner, ``top_m`` (rows, cols) how high any tree of a cell rises; ``disc`` float32 (k, 3)
@@ -41,6 +40,16 @@ class Grid:
     first: np.ndarray
     tree: np.ndarray
     disc: np.ndarray
+
+
+class Foliage(NamedTuple):
+    """Trees as a ``Stand`` has them, and where their pictures have a leaf (``leaves``)."""
+
+    base_frame_m: np.ndarray
+    shape: np.ndarray
+    turn: np.ndarray
+    look: np.ndarray
+    leaf: np.ndarray
 
 
 @kept("scene", 64 * MIB)
@@ -103,15 +112,14 @@ def first_leaves(trees: Stand, start: np.ndarray, direction: np.ndarray, length_
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    grid = grid_of(trees)
-    return _first(
-        grid.low_m, grid.cell_m, grid.top_m, grid.first, grid.tree, grid.disc, trees.base_frame_m, trees.shape, trees.turn,
-        trees.look, leaves(), start, direction, length_m, NEAREST_M,
-    )  # fmt: skip
+    its = Foliage(trees.base_frame_m, trees.shape, trees.turn, trees.look, leaves())
+    return _first(grid_of(trees), its, start, direction, length_m, NEAREST_M)
 
 
 @compiled
-def _first(low, cell, top, first, tree, disc, base, shape, turn, look, leaf, start, direction, length, nearest):
+def _first(grid, its, start, direction, length, nearest):
+    low, cell, top, first, tree, disc = grid
+    base, shape, turn, look, leaf = its
     rows, cols = top.shape
     side = leaf.shape[1]
     out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))

@@ -95,15 +95,15 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
     frame = probes.frame
     if lamp is None:
         assert scene.sun is not None
-        to_light = frame.frame_from_earth @ scene.sun.to_sun_earth
+        to_light = scene.sun.in_frame(frame)
         direction, length = np.broadcast_to(to_light, probes.point_frame_m.shape), np.full(len(probes), np.inf)
         facing, inside = np.einsum("ij,j->i", probes.normal_frame, to_light), np.ones(len(probes), bool)
     else:
-        way = frame.frame_from_earth @ (lamp.position_earth_m - frame.origin_earth_m) - probes.point_frame_m
+        position, axis, _ = lamp.in_frame(frame)
+        way = position - probes.point_frame_m
         length = np.sqrt(np.einsum("ij,ij->i", way, way))
         direction = way / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
-        axis = frame.frame_from_earth @ lamp.earth_from_lamp[:, 2]
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
     which = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
     some = which[evenly(len(which), most)]

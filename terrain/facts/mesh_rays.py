@@ -48,11 +48,11 @@ class Tree:
 def past_meshes(population: Population, probes: Probes, rays: Rays) -> np.ndarray:
     """Which rays (1 + k, n) of probes meet what stands for the meshes before the light, bool."""
     tree = _tree_of(population)
-    rotation = probes.frame.frame_from_earth
+    frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
     lift = (LIFT * tree.extent_m * side)[:, None] * probes.normal_frame
-    start = (rays.start_frame_m + lift) @ rotation + (probes.frame.origin_earth_m - tree.origin_earth_m)
-    return meets(tree, start, rays.direction_frame @ rotation, rays.length_m)
+    start = frame.directions_to_earth(rays.start_frame_m + lift) + (frame.origin_earth_m - tree.origin_earth_m)
+    return meets(tree, start, frame.directions_to_earth(rays.direction_frame), rays.length_m)
 
 
 def meets(tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
@@ -67,10 +67,9 @@ def first_meshes(
     where it is not, and its unit normal (n, 3) there, towards the start.
     """
     tree = _tree_of(population)
-    rotation = frame.frame_from_earth
-    start = start_frame_m @ rotation + (frame.origin_earth_m - tree.origin_earth_m)
-    away_m, triangle = _met_by(tree, start, direction_frame @ rotation, length_m, True)
-    normal = np.cross(tree.side_a[triangle], tree.side_b[triangle]) @ rotation.T
+    start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
+    away_m, triangle = _met_by(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
+    normal = frame.directions_from_earth(np.cross(tree.side_a[triangle], tree.side_b[triangle]))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     return away_m, np.where(np.einsum("ij,ij->i", normal, direction_frame)[:, None] > 0.0, -normal, normal)
 

@@ -59,7 +59,7 @@ class Probes:
     @property
     def point_earth_m(self) -> np.ndarray:
         """The points (n, 3), earth-fixed."""
-        return self.point_frame_m @ self.frame.frame_from_earth + self.frame.origin_earth_m
+        return self.frame.points_to_earth(self.point_frame_m)
 
 
 @dataclass(frozen=True, eq=False)

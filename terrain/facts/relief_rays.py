@@ -50,9 +50,9 @@ def placed(world: World, elevation: Elevation, probes: Probes) -> Placed:
     half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
     point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
-    to_frame = probes.frame.frame_from_earth.T
-    south, east = 2.0 * (point[1] - point[0]) @ to_frame, 2.0 * (point[2] - point[0]) @ to_frame
-    return Placed(row, col, height, up[0] @ to_frame, *_inverse(south, east))
+    to_frame = probes.frame.directions_from_earth
+    south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))
+    return Placed(row, col, height, to_frame(up[0]), *_inverse(south, east))
 
 
 def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

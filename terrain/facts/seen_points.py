@@ -157,8 +157,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
 
     def at(row: np.ndarray, col: np.ndarray) -> np.ndarray:
         point, up = world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
-        earth = point + bilinear(heights, row, col)[:, None] * up
-        return (earth - frame.origin_earth_m) @ frame.frame_from_earth.T
+        return frame.points_from_earth(point + bilinear(heights, row, col)[:, None] * up)
 
     # Differences over a hundredth of a cell that never leave the cell, whose surface they are the slope of.
     step_row, step_col = (np.where(v - np.floor(v) > 0.5, -0.01, 0.01) for v in (row, col))

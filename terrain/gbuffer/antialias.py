@@ -14,6 +14,7 @@ from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, NOTHING, RELIEF
 from terrain.gbuffer.visible import NEAR_M
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -185,5 +186,5 @@ def _ends(own, other, here, there, ground, normals, bend, jump):
 @compiled
 def _kind(triangle, ground, solids):
     if triangle < 0:
-        return 0
-    return 1 if triangle < ground else 2 if triangle < ground + solids else 3
+        return NOTHING
+    return RELIEF if triangle < ground else MESHES if triangle < ground + solids else FOREST

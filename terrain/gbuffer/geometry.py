@@ -8,11 +8,13 @@ that the node is the north-west corner of (to a neighbour where that one is miss
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from terrain.compiled import compiled
 from terrain.gbuffer.ground_mesh import GroundMesh
+from terrain.gbuffer.resolve import NOTHING, RELIEF
 from terrain.gbuffer.stand import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -21,6 +23,16 @@ from terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
 """Widest central difference of the shading normal, in nodes: beyond 16-fold magnification facets show."""
+
+
+class Shown(NamedTuple):
+    """What pixels show, as loops that shade them take it: arrays of a ``GeometryBuffer``."""
+
+    there: np.ndarray
+    kind: np.ndarray
+    position_frame_m: np.ndarray
+    height_m: np.ndarray
+    shading_normal_frame: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +93,11 @@ class GeometryBuffer:
     samples_from: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
 
+    @property
+    def shown(self) -> Shown:
+        """What a loop that shades needs of it."""
+        return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
+
 
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
     """The geometry buffer of a map view's bare ground (a block) in a frame."""
@@ -96,7 +113,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     there, position, height, normal, shading, crease, triangle = _pixels(
         window.position_frame_m, window.height_m, window.there, faces, smooth, row - row0, col - col0
     )
-    kind = there.astype(np.uint8)
+    kind = np.where(there, np.uint8(RELIEF), np.uint8(NOTHING))
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Any, Protocol, get_args
+from typing import Protocol, get_args
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -12,7 +12,19 @@ from scipy.ndimage import map_coordinates
 from terrain.cache import MIB, kept
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
-from terrain.gbuffer.resolve import RELIEF, resolve_map, resolve_perspective
+from terrain.gbuffer.resolve import (
+    RELIEF,
+    Camera,
+    Faces,
+    Ground,
+    Points,
+    Solids,
+    SolidsInMap,
+    Trees,
+    TreesInMap,
+    resolve_map,
+    resolve_perspective,
+)
 from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
 from terrain.gbuffer.visible import Seen, seen_in_map, seen_in_perspective
 from terrain.geo.camera import PerspectiveView
@@ -20,7 +32,7 @@ from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
-from terrain.ground.surface import step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.level.level import CasterKind
 from terrain.population import Population
 from terrain.scene import Scene
@@ -29,9 +41,10 @@ CELL_STEP_PX = 16
 """Distance of the pixels whose place in a map's imagery is computed exactly."""
 
 _NO_POINTS = np.zeros((0, 3))
-_NO_SOLIDS = (
+_NO_FACES = Faces(
     np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 3, 3), np.float32), np.zeros(0, np.float32),
 )  # fmt: skip
+_NO_CELLS = np.zeros((0, 0, 2), np.float32)
 _NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
@@ -106,22 +119,24 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         number = np.concatenate([number, seen.seen.number[row, col]])
         root = np.concatenate([root, seen.seen.albedo_root[row, col]]) if root.size else root
     eye, camera_from_frame = view.in_frame(visible.frame)
-    tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
+    tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
     ground, trees, solids = visible.ground, visible.stand, scene.population.solids
     image = imagery_of(scene)
     points = resolve_perspective(
         number,
-        (*tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
-        (
+        Camera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
+        Ground(
             ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease,
             np.zeros((0, 2)) if image is None else _ground_cells(image, ground),
         ),
-        (_NO_POINTS, np.zeros(0), *_NO_SOLIDS)
+        Solids(_NO_POINTS, np.zeros(0), _NO_FACES)
         if solids is None or visible.solids is None
-        else (visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], *_solid_faces(scene.population, visible.frame)),
-        (_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
+        else Solids(
+            visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], _solid_faces(scene.population, visible.frame)
+        ),
+        Trees(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
         if trees is None
-        else (trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
+        else Trees(trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
         root,
     )  # fmt: skip
     albedo = points.albedo
@@ -141,7 +156,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     image = imagery_of(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
-    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    pixel_m = map_pixel_m(scene.world, view)
     solids, trees = scene.population.solids, stand_in_map(scene.population, frame, pixel_m)
     if solids is None and trees is None:
         return buffer
@@ -156,34 +171,34 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     seen = seen_in_map(view, drawn, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.there.shape, 9), np.float32)
-    solid_parts: tuple[np.ndarray, ...] = (_NO_POINTS, _NO_POINTS, *_NO_SOLIDS)
+    solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
     if solid_points is not None and solid_px is not None:
-        solid_parts = (solid_points, solid_px, *_solid_faces(scene.population, frame))
-    tree_parts: tuple[np.ndarray, ...] = (_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN)
+        solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.population, frame))
+    curvature = scene.world.curvature
+    tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN, curvature, px_from_m)
     if trees is not None and tree_px is not None:
-        tree_parts = (trees.base_frame_m, tree_px, trees.shape, trees.turn)
-    parts: tuple[Any, ...] = (
-        seen.number, buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
-        buffer.crease, buffer.kind, albedo, corners, *solid_parts, *tree_parts,
-        scene.world.curvature, px_from_m, seen.albedo_root,
+        tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.turn, curvature, px_from_m)
+    points = Points(
+        buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
+        buffer.crease, buffer.kind, albedo, corners, _NO_CELLS,
     )  # fmt: skip
-    resolve_map(*parts)
+    resolve_map(seen.number, solid_parts, tree_parts, seen.albedo_root, points)
     return replace(buffer, corners_frame_m=corners, albedo=albedo, stand=trees, solids_frame_m=solid_points)
 
 
 def solids_in(population: Population, frame: LocalFrame) -> np.ndarray | None:
     """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
     solids = population.solids
-    return None if solids is None else (solids.vertices_earth_m - frame.origin_earth_m) @ frame.frame_from_earth.T
+    return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
 
 
 @kept("scene", 512 * MIB)
-def _solid_faces(population: Population, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles, albedo, corner normals in a frame, and crease of a population's meshes."""
+def _solid_faces(population: Population, frame: LocalFrame) -> Faces:
+    """What a population's meshes show in a frame."""
     solids = population.solids
     assert solids is not None
-    normals = (solids.corner_normals_earth @ frame.frame_from_earth.T).astype(np.float32)
-    return solids.triangles, solids.albedo.astype(np.float32), normals, population.solid_crease
+    normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
+    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, population.solid_crease)
 
 
 def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
@@ -202,9 +217,9 @@ def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     """Pixels (column, row) per metre along a frame's first two axes, (2, 2), at a view's middle."""
     point, _ = scene.world.ground(view.grid.crs, *view.centre)
-    middle = frame.frame_from_earth @ (point - frame.origin_earth_m)
+    middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
-    at = np.stack(scene.world.map_position(view.grid.crs, steps @ frame.frame_from_earth + frame.origin_earth_m), axis=-1)
+    at = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
     px = _pixels(view, at)[:, :2]
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 
@@ -241,5 +256,5 @@ def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
     at = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
     cells = np.stack([map_coordinates(exact[..., k], at, order=1) for k in (0, 1)], axis=-1)
-    pixel_m = step_at_anchor_m(scene.world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    pixel_m = map_pixel_m(scene.world, view)
     return image.albedo(cells, pixel_m / image.cell_m(scene.world))

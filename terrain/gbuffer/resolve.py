@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +22,10 @@ NOTHING, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """What a pixel shows."""
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery."""
+class Points(NamedTuple):
+    """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery,
+    empty without any.
+    """
 
     there: np.ndarray
     position: np.ndarray
@@ -39,26 +39,92 @@ class Points:
     cells: np.ndarray
 
 
-Arguments = tuple[Any, ...]
+class Camera(NamedTuple):
+    """An eye (3,) in the frame, its rotation (3, 3), and its pixels: ``tangents`` (3,) are those of the first pixel, across and
+    down, and their step, for the picture's ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
+    """
+
+    tangents: np.ndarray
+    finer_tangents: np.ndarray
+    finer_row: np.ndarray
+    finer_col: np.ndarray
+    own_rows: int
+    eye_frame_m: np.ndarray
+    frame_from_camera: np.ndarray
+
+
+class Ground(NamedTuple):
+    """The ground's nodes (n,), triangles (t, 3) of them and creases (t,); ``cells`` (n, 2) in its imagery, (0, 2) without any."""
+
+    position_frame_m: np.ndarray
+    height_m: np.ndarray
+    normal_frame: np.ndarray
+    triangles: np.ndarray
+    crease: np.ndarray
+    cells: np.ndarray
+
+
+class Faces(NamedTuple):
+    """Meshes' triangles (t, 3) float32: their albedo (t, 3), normals at their corners (t, 3, 3) and creases (t,)."""
+
+    triangles: np.ndarray
+    albedo: np.ndarray
+    normals_frame: np.ndarray
+    crease: np.ndarray
+
+
+class Solids(NamedTuple):
+    """Meshes in perspective: their vertices (n, 3) and these' heights (n,)."""
+
+    position_frame_m: np.ndarray
+    height_m: np.ndarray
+    faces: Faces
+
+
+class SolidsInMap(NamedTuple):
+    """Meshes in a map: their vertices (n, 3), and these' columns, rows and heights (n, 3) there."""
+
+    position_frame_m: np.ndarray
+    px: np.ndarray
+    faces: Faces
+
+
+class Trees(NamedTuple):
+    """Trees (n,) in perspective, as a ``terrain.gbuffer.stand.Stand`` has them."""
+
+    base_frame_m: np.ndarray
+    base_height_m: np.ndarray
+    shape: np.ndarray
+    turn: np.ndarray
+    curvature: float
+
+
+class TreesInMap(NamedTuple):
+    """Trees (n,) in a map: the columns, rows and heights of their feet (n, 3), and its pixels per metre (2, 2) of the frame."""
+
+    base_frame_m: np.ndarray
+    px: np.ndarray
+    shape: np.ndarray
+    turn: np.ndarray
+    curvature: float
+    px_from_m: np.ndarray
 
 
 def resolve_perspective(
-    number: np.ndarray, camera: Arguments, ground: Arguments, solids: Arguments, trees: Arguments, root: np.ndarray
+    number: np.ndarray, camera: Camera, ground: Ground, solids: Solids, trees: Trees, albedo_root: np.ndarray
 ) -> Points:
-    """The points that triangles (numbers (rows, cols)) show; the rest are the arguments of the loop below."""
+    """The points that triangles (numbers (rows, cols)) show; ``albedo_root`` (rows, cols, 3) is of the leaves that are seen."""
     size = number.shape
     points = Points(
         np.zeros(size, np.bool_), np.full((*size, 3), np.nan), np.full(size, np.nan, np.float32),
         np.full((*size, 3), np.nan, np.float32), np.full((*size, 3), np.nan, np.float32), np.zeros(size, np.float32),
         np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
-        np.full((*size, 2) if len(ground[-1]) else (0, 0, 2), np.nan, np.float32),
+        np.full((*size, 2) if len(ground.cells) else (0, 0, 2), np.nan, np.float32),
     )  # fmt: skip
-    arrays = tuple(getattr(points, item.name) for item in fields(Points))
     parts = np.linspace(0, size[0], THREADS + 1).astype(int)
 
     def some(first: int, last: int) -> None:
-        arguments = (first, last, number, *camera, *ground, *solids, *trees, root, *arrays)
-        _resolve(*arguments)
+        _resolve(first, last, number, camera, ground, solids, trees, albedo_root, points)
 
     with ThreadPoolExecutor(THREADS) as pool:  # the loop holds no lock
         list(pool.map(some, parts[:-1], parts[1:]))
@@ -66,16 +132,13 @@ def resolve_perspective(
 
 
 @compiled
-def _resolve(
-    first, last, number, tangents, finer_tangents, finer_row, finer_col, own_rows, eye, frame_from_camera,
-    ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells,
-    solid_position, solid_height, solid_triangles, solid_albedo, solid_normals, solid_crease,
-    tree_base, tree_height, tree_shape, tree_turn, curvature, albedo_root,
-    there, point, level, normal, shading, crease, kind, albedo, corners, cells,
-):  # fmt: skip
-    """Rows ``first`` to ``last`` of everything. ``tangents`` are those of the first pixel and their step, for the picture's
-    ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
-    """
+def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_root, points):
+    """Rows ``first`` to ``last`` of everything."""
+    tangents, finer_tangents, finer_row, finer_col, own_rows, eye, frame_from_camera = camera
+    ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
+    solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
+    tree_base, tree_height, tree_shape, tree_turn, curvature = trees
+    there, point, level, normal, shading, crease, kind, albedo, corners, cells = points
     cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
     p = np.empty((3, 3))
@@ -94,17 +157,17 @@ def _resolve(
             for k in range(3):
                 ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
             if t < ground:
-                kind[i, j] = 1
+                kind[i, j] = RELIEF
                 for c in range(3):
                     for k in range(3):
                         p[c, k] = ground_position[ground_triangles[t, c], k]
             elif t < ground + solid:
-                kind[i, j] = 2
+                kind[i, j] = MESHES
                 for c in range(3):
                     for k in range(3):
                         p[c, k] = solid_position[solid_triangles[t - ground, c], k]
             else:
-                kind[i, j] = 3
+                kind[i, j] = FOREST
                 tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
                 _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
             u, v = _on_plane(p, eye, ray)
@@ -143,12 +206,14 @@ def _resolve(
 
 
 @compiled
-def resolve_map(
-    number, there, point, level, normal, shading, crease, kind, albedo, corners,
-    solid_position, solid_px, solid_triangles, solid_albedo, solid_normals, solid_crease,
-    tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m, albedo_root,
-):  # fmt: skip
-    """Put what stands on a map's ground over the ground's buffer, where it is higher; arrays are changed in place."""
+def resolve_map(number, solids, trees, albedo_root, points):
+    """Put what stands on a map's ground over the ground's ``Points``, where it is higher; these are changed in place.
+
+    ``number`` (rows, cols) are those of triangles, of ``SolidsInMap`` and then of ``TreesInMap``.
+    """
+    solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
+    tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
+    there, point, level, normal, shading, crease, kind, albedo, corners, _ = points
     rows, cols = number.shape
     solid = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
@@ -183,7 +248,7 @@ def resolve_map(
             _face(p, normal[i, j])
             crease[i, j] = 0.0
             if t < solid:
-                kind[i, j] = 2
+                kind[i, j] = MESHES
                 crease[i, j] = solid_crease[t]
                 n = solid_normals[t]
                 for k in range(3):
@@ -194,7 +259,7 @@ def resolve_map(
                         normal[i, j, k] = -normal[i, j, k]
                         shading[i, j, k] = -shading[i, j, k]
             else:
-                kind[i, j] = 3
+                kind[i, j] = FOREST
                 _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
             _unit(shading[i, j])
 

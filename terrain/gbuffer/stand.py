@@ -121,7 +121,7 @@ def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.nda
     share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
-    base = (trees.base_earth_m[number] - frame.origin_earth_m) @ frame.frame_from_earth.T
+    base = frame.points_from_earth(trees.base_earth_m[number])
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
     crown_height = np.array([look.crown_height for look in LOOKS], np.float32)[trees.look[number]]
     turn = np.radians(trees.turn_deg[number].astype(np.float64))

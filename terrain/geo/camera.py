@@ -67,7 +67,7 @@ class PerspectiveView:
     def in_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         """The eye (3,) in a frame and the rotation (3, 3) from the frame to the camera."""
         return (
-            frame.frame_from_earth @ (self.eye_earth_m - frame.origin_earth_m),
+            frame.points_from_earth(self.eye_earth_m),
             self.earth_from_camera.T @ frame.frame_from_earth.T,
         )
 

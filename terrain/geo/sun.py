@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from terrain.errors import InputError
-from terrain.geo.world import World
+from terrain.geo.world import LocalFrame, World
 from terrain.level.parts import SunSpec
 
 YEARS = (1678, 2261)
@@ -35,6 +35,10 @@ class Sun:
     to_sun_earth: np.ndarray
     time: datetime | None = None
     lift_deg: float = 0.0
+
+    def in_frame(self, frame: LocalFrame) -> np.ndarray:
+        """The unit vector (3,) towards it in a frame."""
+        return frame.directions_from_earth(self.to_sun_earth)
 
     def without_refraction(self, world: World) -> Sun:
         """The sun as it would be seen without an atmosphere."""

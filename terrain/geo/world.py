@@ -45,11 +45,30 @@ def epsg_of(crs: CRS) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class LocalFrame:
-    """A local metric east-north-up frame: ``point_frame = frame_from_earth @ (point_earth - origin_earth_m)``."""
+    """A local metric east-north-up frame: ``point_frame = frame_from_earth @ (point_earth - origin_earth_m)``.
+
+    What the methods take and give are vectors (..., 3), points in metres.
+    """
 
     key: tuple[int, int]
     origin_earth_m: np.ndarray
     frame_from_earth: np.ndarray
+
+    def points_from_earth(self, point_earth_m: np.ndarray) -> np.ndarray:
+        """Frame points of earth-fixed ones."""
+        return (point_earth_m - self.origin_earth_m) @ self.frame_from_earth.T
+
+    def points_to_earth(self, point_frame_m: np.ndarray) -> np.ndarray:
+        """Earth-fixed points of the frame's."""
+        return point_frame_m @ self.frame_from_earth + self.origin_earth_m
+
+    def directions_from_earth(self, direction_earth: np.ndarray) -> np.ndarray:
+        """Directions in the frame of earth-fixed ones."""
+        return direction_earth @ self.frame_from_earth.T
+
+    def directions_to_earth(self, direction_frame: np.ndarray) -> np.ndarray:
+        """Earth-fixed directions of the frame's."""
+        return direction_frame @ self.frame_from_earth
 
 
 @dataclass(frozen=True)
@@ -107,6 +126,11 @@ class World:
     def anchor_earth_m(self) -> np.ndarray:
         """The anchor at height 0, earth-fixed."""
         return self._anchor[0]
+
+    def anchor_from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) from a frame to the anchor's east-north-up axes, and the frame's origin (3,) there, metres."""
+        anchor_from_earth = self.earth_from_anchor.T
+        return anchor_from_earth @ frame.frame_from_earth.T, anchor_from_earth @ (frame.origin_earth_m - self.anchor_earth_m)
 
     @property
     def earth_from_anchor(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.srgb import linear_of_srgb
 
 MAX_SIDE = 4096
 """Longest side that imagery is read at: 48 MiB of colours; larger rasters are averaged down to it."""
@@ -90,8 +91,7 @@ def _linear(data: np.ndarray, source: str) -> np.ndarray:
         coded = np.clip(data.astype(np.float32) / top, 0.0, 1.0)
     else:
         raise SourceError(source, str(data.dtype), "bands of 8 or 16 bits")
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    return np.moveaxis(linear, 0, -1).astype(np.float32)
+    return np.moveaxis(linear_of_srgb(coded), 0, -1).astype(np.float32)
 
 
 def _averages(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:

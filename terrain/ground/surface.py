@@ -15,7 +15,7 @@ import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
-from terrain.geo.grid import Grid
+from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 
@@ -75,8 +75,7 @@ class Surface:
         height, there = self.heights(row0, col0, rows, cols)
         exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)
         point, up = self.world.ground(self.grid.crs, x, y)
-        to_frame = frame.frame_from_earth.T
-        exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
+        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         position = _positions(exact, exact_rows, exact_cols, self._stride, row0, col0, height)
         there &= np.isfinite(position[..., 2])
         return SurfaceWindow(row0, col0, height, there, position)
@@ -89,8 +88,7 @@ class Surface:
         shape = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
         exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, *shape, self._stride)
         point, up = self.world.ground(self.grid.crs, x, y)
-        to_frame = frame.frame_from_earth.T
-        exact = np.concatenate([(point - frame.origin_earth_m) @ to_frame, up @ to_frame], axis=-1)
+        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         return _scattered(exact, exact_rows, exact_cols, self._stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
     def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
@@ -194,6 +192,11 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
     point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
+
+
+def map_pixel_m(world: World, view: MapView) -> float:
+    """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
+    return step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
 
 
 @compiled

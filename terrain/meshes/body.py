@@ -11,6 +11,7 @@ import trimesh
 
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
+from terrain.srgb import linear_of_srgb
 
 NEUTRAL = (0.6, 0.6, 0.6)
 """sRGB colour of what has none: light gray."""
@@ -26,9 +27,8 @@ Vector = Sequence[float] | np.ndarray
 
 
 def srgb_albedo(color: Vector) -> np.ndarray:
-    """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]. Source: IEC 61966-2-1, the inverse transfer function."""
-    value = np.asarray(color, np.float64)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]."""
+    return linear_of_srgb(np.asarray(color, np.float64)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

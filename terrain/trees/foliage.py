@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.errors import InputError
+from terrain.srgb import linear_of_srgb, srgb_of_linear
 from terrain.trees.foliage_paint import Clumped, Whorled, paint
 
 THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
@@ -295,13 +296,14 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
         raise InputError("threshold", threshold, "a number above 0 and below 1")
 
     alpha = [rgba[..., 3] / 255.0]
-    light = [_linear(rgba[..., :3] / 255.0) * alpha[0][..., None]]
+    light = [linear_of_srgb(rgba[..., :3] / 255.0) * alpha[0][..., None]]
     while min(alpha[-1].shape) > SMALLEST:
         alpha.append(_halved(alpha[-1]))
         light.append(_halved(light[-1]))
     wanted = _coverage(rgba[..., 3], threshold * 255.0)
     kept = [rgba[..., 3]] + [_covering(level, wanted, threshold) for level in alpha[1:]]
-    return tuple(np.dstack([_bytes(_srgb(colour)), level]) for colour, level in zip(_filled(light, alpha), kept, strict=True))
+    colours = (_bytes(srgb_of_linear(colour)) for colour in _filled(light, alpha))
+    return tuple(np.dstack([colour, level]) for colour, level in zip(colours, kept, strict=True))
 
 
 def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
@@ -312,7 +314,7 @@ def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
     alpha[:, [0, -1]] = 0.0
     if stands:
         alpha[-1, 1:-1] = foot[1:-1]
-    return np.dstack([_bytes(_srgb(view[..., :3])), _bytes(alpha)])
+    return np.dstack([_bytes(srgb_of_linear(view[..., :3])), _bytes(alpha)])
 
 
 def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
@@ -377,13 +379,3 @@ def _halved(values: np.ndarray) -> np.ndarray:
 
 def _bytes(values: np.ndarray) -> np.ndarray:
     return np.round(values * 255.0).astype(np.uint8)
-
-
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
-    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055)

@@ -11,6 +11,7 @@ from shadows.maps.resolve import DEPTH_PX
 from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import DepthMap, distances, steps_of, sun_maps
 from shadows.passes import PassRecord
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.describe import describe
 from terrain.gl.device import device
 from terrain.scene import Scene
@@ -98,7 +99,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
     "D1",
     "Sixteen bits are enough for mountains under a low sun",
     "ridges of 2000 m, 50 km wide, sun at 1 degree: 16 bits against 32 and against truth",
-    {"acne": 0.0, "shift_px": DEPTH_PX, "interior": 0.001},
+    {"acne": 0.0, "shift_px": DEPTH_PX, "interior": MOST_INTERIOR},
     ("shadow_map", "perspective_shadow_map"),
 )
 def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.winning import ALIKE, MOST_INTERIOR, Figures, best, overshoot
+from selector.winning import ALIKE, Figures, best, overshoot
+from shadows.truth.metrics import MOST_INTERIOR
 
 SMALL = Figures("small map", 10.0, 0.05, 0.0)
 MIDDLE = Figures("middle map", 20.0, 0.02, 0.0)

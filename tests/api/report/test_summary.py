@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.report.summary import MAX_INTERIOR, family, in_words
+from api.report.summary import family, in_words
 from selector.measure.compare import Comparison, Row
 from selector.words import duration, listed, percent
+from shadows.truth.metrics import MOST_INTERIOR
 from terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
@@ -115,7 +116,7 @@ def test_all_exact(count: int, others: str) -> None:
 def test_failures_of_small_error_are_told(more: list[float], words: str) -> None:
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
-    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
+    aliased = figures("shadow_map", 30.0, 0.004, interior=MOST_INTERIOR)
     told = [text for text in in_words(comparison(*rows, plainly_wrong, aliased)) if "fail" in text]
     assert len(told) == 1 and told[0].startswith(words)
 

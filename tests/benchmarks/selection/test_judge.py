@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from benchmarks.selection.judge import (
     GOALS,
-    INTERIOR,
     MISSED,
     WORST,
     Goal,
@@ -21,6 +20,7 @@ from benchmarks.selection.judge import (
     single_best,
     stand_in,
 )
+from shadows.truth.metrics import MOST_INTERIOR
 
 Figures = dict[str, Any]
 
@@ -183,7 +183,7 @@ def test_what_a_choice_takes_itself_counts():
 
 
 def test_an_error_inside_is_told_where_something_clean_would_have_met_the_target():
-    leaky = row(1.0, 0.0, 2.0 * INTERIOR)
+    leaky = row(1.0, 0.0, 2.0 * MOST_INTERIOR)
     right, wrong = (view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK, NOTHING))
     every = instances_of([right, SLOW, wrong], [THREE])
     best = taken("quick", "slow", "slow")

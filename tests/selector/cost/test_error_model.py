@@ -24,12 +24,12 @@ from selector.cost.error_model import (
     pooled,
     texel_px_of,
 )
-from selector.winning import MOST_INTERIOR
 from shadows.hybrid.settings import HybridSettings
 from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.plan import Step
 from shadows.sweep.settings import SweepSettings
 from shadows.sweep.sweep import DECIMATED
+from shadows.truth.metrics import MOST_INTERIOR
 from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts

@@ -16,7 +16,7 @@ from shadows.maps import perspective_shadow_map
 from shadows.maps.post_perspective import CONE_DEG
 from shadows.maps.settings import PerspectiveMapSettings
 from shadows.passes import PassLog
-from shadows.truth.metrics import errors_of
+from shadows.truth.metrics import MOST_INTERIOR, errors_of
 from shadows.truth.truth import coverage_truth, truth_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
@@ -111,7 +111,7 @@ def check_against_truth(scene: Scene, light: str) -> None:
     real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
     found = errors_of(seen, real, describe(scene, view, "eye").pixel_m)
     assert (real.there & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
-    assert found.interior <= 0.001 and found.interior_parts == 0, (light, found, log.records)
+    assert found.interior <= MOST_INTERIOR and found.interior_parts == 0, (light, found, log.records)
     assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02
 
 

@@ -13,7 +13,6 @@ from shadows.sweep.grid import (
     LOWEST,
     NO_LEVELS,
     NO_MASK,
-    Sheet,
     State,
     flat_grid,
     no_peaks,
@@ -24,7 +23,8 @@ from shadows.sweep.grid import (
     turned_levels,
 )
 from shadows.sweep.horizon import horizon_deg
-from shadows.sweep.lines import sweep_rows
+from shadows.sweep.lines import Sheet, Strip, sweep_rows
+from shadows.sweep.points import no_points
 from terrain.casters.rays import RayScene
 from terrain.errors import UnsupportedError
 
@@ -135,15 +135,12 @@ def test_windows_of_rows_hand_their_state_over():
     """Bits and all: the lines of one window go on where those of the window before it stopped."""
     sheet = sheet_of(mountains(200, seed=5), 190.0, 5.0)
     n, columns = sheet.level.shape
-    none = np.zeros(0)
-    nothing = np.zeros(n + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32)
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
         held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, columns), np.bool_)
-        peaks = no_peaks(4, 300)
+        strip = Strip(4, -60, held, no_peaks(4, 300))
         for first, last in zip(borders, borders[1:], strict=False):
-            about = sheet.level, sheet.place, sheet.at, 4, sheet.mirrored, -60, held, peaks
-            sweep_rows(*about, first, last, NO_LEVELS, lit, nothing)
+            sweep_rows(sheet, strip, first, last, NO_LEVELS, lit, no_points(n))
         found.append((held, lit))
     assert (found[0][0] == found[1][0]).all() and (found[0][1] == found[1][1]).all()
     assert not found[0][1].all()

@@ -26,6 +26,7 @@ from terrain.effects.haze import (
     veil,
 )  # fmt: skip
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import MESHES
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
@@ -59,7 +60,7 @@ def points(scene: Scene, away_m: np.ndarray, facing: np.ndarray, albedo: np.ndar
     normal = facing[None].astype(np.float32)
     ones = np.ones((1, len(away_m)), np.float32)
     position = (EYE_M + away_m[:, None] * EAST - frame.origin_earth_m) @ frame.frame_from_earth.T
-    kind = np.full(ones.shape, 2, np.uint8)
+    kind = np.full(ones.shape, MESHES, np.uint8)
     buffer = GeometryBuffer(
         view, frame, ones > 0, position[None], 0 * ones, normal, normal, 0 * ones, kind, albedo=albedo[None].astype(np.float32)
     )

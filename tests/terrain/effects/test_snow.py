@@ -11,15 +11,18 @@ from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import snow
-from terrain.effects.effect import Block
+from terrain.effects.effect import Block, PixelSize
 from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, lie_on
-from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.geometry import GeometryBuffer, Shown
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import albedo_of
 from tests.rasters import ENGINEERING
+
+DOWN = np.array([0.0, 0.0, -1e12])
+"""The point that "up" points away from in a flat world."""
 
 
 @pytest.fixture
@@ -90,10 +93,8 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
     kind = np.array([[MESHES, MESHES, FOREST, FOREST, RELIEF]], np.uint8)
     own = np.full((1, 5, 3), 0.1, np.float32)
     albedo = own.copy()
-    snow._lie_on(
-        albedo, np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal, own,
-        np.array([0.0, 0.0, -1e12]), np.eye(3), np.zeros(3), -np.inf, 100.0, np.zeros(3), 0.0,
-    )  # fmt: skip
+    shown = Shown(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
+    snow._lie_on(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0))
     roof, wall, top, side, ground = albedo[0]
     assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
     assert np.allclose(wall, 0.1) and np.allclose(side, 0.1)
@@ -103,11 +104,11 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
 def test_imagery_shows_its_own_rock() -> None:
     own = np.full((1, 1, 3), 0.3, np.float32)
     albedo = own.copy()
-    snow._lie_on(
-        albedo, np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
-        np.array([[[1, 0, 0]]], np.float32), own, np.array([0.0, 0.0, -1e12]), np.eye(3), np.zeros(3), -np.inf, 1.0, np.zeros(3),
-        0.0,
+    shown = Shown(
+        np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
+        np.array([[[1, 0, 0]]], np.float32),
     )  # fmt: skip
+    snow._lie_on(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0))
     assert np.allclose(albedo, 0.3)
 
 
