@@ -22,7 +22,7 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-import terrain.gbuffer.stand as stand_module
+import terrain.gbuffer.tree_instances as stand_module
 from api.catalogue import bundled_levels, find_level
 from selector.measure.compare import measure
 from selector.planner.planner import choose

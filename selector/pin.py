@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from selector.picks import Wishes
+from selector.choices import Wishes
 from selector.planner.planner import SETTINGS, choose
 from shadows.plan import Plan
 from shadows.registry import NOTHING

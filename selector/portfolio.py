@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import islice, product
 from typing import Any, get_args
 
+from selector.choices import Pick
 from selector.mixes import MIXES
-from selector.picks import Pick
 from shadows.algorithm import Algorithm
 from shadows.registry import ALGORITHMS, FALLBACK, chosen_from, serves
 from terrain.facts.descriptor import Descriptor

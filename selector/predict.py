@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from selector.choices import Pick, Wishes
 from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
 from selector.cost.unmeasured import UnmeasuredError
-from selector.picks import Pick, Wishes
+from selector.expected_loss import LIKELY, Hope, wagered
+from selector.formatting import duration, percent
 from selector.planner.advice import advised
 from selector.planner.planner import Planner, planner_of
 from selector.portfolio import portfolio
-from selector.wager import LIKELY, Hope, wagered
-from selector.winning import Figures, Verdict
-from selector.words import duration, percent
+from selector.ranking import Figures, Verdict
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan, Predicted, Step, Target
 from shadows.registry import ALGORITHMS
@@ -53,9 +53,9 @@ def predicted_plan(
     device: DeviceProfile,
     errors: ErrorModel | None = None,
 ) -> Plan:
-    """The plan of the picks with the least expected loss (``selector.wager``): the cheapest that are likely to meet ``max_error``,
-    or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are other constants
-    than those fitted.
+    """The plan of the choices with the least expected loss (``selector.expected_loss``): the cheapest that are likely to meet
+    ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are
+    other constants than those fitted.
 
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """

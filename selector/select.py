@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from selector.picks import PolicyName, Wishes
+from selector.choices import PolicyName, Wishes
 from selector.planner.planner import choose
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan

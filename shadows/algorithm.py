@@ -15,7 +15,7 @@ from shadows.passes import PassLayer
 from shadows.work import Task, Work
 from terrain.cache import caches
 from terrain.facts.descriptor import Descriptor, LightKind
-from terrain.facts.parts import CastBand, Casting
+from terrain.facts.fact_types import CastBand, Casting
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene

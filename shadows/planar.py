@@ -36,13 +36,13 @@ from shadows.work import Task, Work
 from terrain.casters.casting import caster_meshes, caster_trees
 from terrain.casters.clip_space import camera_clip, map_clip
 from terrain.casters.reach import Casters
-from terrain.facts.parts import Casting
+from terrain.facts.fact_types import Casting
 from terrain.facts.probes import HALF_A_HIT
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
 from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.stand import Stand
-from terrain.gbuffer.visible import NEAR_M, set_uniforms, shader
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World

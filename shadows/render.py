@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from shadows.attached import attached
-from shadows.evidence import effects_ran
-from shadows.kept_layers import KeptLayers
+from shadows.executed_effects import effects_ran
+from shadows.layer_collector import KeptLayers
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS

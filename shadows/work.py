@@ -16,7 +16,7 @@ from math import cos, erfc, log, pi, radians, sin, sqrt
 import numpy as np
 
 from terrain.facts.descriptor import Descriptor, LightKind
-from terrain.facts.parts import CasterFacts, LightFacts
+from terrain.facts.fact_types import CasterFacts, LightFacts
 from terrain.gbuffer.antialias import SIDE, samples_per_pixel
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN, CasterKind

@@ -13,11 +13,11 @@ from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
 from terrain.effects.lamps import lamp_reaches
 from terrain.facts.caster_facts import slopes_deg, stands_of, trees_of
+from terrain.facts.coarse_view import Look, look_at_scene
 from terrain.facts.descriptor import Descriptor, joined
+from terrain.facts.fact_types import Band, Fact, LampFacts
 from terrain.facts.light_facts import Seen, facts_of_lights
-from terrain.facts.look import Look, look_at_scene
-from terrain.facts.parts import Band, Fact, LampFacts
-from terrain.facts.seen_points import edge_share, ground_points, points_in_look, points_in_map
+from terrain.facts.visible_points import edge_share, ground_points, points_in_look, points_in_map
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView

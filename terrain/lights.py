@@ -9,7 +9,7 @@ import numpy as np
 
 from terrain.errors import LevelError
 from terrain.geo.world import LocalFrame
-from terrain.ground.place import Place
+from terrain.ground.geolocate import Place
 from terrain.level.parts import LightSpec
 
 CONE_EDGE = 0.1

@@ -19,13 +19,13 @@ from terrain.geo.light_space import LightSpace, light_space
 from terrain.geo.sun import Sun, position_at, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.ground.elevation import Elevation
-from terrain.ground.made_ground import made_ground
-from terrain.ground.place import Place
+from terrain.ground.generated_ground import made_ground
+from terrain.ground.geolocate import Place
 from terrain.ground.surface import Surface
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.lights import Lamp, lamp_of
-from terrain.population import Population
+from terrain.scene_objects import Population
 
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""

@@ -87,7 +87,7 @@ def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
 
 def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     """A setting ``gloss`` of ``dull`` or ``bright``."""
-    from api.report.plan_words import in_words
+    from api.report.plan_text import in_words
     from selector.pin import pinned_text, pins
     from selector.planner.planner import choose
 

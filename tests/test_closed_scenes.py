@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from selector.measure.against_truth import truth_of_view
 from selector.measure.footprint import texel_footprint_px
+from selector.measure.view_truth import truth_of_view
 from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.cache import caches, forget
 from terrain.describe import describe
 from terrain.facts.relief_rays import placed
-from terrain.facts.seen_points import points_in_map
+from terrain.facts.visible_points import points_in_map
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer

@@ -126,8 +126,8 @@ def select(
     **asked: Any,
 ) -> None:
     """Choose algorithms and settings for a view, and say why."""
-    from api.cli.choice import choose, pin_down, write_descriptor
-    from api.report.plan_words import in_words
+    from api.cli.planning import choose, pin_down, write_descriptor
+    from api.report.plan_text import in_words
 
     overrides = overrides_of("select", asked)
     seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
@@ -144,7 +144,7 @@ def select(
 @app.command()
 def calibrate(as_json: AsJson = False) -> None:
     """Measure this device, so that `predict` can tell what shadows will take on it."""
-    from api.calibrated import in_words
+    from api.device_calibration import in_words
     from selector.cost.calibration import calibrate as measure
     from selector.cost.device_profile import save_profile
 

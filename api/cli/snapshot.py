@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from api.calibrated import calibration_for
+from api.device_calibration import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import TooLargeError
 from api.http import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
 from api.http.answers import EXPOSED_HEADERS, VERSION
-from api.http.served import ServedLevels
+from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.settings import Settings
 from api.workers.pool import Pool

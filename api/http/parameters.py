@@ -10,7 +10,7 @@ from typing import Annotated, Any, cast, get_args
 from fastapi import Query, Request
 from pydantic import BeforeValidator
 
-from api.http.served import names_in
+from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import taking
 from api.workers.jobs import Overrides, ServedPolicy, Wishes

@@ -14,10 +14,10 @@ from api.http.answers import json_answer
 from api.http.matrices import matrix_set_of
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, View, only, plan_wishes, sun_wished
 from api.http.problems import problem_docs
-from api.http.served import DEFAULT_MATRIX_SET, ServedLevel
+from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import TheService, unless_gone
 from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles, Wishes
-from selector.picks import Asked
+from selector.choices import Asked
 from selector.select import select
 from shadows.plan import Plan
 from terrain.errors import InputError

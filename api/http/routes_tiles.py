@@ -17,7 +17,7 @@ from api.http.service import Service, TheService, unless_gone
 from api.http.tiles import block_of_tile, check_format, cut, empty_tile, encode
 from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
 from api.workers.jobs import Block, BlockJob, Wishes
-from selector.words import listed
+from selector.formatting import listed
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
     200: {

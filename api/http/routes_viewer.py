@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse, HTMLResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from api.http.served import DEFAULT_MATRIX_SET
+from api.http.served_levels import DEFAULT_MATRIX_SET
 from api.http.service import TheService
 
 STATIC_FOLDER = Path(__file__).parents[1] / "static"

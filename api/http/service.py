@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 from starlette.concurrency import run_in_threadpool
 
-from api.http.served import ServedLevel, ServedLevels
+from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
 from api.workers.pool import Pool
 

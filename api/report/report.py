@@ -17,8 +17,8 @@ from api.report.page.pictures import LEVELS, Errors, Pictures, palette, pictures
 from api.report.page.scatter import legend, scatter, still
 from api.report.page.table import GLOSSARY, table
 from api.report.summary import FLOORS, Figures, casts, in_words, on_front
+from selector.formatting import duration, percent
 from selector.measure.compare import Comparison
-from selector.words import duration, percent
 
 MOST_BYTES = 5_000_000
 """Of a page; what its text leaves of this is for pictures."""

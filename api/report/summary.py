@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from selector.formatting import duration, listed, percent, two_digits
 from selector.measure.compare import Comparison
-from selector.words import duration, listed, percent, two_digits
 from shadows.registry import NOTHING
 from shadows.truth.metrics import MOST_INTERIOR
 

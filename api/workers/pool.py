@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from api.calibrated import digest_of
+from api.device_calibration import digest_of
 from api.errors import WorkerCrashError
 from api.settings import Settings, cores
 from api.workers.jobs import Answer, Block, Failure, Job, Result, Snapshot

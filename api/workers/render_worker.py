@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from morecantile import tms as matrix_sets
 
-from api.calibrated import calibration, digest_of
+from api.device_calibration import calibration, digest_of
 from api.layers import encode_picture, picture_of
 from api.workers.jobs import (
     Answer,

@@ -28,7 +28,7 @@ from benchmarks.seeds import speed as seeds_speed
 from benchmarks.seeds import thin as seeds_thin
 from benchmarks.seeds import tree as seeds_tree
 from benchmarks.seeds.claims import Experiment, Figures, markdown
-from benchmarks.seeds.words import SAME, whole_percent
+from benchmarks.seeds.verdicts import SAME, whole_percent
 from terrain.gl.device import device
 
 EXPERIMENTS = {

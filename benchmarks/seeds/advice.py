@@ -9,8 +9,7 @@ from benchmarks.contact_sheet import view_of
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.grades import ERROR_SIZE, RIGHT, along_path, errors
 from benchmarks.seeds.times import LIGHTS, ratio, timed
-from benchmarks.seeds.views import beside_truth, bundled
-from benchmarks.seeds.words import (
+from benchmarks.seeds.verdicts import (
     FOUR,
     HYBRID,
     PSM,
@@ -28,6 +27,7 @@ from benchmarks.seeds.words import (
     percent,
     whole_percent,
 )
+from benchmarks.seeds.views import beside_truth, bundled
 
 OUTDOOR_SIZE = (400, 320)
 OUTDOORS = (("jacksboro", "ridges"), ("spatialace", "main"))

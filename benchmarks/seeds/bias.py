@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
+from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
 from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of
-from benchmarks.seeds.words import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
 from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import sun_maps
 from shadows.passes import PassLog

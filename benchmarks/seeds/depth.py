@@ -11,8 +11,8 @@ import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.spatialace import ENOUGH
+from benchmarks.seeds.verdicts import SPATIALACE, at_most, because, percent, whole_percent
 from benchmarks.seeds.views import Held, held, one_map, scene_of, settings_of, shallow
-from benchmarks.seeds.words import SPATIALACE, at_most, because, percent, whole_percent
 from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import sun_maps
 from shadows.truth.metrics import boundary

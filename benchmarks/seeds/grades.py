@@ -15,8 +15,7 @@ from scipy.stats import spearmanr
 from benchmarks.algorithms import RIVALS
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import LIGHTS, ratio, timed
-from benchmarks.seeds.views import Held, beside_truth, bundled
-from benchmarks.seeds.words import (
+from benchmarks.seeds.verdicts import (
     DRAW,
     FOUR,
     HYBRID,
@@ -34,6 +33,7 @@ from benchmarks.seeds.words import (
     percent,
     whole_percent,
 )
+from benchmarks.seeds.views import Held, beside_truth, bundled
 from terrain.describe import describe
 from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
+from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
 from benchmarks.seeds.views import Held, Variant, found, held, level_of, scene_of
-from benchmarks.seeds.words import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
 from shadows.maps.windows import BORDER_TEXELS
 from shadows.truth.metrics import boundary
 

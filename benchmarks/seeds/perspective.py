@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, factor, percent
 from benchmarks.seeds.views import Found, Held, Variant, found, held, level_of, scene_of
-from benchmarks.seeds.words import THESIS, all_of, at_least, at_most, because, factor, percent
 from shadows.maps import perspective_shadow_map, post_perspective
 from shadows.maps.post_perspective import PostPerspective
 from terrain.scene import Scene

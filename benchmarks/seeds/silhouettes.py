@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import in_turns
+from benchmarks.seeds.verdicts import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
 from benchmarks.seeds.views import Held, bundled, held
-from benchmarks.seeds.words import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
 from shadows.passes import PassRecord
 from shadows.volumes.drawing import count
 from shadows.volumes.edges import Edges, closed_parts, edges_of

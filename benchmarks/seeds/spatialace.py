@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.algorithms import frames_of_sizes
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import in_turns
+from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of, shallow
-from benchmarks.seeds.words import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 from shadows.maps.settings import ShadowMapSettings
 from shadows.passes import PassLog
 from shadows.plan import Plan

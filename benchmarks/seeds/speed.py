@@ -11,8 +11,7 @@ import numpy as np
 from benchmarks.algorithms import RIVALS, plans_of, shot
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, in_turns, medians, ratio, timed
-from benchmarks.seeds.views import bundled
-from benchmarks.seeds.words import (
+from benchmarks.seeds.verdicts import (
     DRAW,
     FOUR,
     HYBRID,
@@ -35,6 +34,7 @@ from benchmarks.seeds.words import (
     titled,
     whole_percent,
 )
+from benchmarks.seeds.views import bundled
 from selector.planner.planner import choose
 from shadows.plan import Plan
 from shadows.render import render_frame

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, percent
 from benchmarks.seeds.views import Variant, bundled, found, held
-from benchmarks.seeds.words import THESIS, all_of, at_least, at_most, because, percent
 
 FRAME = (1280, 1024)
 """The thesis's own frames."""

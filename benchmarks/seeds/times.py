@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.algorithms import RIVALS, WAYS, Shot, plans_of, shot, turns
 from benchmarks.seeds.claims import Figures
-from benchmarks.seeds.words import FOUR
+from benchmarks.seeds.verdicts import FOUR
 from shadows.plan import Plan
 
 T = TypeVar("T")

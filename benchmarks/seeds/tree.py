@@ -14,8 +14,8 @@ import trimesh
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
 from benchmarks.seeds.thin import MOST_WRONG
+from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
 from benchmarks.seeds.views import Level, Variant, found, held, scene_of
-from benchmarks.seeds.words import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
 from shadows.truth.metrics import MOST_INTERIOR
 from shadows.volumes import volumes
 from shadows.volumes.edges import Edges, signed_sums

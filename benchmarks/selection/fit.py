@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from selector.choices import Asked
 from selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
@@ -23,14 +24,13 @@ from selector.cost.error_model import (
     pooled,
     texel_px_of,
 )
-from selector.picks import Asked
 from selector.planner.planner import planner_of
 from selector.portfolio import portfolio
 from shadows.maps.settings import PerspectiveMapSettings
 from shadows.plan import Step
 from shadows.sweep.sweep import DECIMATED
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import TEXEL_LADDER_PX
+from terrain.facts.fact_types import TEXEL_LADDER_PX
 from terrain.facts.probes import HALF_A_HIT
 from terrain.level.level import SUN, CasterKind, Shadows
 

@@ -11,7 +11,7 @@ from benchmarks.selection.fit import cases_of
 from benchmarks.selection.judge import GOALS, Instance, Verdict, instances_of, marginal
 from benchmarks.selection.policies import Split, errors_of_time, lateness, splits, verdict
 from selector.cost.device_profile import DeviceProfile
-from selector.words import percent
+from selector.formatting import percent
 from shadows.registry import chosen_from
 
 Figures = dict[str, Any]

@@ -16,7 +16,7 @@ import trimesh
 
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.made_ground import ENGINEERING
+from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.level import CasterKind, load_level
 from terrain.scene import Scene, build_scene
 

@@ -34,7 +34,7 @@ from shadows.registry import ALGORITHMS
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.cache import MIB, kept
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, Casting
+from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.facts.probes import PROBES
 from terrain.level.level import CasterKind
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from selector.candidates import candidates, name_of
-from selector.measure.against_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
+from selector.measure.view_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import bands_of

@@ -1,6 +1,6 @@
 """The policy ``measure``: a short list of candidates, drawn on the view with fewer pixels, held against truth; the winner is taken.
 
-Errors are those of the full view's pixels (``selector.measure.thinned``), but for chance, and times are drawn out from two
+Errors are those of the full view's pixels (``selector.measure.subsampled``), but for chance, and times are drawn out from two
 thinned views. So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
 """
 
@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from selector.measure.against_truth import View
+from selector.choices import Pick, Wishes
+from selector.formatting import duration, percent
 from selector.measure.trials import Candidate, Probe, Trial, part_of, probe_of
-from selector.picks import Pick, Wishes
+from selector.measure.view_truth import View
 from selector.planner.planner import choose
 from selector.portfolio import portfolio
-from selector.winning import Figures, Verdict, best, overshoot
-from selector.words import duration, percent
+from selector.ranking import Figures, Verdict, best, overshoot
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan, Predicted
 from shadows.registry import NOTHING

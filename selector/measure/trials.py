@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.measure.against_truth import ErrorName, View, ViewTruth, truth_of_parts, truth_of_view
-from selector.measure.thinned import ThinTruth, thin_truth, thinned
-from selector.picks import Pick
-from selector.winning import Figures
+from selector.choices import Pick
+from selector.measure.subsampled import ThinTruth, thin_truth, thinned
+from selector.measure.view_truth import ErrorName, View, ViewTruth, truth_of_parts, truth_of_view
+from selector.ranking import Figures
 from shadows.plan import Plan, Step
 from shadows.render import Frame, bands_of, render_frame
 from shadows.visibility import under_sky

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from selector.picks import Pick
+from selector.choices import Pick
 from selector.planner.advice_rules import RULES, Case
 from shadows.registry import FALLBACK, serves
 from terrain.facts.descriptor import Descriptor

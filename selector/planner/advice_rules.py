@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.sweep.extent import SWEPT_M, swept_m
+from shadows.maps.settings import ShadowMapSettings
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import CasterFacts, LampFacts, LightFacts
+from terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import SUN, CasterKind, Shadows
 
@@ -53,7 +54,7 @@ COMPLEX_LAYERS = 7.0
 to 65, those of the stone circles and the street to 1 to 5, as the thesis grades them (section 7).
 """
 
-MAP_SETTINGS = ("map_size", "cascades", "depth_bits", "filter", "fit", "bias", "culling")
+MAP_SETTINGS = tuple(key for key in Shadows.model_fields if key in ShadowMapSettings.model_fields)
 """What can be asked for and is a map's alone; but one tap is as good as none, and the sun's disc is swept, too."""
 
 LITTLE_SEEN = 1.0 / 3.0

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from selector.picks import Pick, Wishes
+from selector.choices import Pick, Wishes
 from selector.planner.advice import advised
 from shadows.algorithm import Part, Reasoned, Settings, SettingsRequest, parts_of
 from shadows.passes import PassLog

@@ -15,7 +15,7 @@ from shadows.hybrid.conservative_map import (
     conservative_map,
     decide,
 )
-from shadows.kept_layers import beside_one_another
+from shadows.layer_collector import beside_one_another
 from shadows.maps.windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
 from shadows.volumes.volumes import Volumes, light_in_frame

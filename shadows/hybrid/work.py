@@ -10,7 +10,7 @@ from shadows.maps.work import shadow_map_work
 from shadows.volumes.tiles import TILE_PX
 from shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
 from shadows.work import Task, Work
-from terrain.facts.parts import TEXEL_LADDER_PX
+from terrain.facts.fact_types import TEXEL_LADDER_PX
 
 FINEST_SHARE = 256.0 * POSITION_ERROR
 """A texel of a hybrid's map is never less than so large a share of how far what is seen reaches."""

@@ -16,8 +16,8 @@ from terrain.cache import Same
 from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.stand import Stand
-from terrain.gbuffer.visible import set_uniforms, shader
+from terrain.gbuffer.id_buffer import set_uniforms, shader
+from terrain.gbuffer.tree_instances import Stand
 from terrain.gl.device import Device
 from terrain.ground.surface import sheet_triangles
 from terrain.level.level import CasterKind

@@ -14,7 +14,7 @@ from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.visible import set_uniforms, shader
+from terrain.gbuffer.id_buffer import set_uniforms, shader
 from terrain.geo.grid import MapView
 from terrain.gl.device import Device
 

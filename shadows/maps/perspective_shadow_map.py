@@ -63,7 +63,7 @@ from terrain.casters.reach import Casters
 from terrain.compiled import compiled
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device

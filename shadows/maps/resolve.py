@@ -14,7 +14,7 @@ from shadows.maps.windows import BORDER_TEXELS
 from terrain.cache import MIB, kept
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import Band, LampFacts
+from terrain.facts.fact_types import Band, LampFacts
 from terrain.level.level import SUN, Shadows
 
 TEXEL_PX = 0.4

@@ -8,7 +8,7 @@ from terrain.cache import MIB, kept
 from terrain.casters.casting import caster_meshes, caster_sheets
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import CasterKind
 from terrain.scene import Scene

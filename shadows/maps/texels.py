@@ -8,7 +8,7 @@ import numpy as np
 
 from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import CastBand
+from terrain.facts.fact_types import CastBand
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN, CasterKind

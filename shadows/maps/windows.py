@@ -12,7 +12,7 @@ from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import border_texels
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device

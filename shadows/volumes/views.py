@@ -26,8 +26,8 @@ from terrain.casters.clip_space import camera_clip, map_clip, parts_of
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
 from terrain.gbuffer.resolve import MESHES, RELIEF
-from terrain.gbuffer.visible import NEAR_M, set_uniforms, shader
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds

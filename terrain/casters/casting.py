@@ -9,12 +9,12 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.level.level import CasterKind
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""

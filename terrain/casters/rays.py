@@ -23,7 +23,7 @@ import numpy as np
 
 from terrain.cache import bytes_of
 from terrain.errors import RenderError
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.ground.surface import Cut, known_triangles
 from terrain.trees.foliage import THRESHOLD, foliage
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
-from terrain.gbuffer.stand import any_in_map, stand_in_perspective
+from terrain.facts.fact_types import Fact
+from terrain.gbuffer.tree_instances import any_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.surface import map_pixel_m

@@ -17,17 +17,17 @@ from terrain.cache import MIB, kept
 from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
 from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact, number
+from terrain.facts.fact_types import Fact, number
 from terrain.gbuffer.ground_mesh import ground_mesh
-from terrain.gbuffer.stand import Stand, stand_in_perspective
+from terrain.gbuffer.tree_instances import Stand, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import LightSpace
 from terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 
 COARSE_NODES = 2**18
 """Nodes of the coarse ground that is tried first: where it casts, the finer one does."""

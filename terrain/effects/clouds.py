@@ -16,15 +16,15 @@ from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact, number
+from terrain.facts.fact_types import Fact, number
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
 from terrain.ground.noise import GAIN, noise_at
-from terrain.ground.shown import Cells, cells_shown, whole
 from terrain.ground.surface import map_pixel_m
+from terrain.ground.visible_cells import Cells, cells_shown, whole
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
 

@@ -26,11 +26,11 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 from terrain.gbuffer.picture import solids_in
-from terrain.gbuffer.stand import stand_in_perspective
+from terrain.gbuffer.tree_instances import stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame

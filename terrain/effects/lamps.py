@@ -10,12 +10,12 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import STEP, Block, Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
 from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.shown import Cells, cells_shown, parts
+from terrain.ground.visible_cells import Cells, cells_shown, parts
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of

@@ -11,12 +11,12 @@ import numpy as np
 from terrain.casters.slopes import extent_on_grid
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
-from terrain.ground.shown import is_block
+from terrain.ground.visible_cells import is_block
 from terrain.scene import Scene
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from terrain.casters.reach import longest_shadow_m
 from terrain.effects.effect import STEP, Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.scene import Scene

@@ -1,8 +1,8 @@
 """Sky view: ground that rises round a place hides a part of the sky, so that valleys get less of its light.
 
 **The part.** Of each point's share of the sky the share is taken away that ground hides below it
-(``terrain.ground.sky_horizons``). On the ground itself that is the light lost; meshes and trees lose the same share as the ground
-that they stand on, however high they rise above it. Ground that is seen from afar takes means over what a pixel shows.
+(``terrain.ground.sky_view_factor``). On the ground itself that is the light lost; meshes and trees lose the same share as the
+ground that they stand on, however high they rise above it. Ground that is seen from afar takes means over what a pixel shows.
 
 **The predicate.** Sky light is ``albedo * sky * share``. To hide a part ``h`` of it takes ``albedo * sky * h`` at most off linear
 colour. In sRGB, which is near a root, that shows the more, the brighter what the sky alone lights is (the root of ``L`` falls by
@@ -16,14 +16,14 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict, pixel_size
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.shown import cells_shown, parts
-from terrain.ground.sky_horizons import SkyView, nodes_of, sky_view
+from terrain.ground.sky_view_factor import SkyView, nodes_of, sky_view
 from terrain.ground.surface import map_pixel_m
+from terrain.ground.visible_cells import cells_shown, parts
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict, pixel_size
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView

@@ -26,15 +26,15 @@ from scipy.ndimage import maximum_filter
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.effects.effect import Block, Effect, Verdict
+from terrain.facts.coarse_view import Look
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import Look
-from terrain.facts.parts import Fact, number
+from terrain.facts.fact_types import Fact, number
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.picture import Visible
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
-from terrain.ground.shown import Cells, cells_shown, parts
+from terrain.ground.visible_cells import Cells, cells_shown, parts
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import (

@@ -7,16 +7,16 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.casters.casting import closed_casters
 from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
-from terrain.facts.parts import CasterFacts
+from terrain.facts.fact_types import CasterFacts
 from terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
-from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import map_pixel_m, step_at_anchor_m
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 from terrain.trees.foliage import THRESHOLD, foliage
 
 TREE_TRIANGLES = 6

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from terrain.facts.parts import (
+from terrain.facts.fact_types import (
     AtLeastZero,
     Band,
     CasterFacts,

@@ -14,7 +14,7 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.facts.probes import Rays
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.trees.foliage import THRESHOLD, foliage
 
 TREES_A_CELL = 3

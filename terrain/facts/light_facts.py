@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from terrain.facts.fact_types import CastBand, Casting, LightFacts
 from terrain.facts.leaf_rays import through_leaves
 from terrain.facts.mesh_rays import past_meshes
-from terrain.facts.parts import CastBand, Casting, LightFacts
 from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, Probes, Rays, evenly, rays_to
 from terrain.facts.relief_rays import over_relief, placed
-from terrain.facts.silhouettes_seen import EYE_RAYS, layers_before, length_px, silhouette_of
+from terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
 from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN, CasterKind
 from terrain.lights import Lamp

@@ -15,7 +15,7 @@ from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.facts.probes import Probes, Rays
 from terrain.geo.world import LocalFrame
-from terrain.population import Population
+from terrain.scene_objects import Population
 
 LEAF = 4
 """Triangles in a leaf of the tree, at most."""

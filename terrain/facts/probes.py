@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.facts.parts import TEXEL_LADDER_PX
+from terrain.facts.fact_types import TEXEL_LADDER_PX
 from terrain.geo.world import LocalFrame
 
 PROBES = 1000

@@ -13,14 +13,14 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.id_buffer import NEAR_M
 from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, NOTHING, RELIEF
-from terrain.gbuffer.visible import NEAR_M
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.meshes.facets import face_normals
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 
 SIDE = 2
 """The samples of a pixel where something ends lie on a grid of so many a side; its own point counts as one more."""

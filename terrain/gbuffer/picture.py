@@ -12,6 +12,7 @@ from scipy.ndimage import map_coordinates
 from terrain.cache import MIB, kept
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
+from terrain.gbuffer.id_buffer import Seen, seen_in_map, seen_in_perspective
 from terrain.gbuffer.resolve import (
     RELIEF,
     Camera,
@@ -25,8 +26,7 @@ from terrain.gbuffer.resolve import (
     resolve_map,
     resolve_perspective,
 )
-from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
-from terrain.gbuffer.visible import Seen, seen_in_map, seen_in_perspective
+from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -34,8 +34,8 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
 from terrain.ground.surface import map_pixel_m
 from terrain.level.level import CasterKind
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 
 CELL_STEP_PX = 16
 """Distance of the pixels whose place in a map's imagery is computed exactly."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.gbuffer.stand import tree_corner
+from terrain.gbuffer.tree_instances import tree_corner
 
 THREADS = min(os.cpu_count() or 1, 8)
 """Threads that share the pixels of a perspective view."""
@@ -90,7 +90,7 @@ class SolidsInMap(NamedTuple):
 
 
 class Trees(NamedTuple):
-    """Trees (n,) in perspective, as a ``terrain.gbuffer.stand.Stand`` has them."""
+    """Trees (n,) in perspective, as a ``terrain.gbuffer.tree_instances.Stand`` has them."""
 
     base_frame_m: np.ndarray
     base_height_m: np.ndarray

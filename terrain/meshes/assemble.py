@@ -10,7 +10,7 @@ import numpy as np
 from terrain.errors import LevelError
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
-from terrain.ground.place import Place
+from terrain.ground.geolocate import Place
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import MeshSpec, Point
 from terrain.meshes.body import Body, Placed, moved, srgb_albedo, turn_about_up

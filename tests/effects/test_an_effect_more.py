@@ -11,7 +11,7 @@ from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects.effect import Block, Effect, Verdict
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import Fact
+from terrain.facts.fact_types import Fact
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

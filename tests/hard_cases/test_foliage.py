@@ -18,7 +18,7 @@ from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import coverage_truth
 from terrain.casters import rays
 from terrain.casters.reach import casters_of
-from terrain.gbuffer import stand, visible
+from terrain.gbuffer import id_buffer, tree_instances
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView, look_at
@@ -63,7 +63,7 @@ def painted(pictures: Foliage) -> Iterator[None]:
     """Trees of other pictures; maps that are kept know them not."""
     device().depth_targets.clear()
     with patch.multiple(map_drawing, foliage=lambda: pictures), patch.multiple(planar, foliage=lambda: pictures), \
-         patch.multiple(rays, foliage=lambda: pictures), patch.multiple(visible, foliage=lambda: pictures):  # fmt: skip
+         patch.multiple(rays, foliage=lambda: pictures), patch.multiple(id_buffer, foliage=lambda: pictures):  # fmt: skip
         yield
 
 
@@ -181,10 +181,10 @@ def coverage_of(seen: Seen, blocks: int) -> tuple[float, float]:
 @contextmanager
 def whole_stands() -> Iterator[None]:
     """No stand is thinned, however small its trees are."""
-    forget = stand.stand_in_perspective.cache.clear, stand.stand_in_map.cache.clear
+    forget = tree_instances.stand_in_perspective.cache.clear, tree_instances.stand_in_map.cache.clear
     [each() for each in forget]
     try:
-        with patch.object(stand, "LEAST_SHARE", 1.0):
+        with patch.object(tree_instances, "LEAST_SHARE", 1.0):
             yield
     finally:
         [each() for each in forget]

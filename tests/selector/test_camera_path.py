@@ -17,18 +17,18 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector import steady
+from selector import replanning
+from selector.choices import Pick
 from selector.cost.device_profile import DeviceProfile
-from selector.picks import Pick
 from selector.planner.planner import choose
+from selector.replanning import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
 from selector.select import select
-from selector.steady import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView, look_at
-from terrain.ground.made_ground import ENGINEERING
+from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.level import SUN, Level, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 
@@ -323,9 +323,9 @@ def test_a_camera_at_a_tie_switches_only_without_hysteresis(scene, level, monkey
     descriptor = moment(scene, UNDER).descriptor
     crossed = partial(crossings, descriptor, level, swing=0.1, frames=2 * PATIENCE, runs=6)
     assert crossed() == 0
-    monkeypatch.setattr(steady, "PATIENCE", 1)
+    monkeypatch.setattr(replanning, "PATIENCE", 1)
     assert crossed() == 0  # the margin alone keeps it
-    monkeypatch.setattr(steady, "GAIN", 0.0)
+    monkeypatch.setattr(replanning, "GAIN", 0.0)
     assert crossed() >= 3
 
 

@@ -28,7 +28,7 @@ from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import LightKind
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.made_ground import ENGINEERING
+from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind, load_level
 from terrain.scene import Scene, build_scene

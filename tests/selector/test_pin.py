@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from selector.picks import Asked, Pick
+from selector.choices import Asked, Pick
 from selector.pin import MARK, pin, pinned, pinned_text, pins
 from selector.planner.planner import choose
 from terrain.describe import describe

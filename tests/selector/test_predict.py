@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
+from selector.choices import Asked
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import Counted, ErrorModel, error_groups
-from selector.picks import Asked
+from selector.formatting import duration, percent
 from selector.planner.planner import Planner, choose, planner_of
 from selector.predict import Option, options_of, predicted_plan
-from selector.words import duration, percent
 from shadows.plan import Plan
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
 
 TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"

@@ -17,7 +17,7 @@ from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.ground.made_ground import ENGINEERING
+from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.level import SUN, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of, render

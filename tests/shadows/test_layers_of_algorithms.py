@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from api.layers import LAYERS, PASS_LAYERS, layer_of, viewable, write_layer
-from shadows import kept_layers
-from shadows.kept_layers import KeptLayers, beside_one_another
+from shadows import layer_collector
+from shadows.layer_collector import KeptLayers, beside_one_another
 from shadows.passes import PassLog
 from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
@@ -102,7 +102,7 @@ def test_pictures_of_pixels_lie_where_their_blocks_do():
 
 
 def test_more_texels_than_a_picture_holds_are_refused(monkeypatch):
-    monkeypatch.setattr(kept_layers, "MAX_TEXELS", 100)
+    monkeypatch.setattr(layer_collector, "MAX_TEXELS", 100)
     kept, nowhere = KeptLayers((4, 4)), (slice(0, 0), slice(0, 0))
     kept.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, nowhere, nowhere)
     with pytest.raises(InputError, match="shadow-map.*100 texels"):

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from selector.picks import Asked
+from selector.choices import Asked
 from selector.planner.planner import choose
 from terrain.describe import describe
+from terrain.facts.coarse_view import nearest_triangles
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.look import nearest_triangles
 from terrain.level.level import Shadows, load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
@@ -143,7 +143,7 @@ def test_the_example_of_the_page_is_valid():
 
 
 def test_the_page_names_every_field():
-    from terrain.facts.parts import CastBand, CasterFacts, Casting, LampFacts, LightFacts
+    from terrain.facts.fact_types import CastBand, CasterFacts, Casting, LampFacts, LightFacts
 
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
     models = (Descriptor, CasterFacts, LightFacts, Casting, CastBand, LampFacts)

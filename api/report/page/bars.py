@@ -11,7 +11,7 @@ from api.report.page.marks import COLOURS, stage_colours
 from api.report.page.markup import tag
 from api.report.page.scales import round_time
 from api.report.summary import Figures
-from selector.words import duration
+from selector.formatting import duration
 
 WIDTH, STEP, TOP, BAR = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0

@@ -11,8 +11,8 @@ from api.report.page.marks import drawn, mark_of
 from api.report.page.markup import tag
 from api.report.page.scales import Scale, round_time, scale_of
 from api.report.summary import FLOORS, Figures, casts, family, on_front
+from selector.formatting import duration, percent
 from selector.measure.compare import Comparison
-from selector.words import duration, percent
 from shadows.registry import ALGORITHMS, NOTHING
 
 WIDTH, HEIGHT = 860.0, 540.0

@@ -11,8 +11,8 @@ from api.report.page.bars import stages_of
 from api.report.page.markup import breakable, definitions, tag
 from api.report.page.scatter import swatch
 from api.report.summary import Figures, family
+from selector.formatting import duration
 from selector.measure.compare import Comparison
-from selector.words import duration
 
 
 @dataclass(frozen=True)

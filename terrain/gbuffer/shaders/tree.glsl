@@ -1,4 +1,4 @@
-// One vertex of a tree: three quads of two triangles each, numbered by gl_VertexID. See terrain/gbuffer/stand.py.
+// One vertex of a tree: three quads of two triangles each, numbered by gl_VertexID. See terrain/gbuffer/tree_instances.py.
 in vec3 base;
 in vec4 shape;  // half widths of the upright quads and of the level one, height, height of the level one
 in vec3 look;   // cosine and sine of the turn, number of the look

@@ -13,7 +13,7 @@ import pytest
 
 from api.catalogue import bundled_levels
 from api.cli import main as cli
-from api.report.plan_words import expectation, in_words, overshoot
+from api.report.plan_text import expectation, in_words, overshoot
 from scripts.write_schemas import DOCS, MODELS, schema_text
 from selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
 from shadows.plan import Plan, Predicted, Target

@@ -15,7 +15,7 @@ from PIL import Image
 
 from api.cli.snapshot import snapshot
 from api.http.app import create_app
-from api.http.served import ServedLevels
+from api.http.served_levels import ServedLevels
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_of
 from api.settings import Settings
 from api.workers.jobs import LevelKey

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import httpx
 import pytest
 
-from api.calibrated import digest_of
+from api.device_calibration import digest_of
 from api.settings import Settings
 from api.workers.jobs import Tiles
 from api.workers.render_worker import Desk, TilePlans, block_view, tiles_view

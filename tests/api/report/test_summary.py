@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from api.report.summary import family, in_words
+from selector.formatting import duration, listed, percent
 from selector.measure.compare import Comparison, Row
-from selector.words import duration, listed, percent
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.geo.camera import PerspectiveView
 

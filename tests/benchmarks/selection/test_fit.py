@@ -16,7 +16,7 @@ from shadows.sweep.settings import SweepSettings
 from shadows.sweep.sweep import DECIMATED
 from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import CastBand, Casting, LightFacts
+from terrain.facts.fact_types import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, CasterKind
 
 CAST = 0.4

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.selection.measure import rows_of
-from selector.picks import Asked
+from selector.choices import Asked
 from selector.planner.planner import choose
 from shadows.plan import Plan
 from terrain.level.level import SUN, Shadows

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from benchmarks.selection.table import COLUMNS, DIGITS, TABLE, read_table, write_table
+from selector.choices import Asked
 from selector.cost.device_profile import DeviceProfile
-from selector.picks import Asked
 from selector.planner.planner import planner_of
 from selector.portfolio import MOST, portfolio
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import CastBand, Casting, LightFacts
+from terrain.facts.fact_types import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, Shadows
 
 DEVICE = DeviceProfile(

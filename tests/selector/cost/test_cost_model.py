@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from selector.choices import Asked
 from selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.unmeasured import UnmeasuredError
-from selector.picks import Asked
 from selector.planner.planner import choose
 from selector.portfolio import portfolio
 from shadows.hybrid.settings import HybridSettings
@@ -22,7 +22,7 @@ from shadows.maps.work import sun_windows
 from shadows.sweep.settings import SweepSettings
 from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import Band, CasterFacts, LampFacts, LightFacts
+from terrain.facts.fact_types import Band, CasterFacts, LampFacts, LightFacts
 from terrain.level.level import SUN, Shadows
 
 BODIES = CasterFacts(kind="meshes", count=10, triangles=1000, closed_share=1.0, height_m=4.0, width_m=5.0)

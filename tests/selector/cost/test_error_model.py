@@ -32,7 +32,7 @@ from shadows.sweep.sweep import DECIMATED
 from shadows.truth.metrics import MOST_INTERIOR
 from shadows.volumes.settings import VolumeSettings
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
 from terrain.facts.probes import HALF_A_HIT
 from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from terrain.level.level import SUN

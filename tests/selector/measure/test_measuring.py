@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from selector.choices import Pick
 from selector.measure import measuring, trials
-from selector.measure.against_truth import truth_of_view
 from selector.measure.compare import measure
 from selector.measure.measuring import Measured, Wanted, confirmed, measured_plan, measured_rows, winners
-from selector.measure.thinned import thin_truth, thinned
+from selector.measure.subsampled import thin_truth, thinned
 from selector.measure.trials import Candidate, Trial, part_of, shadow_ms
-from selector.picks import Pick
-from selector.winning import Figures
+from selector.measure.view_truth import truth_of_view
+from selector.ranking import Figures
 from shadows.render import render_frame
 from shadows.truth.metrics import errors_of
 from terrain.describe import describe

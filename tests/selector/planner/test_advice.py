@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.picks import Asked
+from selector.choices import Asked
 from selector.planner.advice import NO_RULE, advised
 from selector.planner.advice_rules import (
     BEHIND_DEG,
@@ -33,7 +33,7 @@ from shadows.registry import serves
 from shadows.sweep.extent import SWEPT_M
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import CasterFacts, LightFacts
+from terrain.facts.fact_types import CasterFacts, LightFacts
 from terrain.level.level import Shadows, load_level
 from terrain.scene import build_scene
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from selector.picks import Pick
+from selector.choices import Pick
 from selector.planner.planner import choose
 from shadows.maps import shadow_map
 from shadows.plan import Plan

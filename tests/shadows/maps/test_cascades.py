@@ -21,7 +21,7 @@ from shadows.truth.truth import truth_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
-from terrain.facts.parts import Band
+from terrain.facts.fact_types import Band
 from terrain.gbuffer.picture import geometry_of
 from terrain.level.level import Level, load_level
 from terrain.level.parts import SunSpec

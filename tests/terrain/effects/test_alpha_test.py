@@ -12,7 +12,7 @@ from pyogrio import raw
 from selector.planner.planner import choose
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.gbuffer.stand import any_in_map, stand_in_map
+from terrain.gbuffer.tree_instances import any_in_map, stand_in_map
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 

@@ -20,8 +20,8 @@ from terrain.effects.clouds import EDGE, HIGHEST, LAYER_M, STEEPEST, TOP, densit
 from terrain.effects.effect import Block
 from terrain.gbuffer.picture import geometry_of
 from terrain.ground.noise import noise_at
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32616"

@@ -13,7 +13,7 @@ from terrain.effects.effect import Block
 from terrain.effects.sky_view import EFFECT, darkened_steps, hide
 from terrain.gbuffer.picture import frame_of, geometry_of
 from terrain.geo.grid import MapView
-from terrain.ground.sky_horizons import hidden_sky, nodes_of, pyramid, sky_view
+from terrain.ground.sky_view_factor import hidden_sky, nodes_of, pyramid, sky_view
 from tests.render import plan_of, render
 
 ALONG = np.arange(129) - 64.0

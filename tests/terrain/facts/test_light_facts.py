@@ -17,11 +17,11 @@ from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.describe import describe
 from terrain.facts.caster_facts import trees_of
 from terrain.facts.descriptor import Descriptor
+from terrain.facts.fact_types import TEXEL_LADDER_PX
 from terrain.facts.leaf_rays import first_leaves
 from terrain.facts.mesh_rays import meets, tree_of
-from terrain.facts.parts import TEXEL_LADDER_PX
 from terrain.facts.probes import evenly, quasirandom
-from terrain.facts.silhouettes_seen import edges_of, layers_before, length_px
+from terrain.facts.silhouette_facts import edges_of, layers_before, length_px
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING

@@ -13,7 +13,7 @@ from api.catalogue import find_level
 from shadows import render as render_module
 from shadows.render import Frame
 from terrain.describe import describe
-from terrain.facts.look import LOOK_PX, look_at_scene
+from terrain.facts.coarse_view import LOOK_PX, look_at_scene
 from terrain.gbuffer.antialias import Sampled, ends_in_crosses, sampled
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import MESHES, NOTHING, RELIEF

@@ -15,7 +15,7 @@ import numpy as np
 
 from terrain.cache import MIB, kept
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame

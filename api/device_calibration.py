@@ -7,9 +7,9 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from api.report.plan_words import WIDTH, spoken
+from api.report.plan_text import WIDTH, spoken
 from selector.cost.device_profile import DeviceProfile, load_profile
-from selector.words import duration, percent
+from selector.formatting import duration, percent
 from shadows.registry import ALGORITHMS
 from terrain.errors import GraphicsError
 from terrain.gl import device as gl

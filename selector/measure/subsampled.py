@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.measure.against_truth import View, ViewTruth
 from selector.measure.footprint import texel_footprint_px
+from selector.measure.view_truth import View, ViewTruth
 from shadows.plan import Step
 from shadows.truth.metrics import INTERIOR_PX, from_edges_px
 from shadows.truth.truth import Truth

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from selector.words import duration, percent
+from selector.formatting import duration, percent
 from shadows.registry import NOTHING
 from shadows.truth.metrics import MOST_INTERIOR
 

@@ -8,7 +8,7 @@ import rasterio
 
 from api.catalogue import bundled_levels
 from api.errors import exit_status
-from api.http.served import ServedLevels
+from api.http.served_levels import ServedLevels
 from api.workers.jobs import LevelKey
 from api.workers.render_worker import Scenes
 from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError

@@ -20,8 +20,8 @@ from terrain.compiled import compiled
 from terrain.gbuffer.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from terrain.gbuffer.id_buffer import NEAR_M, Seen
 from terrain.gbuffer.picture import buffer_of, solids_in
-from terrain.gbuffer.visible import NEAR_M, Seen
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene

@@ -6,8 +6,8 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
+from selector.formatting import duration, listed, percent
 from selector.planner.planner import SETTINGS
-from selector.words import duration, listed, percent
 from shadows.algorithm import Reasoned, Settings
 from shadows.plan import Plan, Step, Target
 from shadows.registry import ALGORITHMS, NOTHING

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import BLOCK_PX
-from terrain.ground.shown import cells_shown, is_block, parts, whole
+from terrain.ground.visible_cells import cells_shown, is_block, parts, whole
 
 
 @pytest.fixture(scope="module")

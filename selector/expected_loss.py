@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, log
 
-from selector.winning import Figures, Verdict, best, overshoot
+from selector.ranking import Figures, Verdict, best, overshoot
 from shadows.registry import NOTHING
 
 MISSED = 10.0
@@ -51,7 +51,7 @@ def wagered(hopes: Sequence[Hope], max_error: float, max_ms: float | None = None
        median.
     2. Else, where some are likely to keep to the time that is asked for: the one with the least expected overshoot, lateness taken
        in the same way.
-    3. Else the nearest, as ``selector.winning.best`` has it.
+    3. Else the nearest, as ``selector.ranking.best`` has it.
 
     ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """

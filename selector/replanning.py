@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from selector.picks import Pick, PolicyName, Wishes
+from selector.choices import Pick, PolicyName, Wishes
 from selector.planner.planner import choose
 from selector.portfolio import tuned_settings
 from selector.select import select

@@ -15,7 +15,7 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.meshes.assemble import Placement
-from terrain.population import Population
+from terrain.scene_objects import Population
 
 MOST_SIDES = 4096
 """Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from selector.planner.planner import choose
-from selector.steady import (
+from selector.replanning import (
     GAIN,
     LONGEST,
     MOST_CHANGED,

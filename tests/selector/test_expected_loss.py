@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.wager import LIKELY, MISSED, TIME_SPREAD, Hope, late, wagered
-from selector.winning import Figures
+from selector.expected_loss import LIKELY, MISSED, TIME_SPREAD, Hope, late, wagered
+from selector.ranking import Figures
 
 
 def hope(name: str, ms: float, chance: float, error: float = 0.005, interior: float = 0.0) -> Hope:

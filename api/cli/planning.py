@@ -7,10 +7,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from api.calibrated import calibration_for
 from api.cli.snapshot import scene_and_view
-from api.report.plan_words import POLICIES, choices, circumstances, expectation, heading
-from selector.picks import Asked, PolicyName, Wishes
+from api.device_calibration import calibration_for
+from api.report.plan_text import POLICIES, choices, circumstances, expectation, heading
+from selector.choices import Asked, PolicyName, Wishes
 from selector.pin import MARK, pin, pinned, pins
 from selector.planner.planner import choose as choose_by_rules
 from selector.select import plan_of_view

@@ -11,7 +11,7 @@ from scipy.ndimage import label
 
 from terrain.ground.elevation import Elevation
 from terrain.ground.erosion import drainage
-from terrain.ground.made_ground import _made, made_ground
+from terrain.ground.generated_ground import _made, made_ground
 from terrain.ground.noise import fractal
 from terrain.level.parts import Terrain
 

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, kept
+from terrain.facts.coarse_view import Look
 from terrain.facts.leaf_rays import first_leaves
-from terrain.facts.look import Look
 from terrain.facts.mesh_rays import first_meshes
 from terrain.facts.probes import Probes, evenly, quasirandom
 from terrain.gbuffer.antialias import CROSS, ends_in_crosses
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.gbuffer.stand import Stand
+from terrain.gbuffer.tree_instances import Stand
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
-from terrain.population import Population
 from terrain.scene import Scene
+from terrain.scene_objects import Population
 
 MAP_SIDE = 48
 """Probes of a map lie one in each of so many by so many parts of a level."""

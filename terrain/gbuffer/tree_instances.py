@@ -17,7 +17,7 @@ import numpy as np
 from terrain.cache import MIB, kept
 from terrain.compiled import compiled
 from terrain.geo.world import LocalFrame
-from terrain.population import Population
+from terrain.scene_objects import Population
 from terrain.trees.foliage import LOOKS, leaf_outlines
 from terrain.trees.trees import Trees
 

@@ -15,10 +15,10 @@ from shadows.truth import truth
 from shadows.truth.truth import ALL_KINDS
 from terrain.casters.rays import sample_alpha
 from terrain.casters.reach import casters_of
-from terrain.gbuffer import stand as module
+from terrain.gbuffer import tree_instances as module
 from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
 from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.stand import Stand, stand_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.scene import Scene
 from terrain.trees.foliage import LOOKS, THRESHOLD, foliage

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.winning import ALIKE, Figures, best, overshoot
+from selector.ranking import ALIKE, Figures, best, overshoot
 from shadows.truth.metrics import MOST_INTERIOR
 
 SMALL = Figures("small map", 10.0, 0.05, 0.0)
