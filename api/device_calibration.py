@@ -7,9 +7,9 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from api.report.plan_text import WIDTH, spoken
+from api.report.plan_text import LINE_WIDTH, display_name
 from selector.cost.device_profile import DeviceProfile, load_profile
-from selector.formatting import duration, percent
+from selector.formatting import format_duration, format_percent
 from shadows.registry import ALGORITHMS
 from terrain.errors import GraphicsError
 from terrain.gl import device as gl
@@ -37,16 +37,16 @@ def digest_of(device: DeviceProfile | None) -> str:
     return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]
 
 
-def in_words(profile: DeviceProfile, path: Path) -> str:
+def format_calibration(profile: DeviceProfile, path: Path) -> str:
     """What a calibration measured, how well it fits and where it is kept, as text for a terminal."""
     rates = sum(map(len, profile.rates_ns.values()))
     said = [
-        f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {duration(1000.0 * profile.took_s)}.",
+        f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {format_duration(1000.0 * profile.took_s)}.",
         f"{rates} rates were measured, of {len(profile.rates_ns)} parts of the work.",
     ]
     if profile.residuals:
         fits = [
-            f"{spoken(name)} {percent(fit.median)} off in the median, {percent(fit.p90)} in nine tenths"
+            f"{display_name(name)} {format_percent(fit.median)} off in the median, {format_percent(fit.p90)} in nine tenths"
             for name, fit in profile.residuals.items()
         ]
         said.append(f"How well the rates give the times that they come from: {'; '.join(fits)}.")
@@ -55,4 +55,4 @@ def in_words(profile: DeviceProfile, path: Path) -> str:
         "Choices by prediction go by it from now on, on this device and driver alone; a service that runs takes it up with the "
         "next render process that it starts.",
     ]
-    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said)
+    return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said)

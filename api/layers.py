@@ -184,7 +184,7 @@ else:
     PictureLayer = Literal[PICTURE_LAYERS]
 
 
-def picture_of(frame: Pictured, layer: str) -> np.ndarray:
+def picture_layer(frame: Pictured, layer: str) -> np.ndarray:
     """A picture layer as a uint8 array, row 0 northernmost. Raises ``InputError``."""
     picture = LAYERS[layer].picture if layer in LAYERS else None
     if picture is None:
@@ -192,10 +192,10 @@ def picture_of(frame: Pictured, layer: str) -> np.ndarray:
     return picture(frame)
 
 
-def layer_of(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
+def frame_layer(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
     """Any layer of a frame, row 0 the upper one: a picture, or data, NaN where there is no surface. Raises ``InputError``."""
     data = known(layer).data
-    return picture_of(frame, layer) if data is None else data(scene, frame)
+    return picture_layer(frame, layer) if data is None else data(scene, frame)
 
 
 def known(layer: str) -> Layer:
@@ -230,7 +230,7 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     """Write a layer to a file by its suffix; ``.tif`` of a map view is georeferenced. Raises ``InputError``."""
     suffix = path.suffix.lower()
     check_suffix(layer, path)
-    array = layer_of(scene, frame, layer)
+    array = frame_layer(scene, frame, layer)
     if suffix == ".npy":
         with path.open("wb") as file:
             np.save(file, array)

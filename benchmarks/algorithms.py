@@ -41,18 +41,18 @@ import numpy as np
 import trimesh
 
 from api.catalogue import find_level
-from selector.measure.compare import drawn_on, measure
-from selector.planner.planner import choose
+from selector.measure.compare import drawn_on, measure_plan
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from shadows.visibility import fill_steps
 from shadows.volumes.tiles import marked_tiles
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.casters.reach import Casters
 from terrain.describe import describe
-from terrain.gbuffer.antialias import Sampled
+from terrain.gbuffer.antialias import MultisampledBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.gl.device import device
 from terrain.level.level import load_level
@@ -85,7 +85,7 @@ RIVALS: dict[str, dict[str, Any]] = {
 }
 """What takes turns in the thesis's scenes, and what is asked of it."""
 
-WAYS: dict[str, dict[str, Any]] = {
+COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
     "shadow_volume": {"algorithm": "shadow_volume"},
     "two passes": {"algorithm": "shadow_volume", "stencil": "two_pass"},
     "all z-fail": {"algorithm": "shadow_volume", "counting": "z_fail"},
@@ -132,7 +132,7 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
 
     def plan_under(lit: Scene, algorithm: str, map_size: int) -> Plan:
         asked = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
-        return choose(describe(lit, view, "main"), lit.loaded.level, asked)
+        return make_plan(describe(lit, view, "main"), lit.loaded.level, asked)
 
     def under(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
@@ -201,8 +201,8 @@ def cascades() -> list[Row]:
             descriptor = describe(scene, view, "main")
             for count, size in ((1, 2048), (4, 1024)):
                 asked = {"algorithm": "shadow_map", "cascades": count, "map_size": size, "depth_bits": 24}
-                plan = choose(descriptor, scene.loaded.level, asked)
-                figures = measure(scene, view, plan).figures
+                plan = make_plan(descriptor, scene.loaded.level, asked)
+                figures = measure_plan(scene, view, plan).figures
                 keys = ("edge_p95", "edge_mean", "wrong_cast", "false_shadow", "missed_shadow", "interior", "boundary")
                 ends = [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]  # type: ignore[union-attr]
                 name = f"sun {azimuth:.0f}/{altitude:.0f}, {count} x {size}"
@@ -218,7 +218,7 @@ class Shot:
     scene: Scene
     view: PerspectiveView
     name: str
-    bands: list[tuple[Sampled, Casters]]
+    bands: list[tuple[MultisampledBuffer, Casters]]
 
     def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
         """What the plan's algorithms say of the one light, band by band."""
@@ -237,7 +237,7 @@ class Shot:
         """Where there is a surface (rows, cols)."""
         return np.concatenate([picture.own.there for picture, _ in self.bands])
 
-    def _of_band(self, picture: Sampled, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
+    def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
         (light,) = self.scene.light_names
         return fill_steps(plan.steps_under(light), picture.buffer, self.scene, casters, plan.runs, log)
 
@@ -261,7 +261,7 @@ def stencil(given: argparse.Namespace) -> list[Row]:
     """Ways of counting volumes."""
     levels = given.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
     shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
-    return [row for level, name in shots for row in _in_turns(level, name, WAYS, given)]
+    return [row for level, name in shots for row in _in_turns(level, name, COUNTING_VARIANTS, given)]
 
 
 def _scene(level: str) -> str:
@@ -286,7 +286,7 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
             its, plan = runs[key]
-            forget("light")
+            clear_caches("light")
             for how in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
                 visibility = its.visibility(plan, log)
@@ -302,7 +302,7 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
 def plans_of(its: Shot, asked: dict[str, dict[str, Any]]) -> dict[str, Plan]:
     """The plans of what is asked for."""
     descriptor = describe(its.scene, its.view, "main")
-    return {key: choose(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
+    return {key: make_plan(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
 
 
 def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:

@@ -23,8 +23,8 @@ from typing import Any
 from PIL import Image, ImageDraw, ImageFont
 
 from api.catalogue import find_level
-from selector.measure.compare import false_colours, measure
-from selector.planner.planner import choose
+from selector.measure.compare import false_colours, measure_plan
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
@@ -37,7 +37,7 @@ from terrain.scene import Scene, build_scene
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
 ASPECT = 5 / 4
 
-ALGORITHMS: dict[str, dict[str, Any]] = {
+SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "shadow_map 1024": {"algorithm": "shadow_map", "map_size": 1024, "cascades": 1},
     "perspective_shadow_map 1024": {"algorithm": "perspective_shadow_map", "map_size": 1024},
     "shadow_volume": {"algorithm": "shadow_volume"},
@@ -66,13 +66,13 @@ RIDGES = (-84.16, 36.50, 120.0), (-84.20, 36.54, 0.0), 45.0
 FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
 
 GAP_PX, TEXT_PX = 12, 17
-HEAD_PX, FOOT_PX = 30, 28
+SHEET_HEAD_PX, FOOT_PX = 30, 28
 PAPER, INK, FAINT = (255, 255, 255), (24, 24, 24), (238, 238, 238)
 QUALITIES = range(90, 9, -5)
 
 
 @dataclass(frozen=True)
-class Cell:
+class SheetCell:
     """An algorithm in a view: its picture and its errors, none where it refuses, figures, and what is to be said of it."""
 
     pictures: tuple[Image.Image, Image.Image] | None
@@ -91,37 +91,37 @@ def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Perspec
     return look_at(eye, target, up, RIDGES[2], size[1], size[0])
 
 
-def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[Cell]:
+def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
     """The cells of a view, one for each algorithm."""
     scene = build_scene(load_level(find_level(level)))
     view = view_of(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
-    bare = render_frame(scene, view, choose(descriptor, scene.loaded.level, {"algorithm": "none"})).color.mean(axis=2)
+    bare = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {"algorithm": "none"})).color.mean(axis=2)
     for key in asked:
         try:
-            plan = choose(descriptor, scene.loaded.level, ALGORITHMS[key])
+            plan = make_plan(descriptor, scene.loaded.level, SHEET_ALGORITHMS[key])
         except UnsupportedError as error:
-            yield Cell(None, {}, str(error))
+            yield SheetCell(None, {}, str(error))
             continue
         color = render_frame(scene, view, plan).color  # compiles and allocates, too
-        row = measure(scene, view, plan, repeats=repeats)
+        row = measure_plan(scene, view, plan, repeats=repeats)
         pictures = Image.fromarray(color).convert("RGB"), Image.fromarray(false_colours(bare, row))
         figures = {name: row.figures[name] for name in FIGURES}
         text = f"wrong {100 * figures['wrong_cast']:.2f} % of cast shadow; edge p95 {figures['edge_p95']:.1f} px"
-        yield Cell(pictures, figures, f"{text}; {figures['ms_median']:.0f} ms")
+        yield SheetCell(pictures, figures, f"{text}; {figures['ms_median']:.0f} ms")
 
 
-def sheet(cells: dict[tuple[str, str], Cell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
+def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
     """All cells, by row and column, under their names."""
     height = round(width / ASPECT)
-    step_x, step_y = 2 * width + GAP_PX, HEAD_PX + height + FOOT_PX + GAP_PX
+    step_x, step_y = 2 * width + GAP_PX, SHEET_HEAD_PX + height + FOOT_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(TEXT_PX)
     for across, name in enumerate(columns):
         for down, key in enumerate(rows):
             x, y, cell = GAP_PX + across * step_x, GAP_PX + down * step_y, cells[key, name]
-            top = y + HEAD_PX
-            draw.text((x, y + HEAD_PX // 2), f"{key}: {' '.join(VIEWS[name])}", INK, font, anchor="lm")
+            top = y + SHEET_HEAD_PX
+            draw.text((x, y + SHEET_HEAD_PX // 2), f"{key}: {' '.join(VIEWS[name])}", INK, font, anchor="lm")
             if cell.pictures is None:
                 draw.rectangle((x, top, x + 2 * width - 1, top + height - 1), FAINT)
                 lines = "\n".join(wrap(cell.text, 2 * width * 2 // TEXT_PX - 6))
@@ -133,7 +133,7 @@ def sheet(cells: dict[tuple[str, str], Cell], rows: Sequence[str], columns: Sequ
     return page
 
 
-def encoded(page: Image.Image, suffix: str, most_bytes: int) -> bytes:
+def sheet_bytes(page: Image.Image, suffix: str, most_bytes: int) -> bytes:
     """The page as PNG, or as WebP in the best quality that keeps it within a size; in the least one if none does."""
     for quality in QUALITIES:
         buffer = BytesIO()
@@ -143,7 +143,7 @@ def encoded(page: Image.Image, suffix: str, most_bytes: int) -> bytes:
     return buffer.getvalue()
 
 
-def table(cells: dict[tuple[str, str], Cell]) -> str:
+def table(cells: dict[tuple[str, str], SheetCell]) -> str:
     """``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line a view, a column an algorithm."""
     rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
     lines = [["view", *rows], ["---"] * (1 + len(rows))]
@@ -157,7 +157,7 @@ def table(cells: dict[tuple[str, str], Cell]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the .webp or .png file to write")
-    parser.add_argument("--rows", nargs="+", choices=tuple(ALGORITHMS), default=tuple(ALGORITHMS))
+    parser.add_argument("--rows", nargs="+", choices=tuple(SHEET_ALGORITHMS), default=tuple(SHEET_ALGORITHMS))
     parser.add_argument("--columns", nargs="+", choices=tuple(VIEWS), default=tuple(VIEWS))
     parser.add_argument("--width", type=int, default=400, help="pixels of a picture")
     parser.add_argument("--most", type=int, default=1500, help="kilobytes that the file may have")
@@ -172,7 +172,7 @@ def main() -> None:
             cells[key, name] = cell
             print(f"{key} {name}: {cell.text}", flush=True)
     page = sheet(cells, given.rows, given.columns, given.width)
-    given.output.write_bytes(encoded(page, given.output.suffix, 1000 * given.most))
+    given.output.write_bytes(sheet_bytes(page, given.output.suffix, 1000 * given.most))
     if given.markdown:
         what = "wrong pixels in % of cast shadow / 95th percentile of the displacement of shadow edges, pixels"
         text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {what}\n\n{table(cells)}"

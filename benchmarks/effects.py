@@ -41,19 +41,19 @@ import rasterio
 from affine import Affine
 
 from api.catalogue import bundled_levels, find_level
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.render import SHADING_PASS, bands_of, render_frame
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.describe import describe
 from terrain.effects import EFFECTS
-from terrain.gbuffer.antialias import picture_of
+from terrain.gbuffer.antialias import picture_buffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
 from terrain.gl.device import device
 from terrain.level.level import EffectName, load_level
 from terrain.scene import Scene, build_scene
-from terrain.shading import encoded, shade, sky
+from terrain.shading import shade, sky, srgb_encoded
 
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
@@ -94,7 +94,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class TimedFrame:
     """What ran in a frame, its passes with their milliseconds by the wall, and milliseconds of all threads: its plan's, and both
     together; ``wall_ms`` is their time by the wall. The frame itself is let go, so that the next one finds its memory.
     """
@@ -106,16 +106,16 @@ class Drawn:
     wall_ms: float
 
 
-def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> Drawn:
+def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
     """A frame that pays for all that it needs, its plan among it."""
-    forget("light")
+    clear_caches("light")
     wall, start = time.perf_counter(), time.process_time()
-    plan = choose(describe(scene, view, name), scene.loaded.level)
+    plan = make_plan(describe(scene, view, name), scene.loaded.level)
     chosen = time.process_time()
     frame = render_frame(scene, view, plan)
     done = time.process_time()
     wall_ms, passes_ms = 1000.0 * (time.perf_counter() - wall), {record.name: record.ms for record in frame.passes}
-    return Drawn(frame.effects, passes_ms, 1000.0 * (chosen - start), 1000.0 * (done - start), wall_ms)
+    return TimedFrame(frame.effects, passes_ms, 1000.0 * (chosen - start), 1000.0 * (done - start), wall_ms)
 
 
 def timed(work: Callable[..., object], *of: object) -> float:
@@ -125,7 +125,7 @@ def timed(work: Callable[..., object], *of: object) -> float:
     return 1000.0 * (time.process_time() - start)
 
 
-def in_turns(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
+def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
     """What each returns, time after time; who begins takes turns, and the first round does not count."""
     taken: list[list[T]] = [[] for _ in works]
     for number in range(repeats + 1):
@@ -153,7 +153,7 @@ def levels(given: argparse.Namespace) -> list[Row]:
         main = next(iter(scene.loaded.level.views))
         for name in dict.fromkeys([main, "map"] if high > low else [main]):
             view = scene.view(name)
-            some, all_on = in_turns(given.repeats, *(partial(planned, each, view, name) for each in (scene, everything)))
+            some, all_on = interleaved(given.repeats, *(partial(planned, each, view, name) for each in (scene, everything)))
             rows.append({
                 "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
                 "runs": f"{len(some[0].effects)} of {len(EFFECTS)}",
@@ -174,12 +174,12 @@ def plain(given: argparse.Namespace) -> list[Row]:
         everything = forced(scene, dict.fromkeys(get_args(EffectName), "on"))
         for name in scene.loaded.level.views:
             view = scene.view(name)
-            drawn, all_on, bare = in_turns(
+            drawn, all_on, bare = interleaved(
                 given.repeats,
                 *(partial(planned, each, view, name) for each in (scene, everything)),
                 partial(timed, bare_frame, scene, view),
             )
-            frame = render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level))
+            frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
             if frame.effects or (frame.color != bare_frame(scene, view)[0]).any():
                 raise AssertionError(f"{name}: not the bare frame; it ran {sorted(frame.effects)}")
             ratio, forced_on = (_median(one.ms / ms for one, ms in zip(some, bare, strict=True)) for some in (drawn, all_on))
@@ -224,7 +224,7 @@ def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray
 
 def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
     above = isinstance(view, MapView)
-    picture = picture_of(scene, view)
+    picture = picture_buffer(scene, view)
     buffer, own = picture.buffer, picture.own
     visibility = 1.0 - attached(buffer, scene).astype(np.float32)
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own.height_m]
@@ -233,7 +233,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
         linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
         linear = picture.averaged(linear)
         layers.append(own.position_frame_m)
-    return [encoded(linear), *layers]
+    return [srgb_encoded(linear), *layers]
 
 
 def each(given: argparse.Namespace) -> list[Row]:
@@ -242,7 +242,7 @@ def each(given: argparse.Namespace) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         for effect in given.effects or get_args(EffectName):
             for scene, name in _calling(effect, Path(folder)):
-                if effect in choose(describe(scene, scene.view(name), name), scene.loaded.level).runs:
+                if effect in make_plan(describe(scene, scene.view(name), name), scene.loaded.level).runs:
                     rows.append(_with_and_without(effect, scene, name, given.repeats))
                     print(effect, name, f"{rows[-1]['on / off']:.2f}", flush=True)
     return rows
@@ -271,7 +271,7 @@ def _scene_of(folder: Path, keys: dict[str, Any]) -> Scene:
 
 def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int) -> Row:
     view, off = scene.view(name), forced(scene, {effect: "off"})
-    run, left_out = in_turns(repeats, *(partial(planned, its, view, name) for its in (scene, off)))
+    run, left_out = interleaved(repeats, *(partial(planned, its, view, name) for its in (scene, off)))
     row: Row = {"effect": effect, "view": name, "on / off": _ratio(run, left_out, "ms"), "wall": _ratio(run, left_out, "wall_ms")}
     row |= {"ms/Mpx": "", "of shading": "", "facts_ms": ""}
     if EFFECTS[effect].part is not None:
@@ -315,7 +315,7 @@ def _median(values: Iterable[float]) -> float:
     return float(np.median([*values]))
 
 
-def _ratio(some: Sequence[Drawn], others: Sequence[Drawn], key: str) -> float:
+def _ratio(some: Sequence[TimedFrame], others: Sequence[TimedFrame], key: str) -> float:
     """The median of the ratios of one round's frames."""
     return _median(getattr(one, key) / getattr(other, key) for one, other in zip(some, others, strict=True))
 

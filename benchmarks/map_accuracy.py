@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.truth.metrics import errors_of
@@ -60,7 +60,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         casters = casters_of(lit, buffer)
         truth = truth_of(buffer, lit, casters, either_diagonal=algorithm == "sweep")
         descriptor = describe(lit, view)
-        plan = choose(descriptor, lit.loaded.level, {"algorithm": algorithm, "map_size": map_size, "filter": taps})
+        plan = make_plan(descriptor, lit.loaded.level, {"algorithm": algorithm, "map_size": map_size, "filter": taps})
         step = next((step for step in plan.steps if step.algorithm == algorithm), None)
         if step is None:
             continue

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from api.catalogue import find_level
-from selector.measure.compare import measure
-from selector.planner.planner import choose
+from selector.measure.compare import measure_plan
+from selector.planner.planner import make_plan
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.visibility import fill_steps
@@ -53,8 +53,8 @@ def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: i
     """The plans to compare: all with one map of a size and the same taps and depths."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     asked = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
-    maps = {fit: choose(descriptor, level, {**asked, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
-    return {**maps, "perspective": choose(descriptor, level, {**asked, "algorithm": "perspective_shadow_map"})}
+    maps = {fit: make_plan(descriptor, level, {**asked, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
+    return {**maps, "perspective": make_plan(descriptor, level, {**asked, "algorithm": "perspective_shadow_map"})}
 
 
 def errors(given: argparse.Namespace) -> list[Row]:
@@ -62,7 +62,7 @@ def errors(given: argparse.Namespace) -> list[Row]:
     rows = []
     for level, scene, name, view in views(given.levels, tuple(given.size)):
         for map_name, plan in plans(scene, view, name, given.map_size, given.filter).items():
-            figures = measure(scene, view, plan).figures
+            figures = measure_plan(scene, view, plan).figures
             rows.append({"view": f"{level} {name}", "map": map_name, **{key: figures[key] for key in keys}})
             print(*rows[-1].values(), flush=True)
     return rows

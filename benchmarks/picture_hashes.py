@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from api.catalogue import bundled_levels
-from api.layers import LAYERS, PASS_LAYERS, layer_of
-from selector.planner.planner import choose
+from api.layers import LAYERS, PASS_LAYERS, frame_layer
+from selector.planner.planner import make_plan
 from shadows.registry import ALGORITHMS
 from shadows.render import render_frame
 from terrain.describe import describe
@@ -44,7 +44,7 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
     """The hashes of a view's layers, its plan and what it says of casters out of sight; or of what the algorithm refuses with."""
     view = scene.view(name)
     try:
-        plan = choose(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})
+        plan = make_plan(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})
         left = frozenset(layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers)
         frame = render_frame(scene, view, plan, layers=left)
     except SkuggaError as error:
@@ -54,7 +54,7 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
     yield "reach", hash_of(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
     for layer in LAYERS:
         if layer not in PASS_LAYERS:
-            yield layer, hash_of(layer_of(scene, frame, layer))
+            yield layer, hash_of(frame_layer(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
         yield f"visibility of {light}", hash_of(visibility)
     for layer, by_light in sorted(frame.layers.items()):

@@ -24,8 +24,8 @@ from affine import Affine
 
 import terrain.gbuffer.tree_instances as stand_module
 from api.catalogue import bundled_levels, find_level
-from selector.measure.compare import measure
-from selector.planner.planner import choose
+from selector.measure.compare import measure_plan
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
@@ -38,8 +38,8 @@ from terrain.scene import Scene, build_scene
 
 SIDE_M = 10_000.0
 CELL_M = 10.0
-PARTS = [(row, col) for row in (400, 600, 800) for col in (100, 512, 900)]
-PART_PX = 128
+WINDOW_ORIGINS = [(row, col) for row in (400, 600, 800) for col in (100, 512, 900)]
+WINDOW_PX = 128
 
 
 def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[dict]:
@@ -48,8 +48,8 @@ def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[di
         scene = build_scene(load_level(path))
         for name in scene.loaded.level.views:
             view = scene.view(name, size=size)
-            plan = choose(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
-            figures = measure(scene, view, plan).figures
+            plan = make_plan(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
+            figures = measure_plan(scene, view, plan).figures
             rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.population.kinds), **figures})
             print(line(rows[-1]), flush=True)
     return rows
@@ -106,7 +106,7 @@ def trees(count: int, repeats: int) -> None:
             for _ in range(repeats + 1):
                 start = time.perf_counter()
                 view = scene.view(name)
-                plan = choose(describe(scene, view, name), scene.loaded.level)
+                plan = make_plan(describe(scene, view, name), scene.loaded.level)
                 frame = None  # the last one goes before the next is made, as in a service
                 frame = render_frame(scene, view, plan)
                 times.append(time.perf_counter() - start)
@@ -116,15 +116,15 @@ def trees(count: int, repeats: int) -> None:
 
 
 def thinning(count: int) -> None:
-    whole_px = stand_module.WHOLE_PX
+    whole_px = stand_module.ALL_TREES_PX
     with tempfile.TemporaryDirectory() as folder:
         for name in ("low", "high"):
             shares = []
-            for stand_module.WHOLE_PX in (1e-6, whole_px):
+            for stand_module.ALL_TREES_PX in (1e-6, whole_px):
                 scene = wooded_hills(Path(folder), count)  # anew: stands are kept by their scene
                 view, drawn, parts = scene.view(name), 0, []
-                for row, col in PARTS:
-                    buffer = geometry_of(scene, view.part(row, col, PART_PX, PART_PX))
+                for row, col in WINDOW_ORIGINS:
+                    buffer = geometry_of(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
                     drawn = len(buffer.stand)
                     lit = lit_from(buffer, scene, "sun", ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
                     parts.append(block_shares(np.where(buffer.there, 1.0 - lit, np.nan)))

@@ -32,7 +32,7 @@ from terrain.ground.elevation import Elevation
 NO_HEIGHTS = ("landcover", "rgb")
 """Parts of the names of rasters that hold something else."""
 
-LIFT = 1.0 / 8.0
+NODE_OFFSET = 1.0 / 8.0
 """What a node is lifted by, in offsets of ``terrain.casters.rays``: it is a vertex, rounded to float32 just as the triangles are.
 """
 
@@ -71,7 +71,7 @@ class GridTruth:
 
 
 @dataclass(frozen=True)
-class Figures:
+class SweepFigures:
     """One raster under one sun. Shares of the decidable cells; ``undecided`` and ``other_diagonal`` of all cells."""
 
     raster: str
@@ -125,7 +125,7 @@ class GridRays:
         seen = np.empty(len(nodes), bool)
         for first in range(0, len(nodes), BATCH_RAYS):
             some = slice(first, first + BATCH_RAYS)
-            start = self._nodes[nodes[some]] + np.array([0.0, 0.0, offsets * LIFT * rays.offset_m])
+            start = self._nodes[nodes[some]] + np.array([0.0, 0.0, offsets * NODE_OFFSET * rays.offset_m])
             seen[some] = ~rays.blocked(start, to_sun)
         return seen
 
@@ -140,13 +140,13 @@ def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def figures_of(raster: Raster, lit: np.ndarray, truth: GridTruth, azimuth_deg: float, altitude_deg: float) -> Figures:
+def figures_of(raster: Raster, lit: np.ndarray, truth: GridTruth, azimuth_deg: float, altitude_deg: float) -> SweepFigures:
     """Hold an answer (rows, cols), True where the sun is seen, against truth."""
     known = np.isfinite(raster.height_m)
     decidable = truth.decidable & raster.there
     wrong = decidable & (lit != truth.lit)
     count = max(int(decidable.sum()), 1)
-    return Figures(
+    return SweepFigures(
         raster=raster.name,
         azimuth_deg=azimuth_deg,
         altitude_deg=altitude_deg,
@@ -200,13 +200,13 @@ def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tupl
     return tuple(float(np.hypot(x[k + 1] - x[k], y[k + 1] - y[k])) * unit_m for k in (0, 2))  # type: ignore[return-value]
 
 
-def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[Figures]:
+def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[SweepFigures]:
     """Figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
     rays = GridRays(raster.height_m, raster.cell_m)
     return [figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), rays.truth(*sun), *sun) for sun in suns]
 
 
-def report(rasters: list[Raster], found: list[Figures], lines: int) -> list[str]:
+def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list[str]:
     """Markdown: a row per raster, and what holds over all."""
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
@@ -231,7 +231,7 @@ def report(rasters: list[Raster], found: list[Figures], lines: int) -> list[str]
     return rows + ["", *_over_all(found)]
 
 
-def _over_all(figures: list[Figures]) -> list[str]:
+def _over_all(figures: list[SweepFigures]) -> list[str]:
     wrong = np.array([f.wrong for f in figures])
     azimuths, altitudes = (sorted({getattr(f, key) for f in figures}) for key in ("azimuth_deg", "altitude_deg"))
     per_azimuth = [np.mean([f.wrong for f in figures if f.azimuth_deg == azimuth]) for azimuth in azimuths]

@@ -43,7 +43,7 @@ CORES_RATIO = 1.7
 
 
 @dataclass(frozen=True)
-class Tool:
+class SweepTool:
     """A way to answer: its name, threads, and lines a cell for the sweep (0: the other one)."""
 
     name: str
@@ -73,7 +73,7 @@ def mountains(side: int, seed: int = 42) -> np.ndarray:
     return ((height - height.min()) * (RELIEF_M / np.ptp(height))).astype(np.float32)
 
 
-def check_convention(tool: Tool) -> None:
+def check_convention(tool: SweepTool) -> None:
     """A pole of 100 m on a flat floor throws its shadow away from the sun, as long as it should. Raises ``RuntimeError``."""
     height = np.zeros((201, 201), np.float32)
     height[100, 100] = 100.0
@@ -98,7 +98,7 @@ class Worker:
         """Take a terrain (rows, cols) from a file."""
         self._pool.submit(_load, path).result()
 
-    def seconds(self, tool: Tool, sun: tuple[float, float]) -> tuple[float, float]:
+    def seconds(self, tool: SweepTool, sun: tuple[float, float]) -> tuple[float, float]:
         """Wall time of one answer, and the time of all cores together."""
         return self._pool.submit(_seconds, tool, sun).result()
 
@@ -119,7 +119,7 @@ def _load(path: Path) -> None:
     _terrain_m = np.load(path)
 
 
-def _seconds(tool: Tool, sun: tuple[float, float]) -> tuple[float, float]:
+def _seconds(tool: SweepTool, sun: tuple[float, float]) -> tuple[float, float]:
     start, cpu_start = time.perf_counter(), time.process_time()
     tool.lit(_terrain_m, *sun)
     return time.perf_counter() - start, time.process_time() - cpu_start
@@ -129,7 +129,7 @@ def _peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.ndarray], dict[Tool, int]]:
+def timed(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict[SweepTool, np.ndarray], dict[SweepTool, int]]:
     """Wall and core seconds (repeats, suns, 2) of each tool, all in turns, and what its process's peak grew by, bytes."""
     workers = {tool: Worker() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
@@ -152,11 +152,11 @@ def timed(tools: list[Tool], side: int, repeats: int) -> tuple[dict[Tool, np.nda
     return seconds, memory
 
 
-def _speed(tool: Tool, seconds: np.ndarray, side: int) -> str:
+def _speed(tool: SweepTool, seconds: np.ndarray, side: int) -> str:
     return f"{tool.name} {tool.threads}: {side**2 / np.median(seconds[:, 0]) / 1e6:.0f} Mcells/s"
 
 
-def wrong_cells(tools: list[Tool], side: int) -> dict[Tool, np.ndarray]:
+def wrong_cells(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray]:
     """Wrong, false, missed and interior shares of decidable cells (suns, 4) of each tool, against the same rays."""
     terrain = Raster("mountains", mountains(side), np.ones((side, side), bool), (CELL_M, CELL_M))
     rays = GridRays(terrain.height_m, terrain.cell_m)
@@ -170,7 +170,11 @@ def wrong_cells(tools: list[Tool], side: int) -> dict[Tool, np.ndarray]:
 
 
 def report(
-    side: int, seconds: dict[Tool, np.ndarray], memory: dict[Tool, int], truth_side: int, wrong: dict[Tool, np.ndarray]
+    side: int,
+    seconds: dict[SweepTool, np.ndarray],
+    memory: dict[SweepTool, int],
+    truth_side: int,
+    wrong: dict[SweepTool, np.ndarray],
 ) -> list[str]:
     """Markdown: a row per tool, its wrong cells by sun, and the targets."""
     rows = [
@@ -200,7 +204,7 @@ def report(
     return rows + ["", *_targets(seconds, wrong, side)]
 
 
-def _targets(seconds: dict[Tool, np.ndarray], wrong: dict[Tool, np.ndarray], side: int) -> list[str]:
+def _targets(seconds: dict[SweepTool, np.ndarray], wrong: dict[SweepTool, np.ndarray], side: int) -> list[str]:
     """What was aimed at, and what came out; ratios are medians over the pairs of one run."""
     by_threads = {(bool(tool.lines), tool.threads): taken[..., 0] for tool, taken in seconds.items()}
     own = by_threads[True, 1]
@@ -231,13 +235,13 @@ def main() -> None:
     parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()
     cores = os.cpu_count() or 1
-    tools = [Tool("sweep", count, given.lines) for count in sorted({1, min(2, cores)})]
+    tools = [SweepTool("sweep", count, given.lines) for count in sorted({1, min(2, cores)})]
     try:
         import insolation  # noqa: F401
     except ImportError:
         print("insolation is left out: it is not installed (pip install insolation)")
     else:
-        others = [Tool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
+        others = [SweepTool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
         check_convention(others[0])
         tools += others
     seconds, memory = timed(tools, given.side, given.repeats)

@@ -15,8 +15,8 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from api.catalogue import bundled_levels
-from api.layers import picture_of
-from selector.planner.planner import choose
+from api.layers import picture_layer
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import SkuggaError
@@ -56,8 +56,8 @@ def rendered(scene: Scene, name: str, width: int) -> Image.Image:
     share = min(width / own.cols, width / ASPECT / own.rows)
     size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
     view = scene.view(name, size=size)
-    frame = render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level, {}))
-    picture = Image.fromarray(picture_of(frame, "color")).convert("RGBA")
+    frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level, {}))
+    picture = Image.fromarray(picture_layer(frame, "color")).convert("RGBA")
     return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAPER, 255)), picture).convert("RGB")
 
 

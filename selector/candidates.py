@@ -8,9 +8,9 @@ from itertools import islice
 from typing import Any
 
 from selector.mixes import MIXES
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, FALLBACK, NOTHING
+from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -20,12 +20,12 @@ from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import SUN, Level
 from terrain.scene import Scene
 
-MOST = 40
+MAX_CANDIDATES = 40
 """Candidates of a view, at most."""
 
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
-    """The plans to compare under a light, at most ``MOST``, no two of one name.
+    """The plans to compare under a light, at most ``MAX_CANDIDATES``, no two of one name.
 
     First comes what is taken where nothing more is asked, and the algorithms as they are by themselves; then texels and taps,
     mixes of algorithms by kind of casters, and what is turned one at a time. An algorithm that cannot serve everything takes on
@@ -35,7 +35,7 @@ def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map",
     plans: dict[str, Plan] = {}
     for plan in _plans(descriptor, level, light):
         plans.setdefault(name_of(plan, light), plan)
-    return list(islice(plans.values(), MOST))
+    return list(islice(plans.values(), MAX_CANDIDATES))
 
 
 def name_of(plan: Plan, light: str = SUN) -> str:
@@ -48,13 +48,13 @@ def name_of(plan: Plan, light: str = SUN) -> str:
         settings = plan.settings.get(light, {}).get(kind)
         kinds.setdefault("-".join([name, *([] if settings is None else settings.label)]), []).append(kind)
     if len(kinds) <= 1:
-        return next(iter(kinds), NOTHING)
+        return next(iter(kinds), NO_SHADOWS)
     return ",".join(f"{'+'.join(its)}={name}" for name, its in kinds.items())
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
     with suppress(UnsupportedError):  # what the level asks for may not serve this view
-        yield choose(descriptor, level)
+        yield make_plan(descriptor, level)
     served = [each for each in ALGORITHMS.values() if each.served]
     compared = [{"algorithm": each.name, **overrides} for each in served for overrides in each.search.compared]
     for asked in [*({"algorithm": each.name} for each in served), *compared]:
@@ -77,7 +77,7 @@ def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, asked
 def _served(descriptor: Descriptor, level: Level, light: str, asked: dict[str, Any]) -> list[Plan]:
     """The plan of what is asked, if it is served and really taken under the light."""
     with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-        plan = choose(descriptor, level, asked, picks={})  # what is not named goes by shadow maps
+        plan = make_plan(descriptor, level, asked, picks={})  # what is not named goes by shadow maps
         wanted = asked["algorithm"]
         names = set(wanted.values()) if isinstance(wanted, dict) else {wanted}
         if names & set(plan.algorithm.get(light, {}).values()) or not plan.algorithm:

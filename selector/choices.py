@@ -13,8 +13,8 @@ PolicyName = Literal["rules", "predict", "measure"]
 """``rules``: what is known beforehand; ``predict``: cost and error models; ``measure``: candidates run against truth."""
 
 
-class Wishes(Protocol):
-    """What is asked of a plan whatever the view: a ``Level`` is one, and so is ``Asked``."""
+class PlanRequest(Protocol):
+    """What is asked of a plan whatever the view: a ``Level`` is one, and so is ``StandaloneRequest``."""
 
     @property
     def shadows(self) -> Shadows: ...
@@ -27,7 +27,7 @@ class Wishes(Protocol):
 
 
 @dataclass(frozen=True)
-class Asked:
+class StandaloneRequest:
     """Wishes without a level, as they come with a descriptor alone. ``effects`` is ``auto`` or on and off by name."""
 
     shadows: Shadows
@@ -36,7 +36,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Pick:
+class Choice:
     """A choice for one light. What the level or the request asks for goes before it.
 
     ``name`` tells it from other picks of the light; ``settings`` are fields of ``Shadows`` (``map_size``, ``cascades``), and

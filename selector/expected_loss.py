@@ -1,6 +1,6 @@
 """Who is to be taken where times and errors are only expected: the candidate with the least expected loss. Pure arithmetic.
 
-A target that is missed is taken to cost ``MISSED`` times what candidates that are likely to meet it cost in the median: much as
+A target that is missed is taken to cost ``MISS_PENALTY`` times what candidates that are likely to meet it cost in the median: much as
 choices are judged (the PAR10 score of B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but not by the
 slowest, which nobody would take. So some more time is spent where it does away with a chance to miss, and not much more where it
 does away with little.
@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, log
 
-from selector.ranking import Figures, Verdict, best, overshoot
-from shadows.registry import NOTHING
+from selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
+from shadows.registry import NO_SHADOWS
 
-MISSED = 10.0
+MISS_PENALTY = 10.0
 """What a missed target costs, in times what a candidate that is likely to meet it does."""
 
-LIKELY = 0.5
+LIKELY_MISS_CHANCE = 0.5
 """A candidate that misses with no larger chance is taken to meet the target."""
 
 TIME_SPREAD = 0.2
@@ -26,28 +26,28 @@ TIME_SPREAD = 0.2
 
 
 @dataclass(frozen=True)
-class Hope:
+class Forecast:
     """A candidate's expected figures, and the chance in [0, 1] that it misses the error that is asked for."""
 
-    figures: Figures
+    figures: CandidateFigures
     chance_of_error: float
 
     def chance_of_missing(self, max_ms: float | None) -> float:
         """The chance that it misses the error or the time."""
-        return 1.0 - (1.0 - self.chance_of_error) * (1.0 - late(self.figures.ms, max_ms))
+        return 1.0 - (1.0 - self.chance_of_error) * (1.0 - late_chance(self.figures.ms, max_ms))
 
 
-def late(ms: float, max_ms: float | None) -> float:
+def late_chance(ms: float, max_ms: float | None) -> float:
     """The chance that what is expected to take ``ms`` milliseconds takes more than ``max_ms`` (``None``: no limit)."""
     if max_ms is None:
         return 0.0
     return 1.0 / (1.0 + exp(-max(min(log(max(ms, 1e-9) / max_ms) / TIME_SPREAD, 50.0), -50.0)))
 
 
-def wagered(hopes: Sequence[Hope], max_error: float, max_ms: float | None = None) -> Verdict:
+def least_expected_loss(hopes: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
     """The candidate to take.
 
-    1. Where some are likely to meet the target: the one with the least expected time, a miss taken as ``MISSED`` times their
+    1. Where some are likely to meet the target: the one with the least expected time, a miss taken as ``MISS_PENALTY`` times their
        median.
     2. Else, where some are likely to keep to the time that is asked for: the one with the least expected overshoot, lateness taken
        in the same way.
@@ -55,19 +55,19 @@ def wagered(hopes: Sequence[Hope], max_error: float, max_ms: float | None = None
 
     ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """
-    able = [one for one in hopes if one.figures.name != NOTHING] or list(hopes)
-    likely = [one for one in able if one.chance_of_missing(max_ms) <= LIKELY]
+    able = [one for one in hopes if one.figures.name != NO_SHADOWS] or list(hopes)
+    likely = [one for one in able if one.chance_of_missing(max_ms) <= LIKELY_MISS_CHANCE]
     if likely:
-        miss_ms = MISSED * sorted(one.figures.ms for one in likely)[len(likely) // 2]
+        miss_ms = MISS_PENALTY * sorted(one.figures.ms for one in likely)[len(likely) // 2]
         winner = min(likely, key=lambda one: (_expected(one.figures.ms, miss_ms, one.chance_of_missing(max_ms)), one.figures.name))
-        return Verdict(winner.figures, True, None)
-    in_time = [one for one in able if max_ms is not None and late(one.figures.ms, max_ms) <= LIKELY]
+        return RankingResult(winner.figures, True, None)
+    in_time = [one for one in able if max_ms is not None and late_chance(one.figures.ms, max_ms) <= LIKELY_MISS_CHANCE]
     if not in_time:
         return best([one.figures for one in able], max_error, max_ms)
-    over = {one.figures.name: overshoot(one.figures, max_error) for one in in_time}
-    missed = MISSED * sorted(over.values())[len(over) // 2]
+    over = {one.figures.name: relative_overshoot(one.figures, max_error) for one in in_time}
+    missed = MISS_PENALTY * sorted(over.values())[len(over) // 2]
     nearest = min(
-        in_time, key=lambda one: (_expected(over[one.figures.name], missed, late(one.figures.ms, max_ms)), one.figures.ms)
+        in_time, key=lambda one: (_expected(over[one.figures.name], missed, late_chance(one.figures.ms, max_ms)), one.figures.ms)
     )
     return best([nearest.figures], max_error, max_ms)
 

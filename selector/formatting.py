@@ -6,25 +6,25 @@ from collections.abc import Sequence
 from math import floor, log10
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """A share as ``12 %``, ``0.12 %`` or ``under 0.001 %``: two digits that count."""
     if 0.0 < share < 1e-5:
         return "under 0.001 %"
-    return f"{two_digits(100.0 * share)} %"
+    return f"{format_two_digits(100.0 * share)} %"
 
 
-def duration(ms: float) -> str:
+def format_duration(ms: float) -> str:
     """Milliseconds as ``0.42 ms``, ``435 ms`` or ``2.1 s``."""
-    return f"{two_digits(ms / 1000.0)} s" if ms >= 999.5 else f"{two_digits(ms)} ms"
+    return f"{format_two_digits(ms / 1000.0)} s" if ms >= 999.5 else f"{format_two_digits(ms)} ms"
 
 
-def listed(names: Sequence[str], most: int = 4) -> str:
+def format_list(names: Sequence[str], most: int = 4) -> str:
     """``a``, ``a and b``, ``a, b and c``, or the first few ``and 5 others``."""
     shown = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
 
 
-def two_digits(value: float) -> str:
+def format_two_digits(value: float) -> str:
     """At least two digits that count, no exponent: 0, 0.042, 4.2, 42, 420."""
     if value == 0.0:
         return "0"

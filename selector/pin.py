@@ -22,24 +22,24 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from selector.choices import Wishes
-from selector.planner.planner import SETTINGS, choose
+from selector.choices import PlanRequest
+from selector.planner.planner import SETTING_NAMES, make_plan
 from shadows.plan import Plan
-from shadows.registry import NOTHING
+from shadows.registry import NO_SHADOWS
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
 
-POLICIES_PICK = ("map_size",)
+POLICY_CHOSEN = ("map_size",)
 """Settings that policies other than the rules pick for each view, so that they are pinned even where the rules agree."""
 
-MARK = "#: Pinned by skugga select"
-KEYS_MARK = "#: Pinned keys: "
-WIDTH = 116
+PIN_COMMENT = "#: Pinned by skugga select"
+PINNED_KEYS_COMMENT = "#: Pinned keys: "
+COMMENT_WIDTH = 116
 """Characters of a comment's line, at most."""
 
-_PIN = re.compile(rf"^[ \t]*{MARK}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
-_KEYS = re.compile(rf"^[ \t]*{KEYS_MARK}([a-z_, ]+)\.", re.MULTILINE)
+_PIN = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
+_KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
 _DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
 _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 
@@ -47,21 +47,21 @@ Pair = tuple[ScalarNode, Node]
 Edit = tuple[int, int, str]
 
 
-def pins(plan: Plan, descriptor: Descriptor, wishes: Wishes) -> dict[str, Any]:
+def pins(plan: Plan, descriptor: Descriptor, wishes: PlanRequest) -> dict[str, Any]:
     """What a level has to say for a plan: ``algorithm`` of all that casts, and the settings that do not follow from it.
 
     A level has one value of a setting for all lights and kinds of casters: one that differs among them stays automatic. Raises
     ``InputError`` where nothing casts.
     """
-    cast = {light: {kind: name for kind, name in kinds.items() if name != NOTHING} for light, kinds in plan.algorithm.items()}
+    cast = {light: {kind: name for kind, name in kinds.items() if name != NO_SHADOWS} for light, kinds in plan.algorithm.items()}
     cast = {light: kinds for light, kinds in cast.items() if kinds}
     if not cast:
         raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
-    automatic = choose(descriptor, wishes, chosen, picks={})
-    for key in SETTINGS:
+    automatic = make_plan(descriptor, wishes, chosen, picks={})
+    for key in SETTING_NAMES:
         values = _values(plan, key)
-        picked = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICIES_PICK)
+        picked = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
         if picked and len(set(values.values())) == 1:
             chosen[key] = next(iter(values.values()))
     return chosen
@@ -110,7 +110,7 @@ def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str
     bare = _PIN.sub("", text)
     wanted = {**dict.fromkeys(_keys_of(earlier.group()) if earlier else (), "auto"), **chosen}
     with suppress(YAMLError, ValueError, IndexError):
-        after = _rewritten(bare, wanted, [*why, f"{KEYS_MARK[3:]}{', '.join(chosen)}."])
+        after = _rewritten(bare, wanted, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
         asked = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
         if _load(after) == asked:
             return after
@@ -217,7 +217,7 @@ def _flow(value: Any, quoted: bool) -> str:
 
 def _comment(why: Sequence[str], indent: str) -> list[str]:
     said = ["".join(letter if letter.isprintable() else " " for letter in line) for line in why]
-    return [f"{indent}#: {part}" for line in said for part in wrap(line, WIDTH)]
+    return [f"{indent}#: {part}" for line in said for part in wrap(line, COMMENT_WIDTH)]
 
 
 def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:

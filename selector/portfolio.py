@@ -6,15 +6,15 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import islice, product
 from typing import Any, get_args
 
-from selector.choices import Pick
+from selector.choices import Choice
 from selector.mixes import MIXES
 from shadows.algorithm import Algorithm
-from shadows.registry import ALGORITHMS, FALLBACK, chosen_from, serves
+from shadows.registry import ALGORITHMS, FALLBACK, can_serve, chosen_from
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind
 
-MOST = 40
+MAX_CHOICES = 40
 """Picks of a light, at most; the last of ``companies`` is cut off first."""
 
 SHORT = {"map_size": "{}", "cascades": "x{}"}
@@ -34,9 +34,9 @@ def tuned_settings() -> tuple[str, ...]:
     return tuple(dict.fromkeys(key for each in chosen_from() for key in each.search.tuned))
 
 
-def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Pick]:
-    """What can be picked for a light, for the kinds of casters that cast at all: at most ``MOST``, no two that come to the same."""
-    return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds]), MOST))
+def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Choice]:
+    """What can be picked for a light, for the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same."""
+    return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds]), MAX_CHOICES))
 
 
 def _alone(algorithm: Algorithm) -> str:
@@ -44,11 +44,11 @@ def _alone(algorithm: Algorithm) -> str:
     return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refuses else algorithm.name
 
 
-def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Pick]:
+def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Choice]:
     seen = set()
     for company, named in companies():
         algorithm = {kind: named.get(kind, FALLBACK) for kind in kinds}
-        if not all(serves(name, descriptor, light, kind) for kind, name in algorithm.items()):
+        if not all(can_serve(name, descriptor, light, kind) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.hopeless(descriptor, kind) for kind, name in algorithm.items()):
             continue
@@ -57,7 +57,7 @@ def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> It
             key = (tuple(algorithm.items()), tuple(settings.items()))
             if key not in seen:
                 seen.add(key)
-                yield Pick(" ".join(words), algorithm, settings)
+                yield Choice(" ".join(words), algorithm, settings)
 
 
 def _settings(descriptor: Descriptor, light: str, together: list[Algorithm]) -> Iterator[dict[str, Any]]:

@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from selector.choices import Pick, Wishes
+from selector.choices import Choice, PlanRequest
 from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel, Errors, errors_together, fitted, wrong_of_step
+from selector.cost.error_model import ErrorModel, ExpectedErrors, errors_together, packaged_model, wrong_of_step
 from selector.cost.unmeasured import UnmeasuredError
-from selector.expected_loss import LIKELY, Hope, wagered
-from selector.formatting import duration, percent
+from selector.expected_loss import LIKELY_MISS_CHANCE, Forecast, least_expected_loss
+from selector.formatting import format_duration, format_percent
 from selector.planner.advice import advised
 from selector.planner.planner import Planner, planner_of
 from selector.portfolio import portfolio
-from selector.ranking import Figures, Verdict
+from selector.ranking import CandidateFigures, RankingResult
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan, Predicted, Step, Target
 from shadows.registry import ALGORITHMS
@@ -28,27 +28,27 @@ NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
 
 @dataclass(frozen=True)
-class Option:
+class PredictedChoice:
     """A pick of a light with the steps that it comes to, and what is expected of them."""
 
-    pick: Pick
+    pick: Choice
     steps: tuple[Step, ...]
     ms: float
-    errors: Errors
+    errors: ExpectedErrors
 
     @property
     def algorithms(self) -> frozenset[AlgorithmName]:
         return frozenset(step.algorithm for step in self.steps)
 
-    def hope(self, max_error: float) -> Hope:
+    def hope(self, max_error: float) -> Forecast:
         """What there is to hope for of it with a target."""
-        figures = Figures(self.pick.name, self.ms, self.errors.wrong_cast, self.errors.interior)
-        return Hope(figures, self.errors.chance_over(max_error))
+        figures = CandidateFigures(self.pick.name, self.ms, self.errors.wrong_cast, self.errors.interior)
+        return Forecast(figures, self.errors.chance_over(max_error))
 
 
 def predicted_plan(
     descriptor: Descriptor,
-    wishes: Wishes,
+    wishes: PlanRequest,
     overrides: dict[str, Any] | None,
     device: DeviceProfile,
     errors: ErrorModel | None = None,
@@ -63,15 +63,17 @@ def predicted_plan(
     asked = planner.asked
     casting = {light: planner.casting(light) for light in descriptor.light_kinds}
     unmeasured: dict[AlgorithmName, str] = {}
-    options = {light: options_of(planner, light, kinds, device, errors, unmeasured) for light, kinds in casting.items() if kinds}
+    options = {
+        light: predicted_choices(planner, light, kinds, device, errors, unmeasured) for light, kinds in casting.items() if kinds
+    }
     if not all(options.values()):
         return _by_rules(planner, unmeasured)
     hopes = {light: [each.hope(asked.max_error) for each in its] for light, its in options.items()}
-    verdicts = {light: wagered(its, asked.max_error) for light, its in hopes.items()}
+    verdicts = {light: least_expected_loss(its, asked.max_error) for light, its in hopes.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     if asked.max_ms is not None and options:
         shares = {light: asked.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
-        verdicts = {light: wagered(its, asked.max_error, shares[light]) for light, its in hopes.items()}
+        verdicts = {light: least_expected_loss(its, asked.max_error, shares[light]) for light, its in hopes.items()}
     taken = {light: next(each for each in its if each.pick.name == verdicts[light].winner.name) for light, its in options.items()}
     picks = {
         light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
@@ -98,20 +100,20 @@ def _by_rules(planner: Planner, unmeasured: Mapping[AlgorithmName, str]) -> Plan
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
 
 
-def options_of(
+def predicted_choices(
     planner: Planner,
     light: str,
     kinds: Sequence[CasterKind],
     device: DeviceProfile,
     errors: ErrorModel | None = None,
     unmeasured: dict[AlgorithmName, str] | None = None,
-) -> list[Option]:
+) -> list[PredictedChoice]:
     """What can be picked for a light, no two that come to the same steps, with what is expected of each.
 
     An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
     """
-    descriptor, model = planner.descriptor, errors or fitted()
-    found: dict[tuple[object, ...], Option] = {}
+    descriptor, model = planner.descriptor, errors or packaged_model()
+    found: dict[tuple[object, ...], PredictedChoice] = {}
     known: dict[object, tuple[float, float]] = {}
     for pick in portfolio(descriptor, light, kinds):
         steps = planner.steps(light, pick)
@@ -129,41 +131,51 @@ def options_of(
                 unmeasured[error.algorithm] = error.why
             continue
         wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
-        found[keys] = Option(pick, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model))
+        found[keys] = PredictedChoice(
+            pick, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
+        )
     return list(found.values())
 
 
-def _with_words(taken: Option, options: Sequence[Option], kinds: Sequence[CasterKind], verdict: Verdict, max_error: float) -> Pick:
+def _with_words(
+    taken: PredictedChoice,
+    options: Sequence[PredictedChoice],
+    kinds: Sequence[CasterKind],
+    verdict: RankingResult,
+    max_error: float,
+) -> Choice:
     """The pick with the reasons for it, in words."""
-    its = f"{percent(taken.errors.wrong_cast)} of the cast shadow wrong in {duration(taken.ms)} expected"
+    its = f"{format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)} expected"
     settings = " ".join(f"{key} {value}" for key, value in taken.pick.settings.items())
     if not verdict.met:
         why = f"{its}: nothing is expected to meet the target, and this comes nearest"
     else:
         why = f"{its}, {_chance(taken, max_error)}; "
         others = [each for each in options if each.algorithms != taken.algorithms]
-        likely = [each for each in others if each.errors.chance_over(max_error) <= LIKELY]
+        likely = [each for each in others if each.errors.chance_over(max_error) <= LIKELY_MISS_CHANCE]
         beside = min(likely, key=lambda each: each.ms, default=None)
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
         elif beside.ms >= taken.ms:
-            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
+            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.pick.name}, {format_duration(beside.ms)}"
         else:
-            why += f"{beside.pick.name} would take {duration(beside.ms)} {_chance(beside, max_error)}"
+            why += f"{beside.pick.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
     sizes = f"what the target takes ({settings})"
     return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
 
 
-def _chance(option: Option, max_error: float) -> str:
+def _chance(option: PredictedChoice, max_error: float) -> str:
     chance = option.errors.chance_over(max_error)
-    return f"with {'hardly a' if chance < 0.01 else f'a {percent(chance)}'} chance of more than {_limit(max_error)}"
+    return f"with {'hardly a' if chance < 0.01 else f'a {format_percent(chance)}'} chance of more than {_limit(max_error)}"
 
 
 def _limit(max_error: float) -> str:
     return f"{100.0 * max_error:g} %"
 
 
-def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Option], max_error: float) -> dict[AlgorithmName, str]:
+def _rejected(
+    options: Mapping[str, Sequence[PredictedChoice]], taken: Mapping[str, PredictedChoice], max_error: float
+) -> dict[AlgorithmName, str]:
     """Why algorithms that could serve were not taken: the best that was expected of them."""
     said: dict[AlgorithmName, str] = {}
     for name in ALGORITHMS:
@@ -171,19 +183,19 @@ def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Optio
             able = [each for each in its if name in each.algorithms]
             if not able or name in taken[light].algorithms:
                 continue
-            verdict = wagered([each.hope(max_error) for each in able], max_error)
+            verdict = least_expected_loss([each.hope(max_error) for each in able], max_error)
             nearest = next(each for each in able if each.pick.name == verdict.winner.name)
             if verdict.met:
                 said[name] = (
-                    f"{duration(nearest.ms)} expected of {nearest.pick.name} {_chance(nearest, max_error)}; "
-                    f"{duration(taken[light].ms)} of what is taken"
+                    f"{format_duration(nearest.ms)} expected of {nearest.pick.name} {_chance(nearest, max_error)}; "
+                    f"{format_duration(taken[light].ms)} of what is taken"
                 )
             else:
                 said[name] = f"expected at best: {verdict.missed_by}"
     return said
 
 
-def _missed(verdicts: Mapping[str, Verdict]) -> list[Reasoned]:
+def _missed(verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
     return [
         Reasoned(name=f"{light}: target missed", reason=f"expected: {verdict.missed_by}")
         for light, verdict in verdicts.items()

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from selector.formatting import duration, percent
-from shadows.registry import NOTHING
+from selector.formatting import format_duration, format_percent
+from shadows.registry import NO_SHADOWS
 from shadows.truth.metrics import MOST_INTERIOR
 
-ALIKE = 1.05
+TIME_TIE_RATIO = 1.05
 """Times that lie as close as this count as one: the more accurate of two such candidates is taken."""
 
 
 @dataclass(frozen=True)
-class Figures:
+class CandidateFigures:
     """A candidate's: shadow milliseconds of the view, ``error`` as the target counts it (``wrong_cast``, or ``coverage``), and the
     share of interior errors; shares in [0, 1].
     """
@@ -26,15 +26,17 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RankingResult:
     """The winner, whether it meets the target, and if it does not, by how much."""
 
-    winner: Figures
+    winner: CandidateFigures
     met: bool
     missed_by: str | None
 
 
-def best(candidates: Sequence[Figures], max_error: float, max_ms: float | None = None, alike: float = ALIKE) -> Verdict:
+def best(
+    candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, alike: float = TIME_TIE_RATIO
+) -> RankingResult:
     """The candidate that a target asks for.
 
     1. Of those that meet the error (and the interior) within the time, the cheapest; of times ``alike`` to the least, the most
@@ -45,22 +47,22 @@ def best(candidates: Sequence[Figures], max_error: float, max_ms: float | None =
     What still ties goes by error, interior, time and name. ``none`` is never taken because an error happens to be small: only where
     there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """
-    able = [one for one in candidates if one.name != NOTHING] or list(candidates)
+    able = [one for one in candidates if one.name != NO_SHADOWS] or list(candidates)
     if not able:
         raise ValueError("of no candidates there is no best one")
     in_time = [one for one in able if max_ms is None or one.ms <= max_ms]
     accurate = [one for one in in_time if one.error <= max_error and one.interior <= MOST_INTERIOR]
     if accurate:
         least_ms = min(one.ms for one in accurate)
-        return Verdict(min((one for one in accurate if one.ms <= alike * least_ms), key=_accuracy), True, None)
+        return RankingResult(min((one for one in accurate if one.ms <= alike * least_ms), key=_accuracy), True, None)
     if max_ms is not None and in_time:
         winner = min(in_time, key=lambda one: (_clean(one, max_error), *_accuracy(one)))
     else:
-        winner = min(able, key=lambda one: (overshoot(one, max_error, max_ms), *_accuracy(one)))
-    return Verdict(winner, False, _missed_by(winner, max_error, max_ms))
+        winner = min(able, key=lambda one: (relative_overshoot(one, max_error, max_ms), *_accuracy(one)))
+    return RankingResult(winner, False, _missed_by(winner, max_error, max_ms))
 
 
-def overshoot(figures: Figures, max_error: float, max_ms: float | None = None) -> float:
+def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: float | None = None) -> float:
     """The larger of the overshoots of error, interior and time, each relative to what is allowed; 0 where the target is met.
 
     An error's is held against ``MOST_INTERIOR`` at least, so that a target of no error has a nearest candidate, too.
@@ -73,22 +75,26 @@ def overshoot(figures: Figures, max_error: float, max_ms: float | None = None) -
     )
 
 
-def _clean(figures: Figures, max_error: float) -> float:
+def _clean(figures: CandidateFigures, max_error: float) -> float:
     """0 without interior failure, else how bad that or the error is."""
-    return 0.0 if figures.interior <= MOST_INTERIOR else overshoot(figures, max_error)
+    return 0.0 if figures.interior <= MOST_INTERIOR else relative_overshoot(figures, max_error)
 
 
-def _accuracy(figures: Figures) -> tuple[float, float, float, str]:
+def _accuracy(figures: CandidateFigures) -> tuple[float, float, float, str]:
     return figures.error, figures.interior, figures.ms, figures.name
 
 
-def _missed_by(figures: Figures, max_error: float, max_ms: float | None) -> str:
+def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None) -> str:
     over = []
     if figures.error > max_error:
-        over.append(f"an error of {percent(figures.error)}, {percent(figures.error - max_error)} more than {percent(max_error)}")
+        over.append(
+            f"an error of {format_percent(figures.error)}, {format_percent(figures.error - max_error)} more than {format_percent(max_error)}"
+        )
     if figures.interior > MOST_INTERIOR:
-        more = percent(figures.interior - MOST_INTERIOR)
-        over.append(f"{percent(figures.interior)} wrong inside shadows or lights, {more} more than {percent(MOST_INTERIOR)}")
+        more = format_percent(figures.interior - MOST_INTERIOR)
+        over.append(
+            f"{format_percent(figures.interior)} wrong inside shadows or lights, {more} more than {format_percent(MOST_INTERIOR)}"
+        )
     if max_ms is not None and figures.ms > max_ms:
-        over.append(f"{duration(figures.ms)}, {duration(figures.ms - max_ms)} more than {duration(max_ms)}")
+        over.append(f"{format_duration(figures.ms)}, {format_duration(figures.ms - max_ms)} more than {format_duration(max_ms)}")
     return "; ".join(over)

@@ -4,15 +4,15 @@ Settings that follow from the view (the ranges of cascades, the sides of texels,
 present view. Algorithms, map sizes and numbers of cascades are kept as long as they serve. A new choice is taken
 
 - at once, where the old one cannot serve: a kind of casters throws shadows that nothing was picked for, the view or what is asked
-  is of another kind, an algorithm refuses the view; and where the target is missed by more than ``AT_ONCE``;
-- after ``PATIENCE`` plans in a row that are better by a margin: ``GAIN`` of the time, or ``MISSED`` of the target. What is then
+  is of another kind, an algorithm refuses the view; and where the target is missed by more than ``IMMEDIATE_SWITCH``;
+- after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the target. What is then
   left must be worse by as much again before there is a way back, so that a camera at a border does not flip; and as what is
   expected is uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
 
 Two plans that both keep to an error of a few per cent of the cast shadow differ in up to some per cent of the pixels: most of
 them lie on edges, where errors do not count. So the old plan is drawn, too, as long as it takes to keep each frame below
-``MOST_CHANGED``, and ``handed_over`` mixes the two. How long that is can only be expected beforehand, and far too short;
-``Director.share`` tells it from the two pictures.
+``MOST_CHANGED``, and ``mixed_pictures`` mixes the two. How long that is can only be expected beforehand, and far too short;
+``Replanner.share`` tells it from the two pictures.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from selector.choices import Pick, PolicyName, Wishes
-from selector.planner.planner import choose
+from selector.choices import Choice, PlanRequest, PolicyName
+from selector.planner.planner import make_plan
 from selector.portfolio import tuned_settings
 from selector.select import select
 from shadows.plan import Plan
-from shadows.registry import NOTHING
+from shadows.registry import NO_SHADOWS
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -39,16 +39,16 @@ from terrain.level.level import CasterKind
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
 
-GAIN = 0.2
+SWITCH_TIME_GAIN = 0.2
 """Share of the time that a new plan must save ..."""
 
-MISSED = 0.1
+SWITCH_ERROR_GAIN = 0.1
 """... or share of the target by which the old one must miss it more than the new one ..."""
 
 PATIENCE = 5
 """... in so many plans in a row."""
 
-AT_ONCE = 0.5
+IMMEDIATE_SWITCH = 0.5
 """Share of the target that is not to be missed for a single plan."""
 
 MOST_CHANGED = 0.002
@@ -57,12 +57,12 @@ MOST_CHANGED = 0.002
 SHORTEST, LONGEST = 2, 30
 """Frames that a switch is expected to take, at least and at most: the first has two pictures to go by."""
 
-Plans = Callable[[Descriptor, Wishes, dict[str, Any] | None], Plan]
+PlanFunction = Callable[[Descriptor, PlanRequest, dict[str, Any] | None], Plan]
 """A policy: ``selector.select.select``, or what behaves like it."""
 
 
 @dataclass(frozen=True)
-class Handover:
+class PlanTransition:
     """A switch under way: the plan that is left, for the present view, and the share of the pixels that show the new one."""
 
     plan: Plan
@@ -70,24 +70,24 @@ class Handover:
 
 
 @dataclass(frozen=True)
-class Standing:
+class PlanState:
     """What stands after a plan: the plan, its picks by light, what was asked; how many better plans in a row a switch takes, and
     how many there were; the picks that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
     how much it grows with the next.
     """
 
     plan: Plan
-    picks: Mapping[str, Pick]
+    picks: Mapping[str, Choice]
     asked: tuple[object, ...]
     patience: int
     better_for: int = 0
-    left: Mapping[str, Pick] | None = None
+    left: Mapping[str, Choice] | None = None
     shown: float = 0.0
     step: float = 0.0
-    handover: Handover | None = None
+    handover: PlanTransition | None = None
 
 
-class Director:
+class Replanner:
     """Plans for one frame after the other of a view that moves.
 
     ``policy`` and ``device`` are those of ``selector.select.select``; ``plans`` stands in for it.
@@ -102,13 +102,15 @@ class Director:
     ...         color = handed_over(before.color, color, director.share(before.visibilities, frame.visibilities))
     """
 
-    def __init__(self, policy: PolicyName = "predict", device: DeviceProfile | None = None, plans: Plans | None = None) -> None:
-        self._plans: Plans = plans or partial(select, policy=policy, device=device)
-        self._standing: Standing | None = None
+    def __init__(
+        self, policy: PolicyName = "predict", device: DeviceProfile | None = None, plans: PlanFunction | None = None
+    ) -> None:
+        self._plans: PlanFunction = plans or partial(select, policy=policy, device=device)
+        self._standing: PlanState | None = None
 
-    def plan(self, descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None) -> Plan:
+    def plan(self, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
         """The next frame's plan. Raises as ``selector.select.select`` does."""
-        self._standing = following(self._standing, descriptor, wishes, overrides, self._plans)
+        self._standing = next_state(self._standing, descriptor, wishes, overrides, self._plans)
         return self._standing.plan
 
     def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
@@ -124,25 +126,25 @@ class Director:
         return share
 
     @property
-    def handover(self) -> Handover | None:
+    def handover(self) -> PlanTransition | None:
         """The switch that the last plan belongs to, if one is under way."""
         return None if self._standing is None else self._standing.handover
 
 
-def following(
-    standing: Standing | None, descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, plans: Plans
-) -> Standing:
+def next_state(
+    standing: PlanState | None, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
+) -> PlanState:
     """What stands after the next plan."""
     fresh = plans(descriptor, wishes, overrides)
     asked = (descriptor.view_kind, wishes.shadows, wishes.effects, overrides or {})
-    picks = picks_of(fresh)
-    fresh = fresh.model_copy(update={"settings": choose(descriptor, wishes, overrides, picks).settings})
-    taken = Standing(fresh, picks, asked, PATIENCE)
+    picks = choices_of(fresh)
+    fresh = fresh.model_copy(update={"settings": make_plan(descriptor, wishes, overrides, picks).settings})
+    taken = PlanState(fresh, picks, asked, PATIENCE)
     if standing is None or standing.asked != asked:
         return taken
     try:
-        kept = choose(descriptor, wishes, overrides, standing.picks)
-        alike = _choices(picks_of(kept)) == _choices(picks)
+        kept = make_plan(descriptor, wishes, overrides, standing.picks)
+        alike = _choices(choices_of(kept)) == _choices(picks)
         kept = fresh if alike else _judged(kept, descriptor, wishes, overrides, plans)
     except UnsupportedError:
         return taken
@@ -153,47 +155,47 @@ def following(
         return replace(standing, picks=_joined(standing.picks, picks), better_for=0)
     cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
     unpicked = cast - {(light, kind) for light, pick in standing.picks.items() for kind in pick.algorithm}
-    if not unpicked and not better(fresh, kept):
+    if not unpicked and not is_better(fresh, kept):
         return replace(standing, better_for=0)
-    if not unpicked and standing.better_for + 1 < standing.patience and _miss(kept) - _miss(fresh) <= AT_ONCE:
+    if not unpicked and standing.better_for + 1 < standing.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
         return replace(standing, better_for=standing.better_for + 1)
     taken = taken if unpicked else replace(taken, patience=2 * standing.patience)
     if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
         return taken
-    step = 1.0 / max(frames_of_switch(kept, fresh), SHORTEST)
-    return replace(taken, left=standing.picks, step=step, handover=Handover(kept, step))
+    step = 1.0 / max(transition_frames(kept, fresh), SHORTEST)
+    return replace(taken, left=standing.picks, step=step, handover=PlanTransition(kept, step))
 
 
 def _going_on(
-    standing: Standing,
-    handover: Handover,
-    left: Mapping[str, Pick],
+    standing: PlanState,
+    handover: PlanTransition,
+    left: Mapping[str, Choice],
     descriptor: Descriptor,
-    wishes: Wishes,
+    wishes: PlanRequest,
     overrides: dict[str, Any] | None,
-) -> Standing:
+) -> PlanState:
     """What stands in the next frame of a switch, or at its end."""
     ended = replace(standing, left=None, handover=None)
     share = handover.share + standing.step
     if share > 1.0 - 1e-9:
         return ended
     try:
-        plan = choose(descriptor, wishes, overrides, left)
+        plan = make_plan(descriptor, wishes, overrides, left)
     except UnsupportedError:  # what is left no longer serves
         return ended
-    return replace(standing, shown=handover.share, handover=Handover(plan, share))
+    return replace(standing, shown=handover.share, handover=PlanTransition(plan, share))
 
 
-def better(fresh: Plan, kept: Plan) -> bool:
+def is_better(fresh: Plan, kept: Plan) -> bool:
     """Whether a plan is better than another by a margin; where nothing is predicted, what the policy would rather take is."""
     if fresh.predicted is None or kept.predicted is None:
         return True
     if _miss(kept) > _miss(fresh):
-        return _miss(kept) - _miss(fresh) > MISSED
-    return _miss(kept) == _miss(fresh) and fresh.predicted.ms < (1.0 - GAIN) * kept.predicted.ms
+        return _miss(kept) - _miss(fresh) > SWITCH_ERROR_GAIN
+    return _miss(kept) == _miss(fresh) and fresh.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept.predicted.ms
 
 
-def frames_of_switch(kept: Plan, fresh: Plan) -> int:
+def transition_frames(kept: Plan, fresh: Plan) -> int:
     """The frames that a switch is expected to take. Pixels that two plans differ in are wrong in one of them; how many differ where
     nothing counts as wrong, on edges, is not foreseen.
     """
@@ -214,7 +216,7 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
     return float(waiting[most]) if most < len(waiting) else 1.0
 
 
-def handed_over(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+def mixed_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
     """Two pictures (rows, cols, ...) of one view mixed: an evenly spread ``share`` of the pixels shows ``after``, more and more of
     them the same ones.
 
@@ -232,35 +234,35 @@ def _order(rows: int, cols: int) -> np.ndarray:
 
 def casting(plan: Plan) -> dict[str, frozenset[str]]:
     """The kinds of casters that cast, by light."""
-    return {light: frozenset(kind for kind, name in its.items() if name != NOTHING) for light, its in plan.algorithm.items()}
+    return {light: frozenset(kind for kind, name in its.items() if name != NO_SHADOWS) for light, its in plan.algorithm.items()}
 
 
-def picks_of(plan: Plan) -> dict[str, Pick]:
+def choices_of(plan: Plan) -> dict[str, Choice]:
     """What a plan chose for each light: algorithms, map size and number of cascades, as far as one number holds for all.
 
     What else a plan resolves from a view may come out otherwise by its picks: where cascades end, if their number was not given.
     """
     picks = {}
     for light, per_kind in plan.algorithm.items():
-        algorithm = {kind: name for kind, name in per_kind.items() if name != NOTHING}
+        algorithm = {kind: name for kind, name in per_kind.items() if name != NO_SHADOWS}
         resolved = [settings.asked_as for settings in plan.settings.get(light, {}).values()]
         found = {key: {asked[key] for asked in resolved if key in asked} for key in tuned_settings()}
         settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
         why = dict.fromkeys([*algorithm, *settings], "kept: nothing else is better by a margin")
-        picks[light] = Pick(" ".join(words), algorithm, settings, why)
+        picks[light] = Choice(" ".join(words), algorithm, settings, why)
     return picks
 
 
-def _judged(kept: Plan, descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None, plans: Plans) -> Plan:
+def _judged(kept: Plan, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction) -> Plan:
     """A plan of picks with what the policy expects of it."""
-    judged = plans(descriptor, wishes, {**(overrides or {}), **_as_overrides(picks_of(kept))})
+    judged = plans(descriptor, wishes, {**(overrides or {}), **_as_overrides(choices_of(kept))})
     reasons = [*kept.reasons, *(one for one in judged.reasons if one.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
     return kept.model_copy(update=expected)
 
 
-def _joined(picks: Mapping[str, Pick], more: Mapping[str, Pick]) -> dict[str, Pick]:
+def _joined(picks: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
     """Picks that choose alike for what casts now as one, so that what has ceased to cast is still picked for when it is back."""
     before = {light: picks.get(light, pick) for light, pick in more.items()}
     return {
@@ -271,7 +273,7 @@ def _joined(picks: Mapping[str, Pick], more: Mapping[str, Pick]) -> dict[str, Pi
     }  # fmt: skip
 
 
-def _as_overrides(picks: Mapping[str, Pick]) -> dict[str, Any]:
+def _as_overrides(picks: Mapping[str, Choice]) -> dict[str, Any]:
     """The overrides that lead to picks; a setting that lights differ in is left to the policy."""
     out: dict[str, Any] = {"algorithm": {light: dict(pick.algorithm) for light, pick in picks.items() if pick.algorithm}}
     for key in tuned_settings():
@@ -281,7 +283,7 @@ def _as_overrides(picks: Mapping[str, Pick]) -> dict[str, Any]:
     return out
 
 
-def _choices(picks: Mapping[str, Pick]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
+def _choices(picks: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
     return {light: (dict(pick.algorithm), dict(pick.settings)) for light, pick in picks.items()}
 
 
@@ -294,4 +296,4 @@ def _miss(plan: Plan) -> float:
     target = plan.target
     over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MOST_INTERIOR)]
     over += [] if target.max_ms is None else [plan.predicted.ms / target.max_ms - 1.0]
-    return max(2.0 * MISSED if target.met is False and max(over) <= 0.0 else 0.0, *over)
+    return max(2.0 * SWITCH_ERROR_GAIN if target.met is False and max(over) <= 0.0 else 0.0, *over)

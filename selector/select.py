@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from selector.choices import PolicyName, Wishes
-from selector.planner.planner import choose
+from selector.choices import PlanRequest, PolicyName
+from selector.planner.planner import make_plan
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan
 from terrain.describe import describe
@@ -23,7 +23,7 @@ UNCALIBRATED = "this device is not calibrated for predictions (skugga calibrate 
 
 def select(
     descriptor: Descriptor,
-    wishes: Wishes,
+    wishes: PlanRequest,
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
@@ -39,7 +39,7 @@ def select(
         from selector.predict import predicted_plan
 
         return predicted_plan(descriptor, wishes, overrides, device)
-    plan = choose(descriptor, wishes, overrides)
+    plan = make_plan(descriptor, wishes, overrides)
     if policy == "rules":
         return plan
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=UNCALIBRATED)]})

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from shadows.passes import PassLayer
-from shadows.work import Task, Work
+from shadows.work import Work, Workload
 from terrain.cache import caches
 from terrain.facts.descriptor import Descriptor, LightKind
 from terrain.facts.fact_types import CastBand, Casting
@@ -26,7 +26,7 @@ ViewKind = Literal["map", "bent map", "perspective"]
 GroundKind = Literal["level", "uneven"]
 """``level`` is one plane: without relief, in a flat world."""
 
-Part = ViewKind | LightKind | CasterKind | GroundKind
+Requirement = ViewKind | LightKind | CasterKind | GroundKind
 """A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground."""
 
 MOST_BEND_PX = 0.25
@@ -40,10 +40,12 @@ FEW_MAP_SIZES = (1024, 2048, 4096)
 """Sizes of maps that are tried beside an algorithm without maps, so that candidates do not become too many."""
 
 
-def parts_of(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Part, ...]:
+def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Requirement, ...]:
     """What an algorithm is asked to serve, for a light of a kind and a kind of casters."""
     level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
-    view: tuple[Part, ...] = (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
+    view: tuple[Requirement, ...] = (
+        (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
+    )
     return (*view, light, caster, "level" if level_ground else "uneven")
 
 
@@ -56,7 +58,7 @@ class Reasoned(BaseModel):
     reason: str
 
 
-class Settings(BaseModel):
+class AlgorithmSettings(BaseModel):
     """Resolved settings of an algorithm: nothing is left to choose. A subclass says what there is."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -111,7 +113,7 @@ class SettingsRequest:
         return self.light == SUN and self.sharp_because is not None and self.shadows.filter != 1
 
 
-ResolvedSettings = tuple[Settings | None, list[Reasoned]]
+ResolvedSettings = tuple[AlgorithmSettings | None, list[Reasoned]]
 """Settings, if an algorithm has any, and the reasons for what was left to choose."""
 
 Overrides = Mapping[str, Any]
@@ -162,9 +164,9 @@ class Cost:
         (``full``), less (``some``), or only what needs the scene (``few``). ``None``: those that it has by itself.
     """
 
-    work: Callable[[Task, Any], Work] | None = None
+    work: Callable[[Workload, Any], Work] | None = None
     passes: Mapping[str, str] = field(default_factory=dict)
-    calibrated: Callable[[Descriptor, str, str], Iterable[Settings | None]] | None = None
+    calibrated: Callable[[Descriptor, str, str], Iterable[AlgorithmSettings | None]] | None = None
 
 
 @dataclass(frozen=True)
@@ -254,11 +256,11 @@ class Algorithm:
     fill: Fill | None = None
     passes: tuple[str, ...] = ()
     plural: str = ""
-    refuses: Mapping[Part, str] = field(default_factory=dict)
+    refuses: Mapping[Requirement, str] = field(default_factory=dict)
     layers: tuple[PassLayer, ...] = ()
     served: bool = True
     needs_opengl: bool = True
-    settings: tuple[type[Settings], ...] = ()
+    settings: tuple[type[AlgorithmSettings], ...] = ()
     resolve: Callable[[SettingsRequest], ResolvedSettings] = lambda request: (None, [])
     keeps: tuple[str, ...] = ()
     search: Search = Search()
@@ -266,17 +268,17 @@ class Algorithm:
     accuracy: Accuracy = Accuracy()
     mark: Mark = Mark("cross", "black")
 
-    def refusal(self, parts: Iterable[Part]) -> str | None:
+    def refusal(self, parts: Iterable[Requirement]) -> str | None:
         """Why it cannot serve all of these together; ``None`` if it can."""
         return next((self.refuses[part] for part in parts if part in self.refuses), None)
 
-    def work(self, task: Task, settings: Settings | None) -> Work:
+    def work(self, task: Workload, settings: AlgorithmSettings | None) -> Work:
         """What a step of it does, by part."""
         if self.cost.work is not None:
             return self.cost.work(task, settings)
         return {self.name: {"blocks": 1.0, "pixels": task.pixels, "triangles": task.all_triangles}} if self.passes else {}
 
-    def calibrated(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+    def calibrated(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
         """The settings that a calibration measures."""
         if self.cost.calibrated is not None:
             yield from self.cost.calibrated(descriptor, light, grid)

@@ -15,7 +15,7 @@ DISC_PART = "shadows/maps/sun_disc.frag"
 """The shader part that draws the penumbra of the sun's disc."""
 
 
-def effects_ran(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
+def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     """The effects whose code ran.
 
     An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if one took

@@ -10,10 +10,10 @@ from terrain.errors import InputError
 MAX_TEXELS = 64_000_000
 """Most texels of a layer that has a size of its own."""
 
-Pixels = tuple[slice, slice]
+PixelWindow = tuple[slice, slice]
 
 
-class KeptLayers:
+class LayerCollector:
     """Pictures by layer and light: those of pixels at their blocks' places in a frame of ``size`` (rows, cols), others beside
     one another.
     """
@@ -23,7 +23,7 @@ class KeptLayers:
         self._of_pixels: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
         self._others: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
 
-    def add(self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], ours: Pixels, theirs: Pixels) -> None:
+    def add(self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], ours: PixelWindow, theirs: PixelWindow) -> None:
         """Put in what a block's passes kept; its pixels ``theirs`` are the frame's ``ours``. Raises ``InputError`` for too much."""
         for (layer, light), pictures in kept.items():
             if layer in OF_PIXELS:
@@ -41,11 +41,11 @@ class KeptLayers:
         """Layer -> light -> picture."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
         for (layer, light), pictures in (*self._of_pixels.items(), *self._others.items()):
-            out.setdefault(layer, {})[light] = beside_one_another(pictures)
+            out.setdefault(layer, {})[light] = tiled_pictures(pictures)
         return out
 
 
-def beside_one_another(pictures: list[np.ndarray]) -> np.ndarray:
+def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
     """Pictures (rows, cols) of one type row by row in a grid that is about as wide as high, NaN (or 0) between them."""
     rows, cols = (max(each.shape[axis] for each in pictures) for axis in (0, 1))
     across = int(np.ceil(np.sqrt(len(pictures))))

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
-from shadows.algorithm import Reasoned, Settings
-from shadows.registry import ALGORITHMS, NOTHING
+from shadows.algorithm import AlgorithmSettings, Reasoned
+from shadows.registry import ALGORITHMS, NO_SHADOWS
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import SUN, CasterKind
 
@@ -22,9 +22,9 @@ class _Value(BaseModel):
 
 
 def settings_type(*names: AlgorithmName) -> Any:
-    """The type of settings of any of some algorithms, as pydantic takes types; ``Settings`` where none has any."""
+    """The type of settings of any of some algorithms, as pydantic takes types; ``AlgorithmSettings`` where none has any."""
     types = [each for name in names for each in ALGORITHMS[name].settings]
-    return reduce(or_, types) if types else Settings
+    return reduce(or_, types) if types else AlgorithmSettings
 
 
 class _OfAlgorithms:
@@ -59,7 +59,7 @@ class Step:
     light: str
     kinds: tuple[CasterKind, ...]
     algorithm: AlgorithmName
-    settings: Settings | None
+    settings: AlgorithmSettings | None
 
 
 class Plan(_Value):
@@ -68,7 +68,7 @@ class Plan(_Value):
     view: str
     policy: Literal["rules", "predict", "measure"]
     algorithm: dict[str, dict[CasterKind, AlgorithmName]]
-    settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[Settings], _OfAlgorithms()]]]
+    settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[AlgorithmSettings], _OfAlgorithms()]]]
     effects: list[Reasoned]
     left_out: list[Reasoned]
     rejected: list[Reasoned]
@@ -84,7 +84,7 @@ class Plan(_Value):
         algorithm = info.data.get("algorithm", {})
         return {
             light: {
-                kind: each if isinstance(each, Settings) else _read_settings(algorithm.get(light, {}).get(kind), each)
+                kind: each if isinstance(each, AlgorithmSettings) else _read_settings(algorithm.get(light, {}).get(kind), each)
                 for kind, each in per_kind.items()
             }
             for light, per_kind in value.items()
@@ -103,18 +103,18 @@ class Plan(_Value):
     @property
     def steps(self) -> list[Step]:
         """What is to be filled, in order."""
-        return steps_of(self.algorithm, self.settings)
+        return plan_steps(self.algorithm, self.settings)
 
     def steps_under(self, light: str) -> list[Step]:
         """What is to be filled for a light, in order; ``none`` fills nothing."""
-        return [step for step in self.steps if step.light == light and step.algorithm != NOTHING]
+        return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
     @property
     def headline(self) -> str:
         """The algorithms in one word or in the spelling of overrides, as ``shadow_map`` or ``relief=sweep,lamp=shadow_map``."""
         names = {name for per_kind in self.algorithm.values() for name in per_kind.values()}
         if len(names) <= 1:
-            return names.pop() if names else NOTHING
+            return names.pop() if names else NO_SHADOWS
         words = []
         for light, per_kind in self.algorithm.items():
             if light != SUN and len(set(per_kind.values())) == 1:
@@ -124,8 +124,8 @@ class Plan(_Value):
         return ",".join(words)
 
 
-def steps_of(
-    algorithm: Mapping[str, Mapping[CasterKind, AlgorithmName]], settings: Mapping[str, Mapping[CasterKind, Settings]]
+def plan_steps(
+    algorithm: Mapping[str, Mapping[CasterKind, AlgorithmName]], settings: Mapping[str, Mapping[CasterKind, AlgorithmSettings]]
 ) -> list[Step]:
     """The steps of algorithms and settings by light and kind of casters: kinds of one light that share both go together."""
     steps: list[Step] = []

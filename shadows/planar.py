@@ -32,7 +32,7 @@ from moderngl import Framebuffer
 from shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
 from shadows.maps.windows import POSITION_ERROR
 from shadows.passes import PassLog, PassRecord
-from shadows.work import Task, Work
+from shadows.work import Work, Workload
 from terrain.casters.casting import caster_meshes, caster_trees
 from terrain.casters.clip_space import camera_clip, map_clip
 from terrain.casters.reach import Casters
@@ -42,7 +42,7 @@ from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
 from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World
@@ -53,7 +53,7 @@ from terrain.trees.foliage import THRESHOLD, foliage
 
 PASSES = ("receivers", "projected casters")
 
-NO_GROUND, LIT, SHADED = 0, 1, 2
+NO_GROUND_VALUE, LIT_VALUE, SHADED_VALUE = 0, 1, 2
 """What the stencil holds."""
 
 
@@ -66,7 +66,7 @@ class Projected:
     origin_frame_m: np.ndarray
     light_m: np.ndarray
     meshes: list[tuple[np.ndarray, np.ndarray]]
-    trees: Stand | None
+    trees: TreeInstances | None
 
     @property
     def reaches_ground(self) -> bool:
@@ -101,7 +101,7 @@ def fill(
         receivers[pixels] = True
         stencil[view.rows :][below] = _stencil(scene.world, buffer.frame, finer, receivers, projected, passes, log)[pixels]
     log.keep("stencil", light, stencil.copy)
-    return np.where(stencil == SHADED, np.float32(0.0), np.float32(1.0))
+    return np.where(stencil == SHADED_VALUE, np.float32(0.0), np.float32(1.0))
 
 
 def onto_plane(light_m: np.ndarray) -> np.ndarray:
@@ -148,7 +148,7 @@ def _stencil(
         for name in passes:
             with log.run(name):
                 pass
-        return np.where(receivers, np.uint8(LIT), np.uint8(NO_GROUND))
+        return np.where(receivers, np.uint8(LIT_VALUE), np.uint8(NO_GROUND_VALUE))
     gl = device()
     target = gl.stencil.target(view.cols, view.rows)
     with log.run(passes[0]) as record:
@@ -156,7 +156,7 @@ def _stencil(
         texture = gl.texture(receivers)
         texture.use(0)
         program["receivers"] = 0
-        with gl.stencil.once_pass(target, NO_GROUND):
+        with gl.stencil.once_pass(target, NO_GROUND_VALUE):
             gl.draw_pixels(program, target)
         texture.release()
         record.bytes = max(record.bytes, 9 * receivers.size)
@@ -168,7 +168,7 @@ def _stencil(
 
 def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projected, record: PassRecord) -> None:
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
-    with gl.stencil.once_pass(target, LIT, clip_distances=1):
+    with gl.stencil.once_pass(target, LIT_VALUE, clip_distances=1):
         if projected.meshes:
             program = gl.program(shader("shadows/planar", "shadows/planar_mesh.vert"), shader("shadows/maps/depth.frag"))
             set_uniforms(program, uniforms)
@@ -188,7 +188,7 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
     return None, request.without_filter("planar")
 
 
-def _work(task: Task, settings: None) -> Work:
+def _work(task: Workload, settings: None) -> Work:
     drawn = {"triangles": task.pictures * task.triangles("meshes"), "trees": task.pictures * task.trees}
     return {"planar": {"blocks": 1.0, "pixels": task.picture_pixels, **drawn}}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from shadows import none, planar
-from shadows.algorithm import Algorithm, Part, parts_of
+from shadows.algorithm import Algorithm, Requirement, requirements_of
 from shadows.hybrid import hybrid
 from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.sweep import sweep
@@ -34,7 +34,7 @@ for _module in MODULES:
 FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
 """What serves every view, light and kind of casters, and is taken where nothing speaks for another."""
 
-NOTHING: AlgorithmName = none.ALGORITHM.name
+NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
 """What casts no shadows."""
 
 
@@ -48,12 +48,12 @@ def served_algorithms() -> tuple[AlgorithmName, ...]:
     return tuple(name for name, each in ALGORITHMS.items() if each.served)
 
 
-def able(parts: Iterable[Part]) -> list[AlgorithmName]:
+def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     """The algorithms to choose from that can serve all of these together."""
     parts = tuple(parts)
     return [each.name for each in chosen_from() if each.refusal(parts) is None]
 
 
-def serves(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind) -> bool:
+def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind) -> bool:
     """Whether an algorithm can take on a kind of casters under a light of a view."""
-    return ALGORITHMS[name].refusal(parts_of(descriptor, descriptor.light_kinds[light], caster)) is None
+    return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster)) is None

@@ -9,24 +9,24 @@ from functools import cached_property
 import numpy as np
 
 from shadows.attached import attached
-from shadows.executed_effects import effects_ran
-from shadows.layer_collector import KeptLayers
+from shadows.executed_effects import executed_effects
+from shadows.layer_collector import LayerCollector
 from shadows.passes import PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.visibility import fill_steps, under_sky
+from shadows.visibility import fill_steps, with_apparent_sun
 from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
-from terrain.effects.effect import BEFORE_SHADING, Block, Stage
+from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from terrain.errors import InputError, RenderError, UnsupportedError
-from terrain.gbuffer.antialias import Sampled, picture_of
+from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
 from terrain.geo.world import LocalFrame
 from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
-from terrain.shading import albedo_of, encoded, open_sky, shade, sky
+from terrain.shading import albedo_of, open_sky, shade, sky, srgb_encoded
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "outside_casters"
@@ -78,7 +78,7 @@ class Frame:
     @property
     def effects(self) -> frozenset[EffectName]:
         """The effects that ran, told from the record of what was really done."""
-        return effects_ran(self.passes)
+        return executed_effects(self.passes)
 
     @property
     def there(self) -> np.ndarray:
@@ -130,7 +130,7 @@ def render_frame(
     visibilities = {light: np.full(size, np.nan, np.float32) for light in plan.lights}
     height = np.full(size, np.nan, np.float32)
     position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
-    log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), KeptLayers(size)
+    log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), LayerCollector(size)
     scene = _under_sky(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     for done, (part, row, col) in enumerate(parts, start=1):
@@ -170,14 +170,14 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
 
 def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
     if REFRACTION_PASS not in plan.runs:
-        return under_sky(scene, plan.runs)
+        return with_apparent_sun(scene, plan.runs)
     with log.run(REFRACTION_PASS):
-        return under_sky(scene, plan.runs)
+        return with_apparent_sun(scene, plan.runs)
 
 
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
     with log.run(GEOMETRY_PASS):
-        picture = picture_of(scene, view)
+        picture = picture_buffer(scene, view)
         buffer, own = picture.buffer, picture.own
         reach = reach_of(scene, own) if CASTERS_PASS not in plan.runs else None
     if reach is None:
@@ -186,7 +186,7 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
     else:
         casters = Casters((), reach)
     visibilities = _visibilities(scene, plan, buffer, casters, log)
-    block = Block(scene, view, buffer, visibilities)
+    block = ShadingBlock(scene, view, buffer, visibilities)
     linear = _shaded(block, plan, log)
     with log.run(SHADING_PASS):
         if not isinstance(view, MapView):
@@ -197,7 +197,7 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
             linear = picture.averaged(linear)
         for light, visibility in visibilities.items():
             visibilities[light] = np.where(own.there, visibility[: view.rows], np.float32(np.nan))
-        color = encoded(linear)
+        color = srgb_encoded(linear)
     position, frame = (None, None) if isinstance(view, MapView) else (own.position_frame_m, own.frame)
     return Frame(view, plan, color, visibilities, own.height_m, position, frame, (), casters.reach)
 
@@ -213,7 +213,7 @@ def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Cas
     return visibilities
 
 
-def _shaded(block: Block, plan: Plan, log: PassLog) -> np.ndarray:
+def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
     """Linear display colour (rows, cols, 3) of a block's surface."""
     light: dict[Stage, np.ndarray] = {}
     for stage in BEFORE_SHADING:
@@ -223,7 +223,7 @@ def _shaded(block: Block, plan: Plan, log: PassLog) -> np.ndarray:
         return shade(block.buffer, block.scene, sunlight, light.get("albedo"), light.get("skylight"), light.get("lamplight"))
 
 
-def _unlit(block: Block, stage: Stage) -> np.ndarray:
+def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
     """What the first effect of a stage begins with."""
     shape = block.buffer.there.shape
     if stage == "albedo":
@@ -235,7 +235,7 @@ def _unlit(block: Block, stage: Stage) -> np.ndarray:
     return np.zeros((*shape, 3), np.float32)
 
 
-def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: Block, plan: Plan, log: PassLog) -> None:
+def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
     """Run the parts of the effects of a stage, each a pass of its own."""
     for name, effect in EFFECTS.items():
         if effect.stage == stage and effect.part is not None and name in plan.runs:
@@ -245,7 +245,7 @@ def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: Block, plan
                 effect.part(values[stage], block)
 
 
-def _put_sky(scene: Scene, view: PerspectiveView, picture: Sampled, linear: np.ndarray) -> None:
+def _put_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
     """Colour the pixels and samples that show nothing."""
     row, col = np.nonzero(~picture.buffer.there)
     pixel_row, pixel_col = picture.pixels_of(row, col)

@@ -24,12 +24,12 @@ def fill_steps(
     """A light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of what its steps fill.
 
     ``steps`` are of one light (``Plan.steps_under``), ``effects`` those that run (``Plan.runs``). Where nobody looks for the light
-    (``looked_for``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the algorithms do.
+    (``without_hidden_points``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the algorithms do.
     """
     steps = list(steps)
     visibility = np.ones(buffer.there.shape, np.float32)
     if steps:
-        asked = looked_for(buffer, scene, steps[0].light, effects)
+        asked = without_hidden_points(buffer, scene, steps[0].light, effects)
         for step in steps:
             fill = ALGORITHMS[step.algorithm].fill
             assert fill is not None, step.algorithm
@@ -37,7 +37,7 @@ def fill_steps(
     return visibility
 
 
-def looked_for(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
+def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
     """A buffer without the points at which nobody looks for a light: in a perspective view those so far away that haze hides
     whether the sun shines on them.
     """
@@ -50,6 +50,6 @@ def looked_for(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collec
     return replace(buffer, there=buffer.there & (away_m < limit_m))
 
 
-def under_sky(scene: Scene, effects: Collection[str]) -> Scene:
+def with_apparent_sun(scene: Scene, effects: Collection[str]) -> Scene:
     """The scene with the sun where it is seen, or, without refraction, where it is."""
     return scene if "refraction" in effects else scene.without_refraction

@@ -27,10 +27,10 @@ Counts = dict[str, float]
 Work = dict[str, Counts]
 """Counts by part of an algorithm."""
 
-DENSEST = 0.98
+MAX_OPACITY = 0.98
 """No wood is taken to stop a larger share of the light."""
 
-UNKNOWN = LightFacts()
+UNKNOWN_LIGHT = LightFacts()
 """What is taken of a light of which a descriptor says nothing."""
 
 
@@ -41,7 +41,7 @@ def is_decimated(descriptor: Descriptor) -> bool:
 
 
 @dataclass(frozen=True)
-class Task:
+class Workload:
     """A descriptor's work under a light for some kinds of casters, as quantities that several algorithms share."""
 
     descriptor: Descriptor
@@ -50,7 +50,7 @@ class Task:
 
     @cached_property
     def facts(self) -> LightFacts:
-        return self.descriptor.lights.get(self.light, UNKNOWN)
+        return self.descriptor.lights.get(self.light, UNKNOWN_LIGHT)
 
     @property
     def light_kind(self) -> LightKind:
@@ -162,7 +162,7 @@ class Task:
         """
         cast = self.facts.casts.get("forest")
         if cast is not None and self.facts.facing_share > 0.0:
-            return -log(1.0 - min(cast.share / self.facts.facing_share, DENSEST))
+            return -log(1.0 - min(cast.share / self.facts.facing_share, MAX_OPACITY))
         return self.trees * self.tree_light_m2 / self.level_light_m2
 
     @property

@@ -31,19 +31,19 @@ _lock = RLock()  # one for all: letting go of a value of one cache may empty ano
 _caches: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
-class Same(weakref.ref[Any]):
+class IdentityKey(weakref.ref[Any]):
     """A weak reference that equals those to the same living object: a key for what has no equality of that kind."""
 
     __slots__ = ("number",)
     number: int
 
-    def __new__(cls, of: object, gone: Callable[[Any], None] | None = None) -> Same:
+    def __new__(cls, of: object, gone: Callable[[Any], None] | None = None) -> IdentityKey:
         self = super().__new__(cls, of, gone)
         self.number = id(of)
         return self
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Same) and self() is not None and self() is other()
+        return isinstance(other, IdentityKey) and self() is not None and self() is other()
 
     def __hash__(self) -> int:
         return self.number
@@ -60,7 +60,7 @@ _Function = type(lambda: None)
 
 def _key_of(parts: Iterable[object], gone: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
     """The key under which a value lies that was made from some parts; ``gone`` is called when one that goes by identity does."""
-    return tuple(Same(part, gone) if _by_identity(part) else part for part in parts)
+    return tuple(IdentityKey(part, gone) if _by_identity(part) else part for part in parts)
 
 
 class Missing:
@@ -148,7 +148,7 @@ class Cache(Generic[V]):
         """Forget what was made from an object, or from one that has it as its ``elevation``: a scene's ground is its own."""
         with _lock:
             for key in list(self._values):
-                made_from = [part() for part in key if isinstance(part, Same)]
+                made_from = [part() for part in key if isinstance(part, IdentityKey)]
                 if any(each is owner or getattr(each, "elevation", None) is owner for each in made_from):
                     self._drop(key)
 
@@ -176,7 +176,7 @@ class Cache(Generic[V]):
                 self._release(value)
 
 
-class Kept(Generic[P, V]):
+class CachedFunction(Generic[P, V]):
     """A function whose last values are kept in ``cache``."""
 
     def __init__(self, function: Callable[P, V], cache: Cache[V], key: Callable[P, tuple[object, ...]] | None) -> None:
@@ -193,17 +193,17 @@ class Kept(Generic[P, V]):
         return found
 
 
-def kept(
+def cached(
     lasts: Lasts,
     limit_bytes: int,
     key: Callable[..., tuple[object, ...]] | None = None,
     size_of: Callable[[Any], int] | None = None,
-) -> Callable[[Callable[P, V]], Kept[P, V]]:
+) -> Callable[[Callable[P, V]], CachedFunction[P, V]]:
     """Keep a function's last values, in a cache of the function's name; ``key`` gives what of its arguments they go by."""
 
-    def decorate(function: Callable[P, V]) -> Kept[P, V]:
+    def decorate(function: Callable[P, V]) -> CachedFunction[P, V]:
         cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lasts, limit_bytes, size_of)
-        return Kept(function, cache, key)
+        return CachedFunction(function, cache, key)
 
     return decorate
 
@@ -222,15 +222,15 @@ def caches(*lasts: Lasts) -> list[Cache[Any]]:
         return sorted((cache for cache in _caches if not lasts or cache.lasts in lasts), key=lambda cache: cache.name)
 
 
-def forget(*lasts: Lasts) -> None:
-    """Empty the caches whose values last so long: ``forget("light")`` makes the next frame pay all that a moving sun costs,
-    ``forget("light", "scene")`` all that follows from a level's files.
+def clear_caches(*lasts: Lasts) -> None:
+    """Empty the caches whose values last so long: ``clear_caches("light")`` makes the next frame pay all that a moving sun costs,
+    ``clear_caches("light", "scene")`` all that follows from a level's files.
     """
     for cache in caches(*lasts):
         cache.clear()
 
 
-def forget_scene(elevation: object) -> None:
+def clear_scene_caches(elevation: object) -> None:
     """Forget what was made from a scene's ground, or from anything that stands on it; other scenes' values stay."""
     for cache in caches("light", "scene"):
         cache.clear_of(elevation)

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.clip_space import bend_px
 from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
 from terrain.effects.lamps import lamp_reaches
-from terrain.facts.caster_facts import slopes_deg, stands_of, trees_of
-from terrain.facts.coarse_view import Look, look_at_scene
-from terrain.facts.descriptor import Descriptor, joined
+from terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
+from terrain.facts.coarse_view import CoarseView, coarse_view_of
+from terrain.facts.descriptor import Descriptor, join_bands
 from terrain.facts.fact_types import Band, Fact, LampFacts
-from terrain.facts.light_facts import Seen, facts_of_lights
-from terrain.facts.visible_points import edge_share, ground_points, points_in_look, points_in_map
+from terrain.facts.light_facts import ViewProbes, facts_of_lights
+from terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
@@ -32,7 +32,7 @@ NEAREST_M = 1.0
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
     """The descriptor of a view of a scene."""
     low, high = scene.height_range_m
-    look = None if isinstance(view, MapView) else look_at_scene(scene, view)
+    look = None if isinstance(view, MapView) else coarse_view_of(scene, view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
@@ -44,16 +44,16 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
     trees = trees_of(scene, view)
     if isinstance(view, MapView):
         own = _map_facts(scene, view)
-        seen = Seen(scene, None, points_in_map(scene, own["pixel_m"], trees), trees)
+        seen = ViewProbes(scene, None, probes_in_map(scene, own["pixel_m"], trees), trees)
         rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
     else:
         assert look is not None
         own = _perspective_facts(scene, view, look)
-        seen, rows, cols = Seen(scene, view, points_in_look(look, view, trees), trees), view.rows, view.cols
+        seen, rows, cols = ViewProbes(scene, view, probes_in_view(look, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
         rows=rows, cols=cols, edge_share=0.0 if look is None else edge_share(look, trees),
-        stands=stands_of(scene, view, trees), moves=_moves(scene),
+        stands=caster_facts_of(scene, view, trees), moves=_moves(scene),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.population.tallest_m, weather=scene.loaded.level.weather,
@@ -93,7 +93,7 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[str, Any]:
+def _perspective_facts(scene: Scene, view: PerspectiveView, look: CoarseView) -> dict[str, Any]:
     points, away_m = look.points_frame_m, look.away_m
     median_m = float(np.median(away_m)) if len(points) else 1.0
     bands: tuple[Band, ...] = ()
@@ -101,7 +101,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, look: Look) -> dict[
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(look.buffer.frame)
         bands = _bands(away_m, points @ rotation.T + translation, scene.population.tallest_m, look.spacing)
-        whole = joined(bands) if bands else None
+        whole = join_bands(bands) if bands else None
         span = np.full(3, median_m * view.pixel) if whole is None else np.subtract(whole.high_light_m, whole.low_light_m)
         extent = tuple(span.tolist())
     grid = ground_mesh(scene, view).grid
@@ -158,7 +158,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
     return right, up, along
 
 
-@kept("scene", MIB)
+@cached("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
     """The largest range of heights within a block's side anywhere on the level, from the overview."""
     overview = elevation.overview

@@ -9,7 +9,7 @@ import numpy as np
 
 from terrain.errors import LevelError
 from terrain.geo.world import LocalFrame
-from terrain.ground.geolocate import Place
+from terrain.ground.geolocate import Geolocator
 from terrain.level.parts import LightSpec
 
 CONE_EDGE = 0.1
@@ -58,7 +58,7 @@ class Lamp:
         )
 
 
-def lamp_of(name: str, spec: LightSpec, place: Place, where: str) -> Lamp:
+def lamp_of(name: str, spec: LightSpec, place: Geolocator, where: str) -> Lamp:
     """The lamp of a level's light. Raises ``LevelError`` for a position off the ground's data."""
     position, up = place.above_ground(spec.position, f"{where}.position")
     if spec.target is None:

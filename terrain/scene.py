@@ -11,7 +11,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
-from terrain.cache import forget_scene
+from terrain.cache import clear_scene_caches
 from terrain.errors import InputError, LevelError, SourceError
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
@@ -19,13 +19,13 @@ from terrain.geo.light_space import LightSpace, light_space
 from terrain.geo.sun import Sun, position_at, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.ground.elevation import Elevation
-from terrain.ground.generated_ground import made_ground
-from terrain.ground.geolocate import Place
+from terrain.ground.generated_ground import generated_ground
+from terrain.ground.geolocate import Geolocator
 from terrain.ground.surface import Surface
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.lights import Lamp, lamp_of
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
@@ -45,12 +45,12 @@ class Scene:
     world: World
     elevation: Elevation
     sun: Sun | None
-    population: Population
+    population: SceneObjects
 
     @property
-    def place(self) -> Place:
+    def place(self) -> Geolocator:
         """Finds the level's places."""
-        return Place(self.world, self.elevation)
+        return Geolocator(self.world, self.elevation)
 
     @cached_property
     def lamps(self) -> dict[str, Lamp]:
@@ -75,7 +75,7 @@ class Scene:
 
     def close(self) -> None:
         """Close the level's raster, let go of what stands on it, and forget all that was made from either, under any sun."""
-        forget_scene(self.elevation)
+        clear_scene_caches(self.elevation)
         self.population.close()
         self.elevation.close()
 
@@ -239,14 +239,14 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     Trees and meshes are read when they are first needed.
     """
     terrain = loaded.level.terrain
-    made = None if terrain.source is not None else made_ground(terrain)
+    made = None if terrain.source is not None else generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
     elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m)
     world = _world(loaded, elevation)
     spec = loaded.level.sun
     sun = None if spec == "none" else sun_of(spec, world)
-    return Scene(loaded, world, elevation, sun, Population(loaded, world, elevation, loaded.level.seconds))
+    return Scene(loaded, world, elevation, sun, SceneObjects(loaded, world, elevation, loaded.level.seconds))
 
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.level.level import CasterKind, LoadedLevel
@@ -20,12 +20,12 @@ from terrain.trees.trees import Trees
 if TYPE_CHECKING:
     from terrain.meshes.assemble import Placement
 
-EDGE = 0.8
+CREASE_DISTANCE = 0.8
 """Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
 
 
 @dataclass(frozen=True, eq=False)
-class Population:
+class SceneObjects:
     """Trees and meshes of a level at a second of its clock. Properties raise ``LevelError`` or ``SourceError``."""
 
     loaded: LoadedLevel
@@ -39,7 +39,7 @@ class Population:
             if isinstance(attribute, cached_property):
                 self.__dict__.pop(name, None)
 
-    def at_second(self, seconds: float) -> Population:
+    def at_second(self, seconds: float) -> SceneObjects:
         """The population at another second; what the clock does not change is shared, so that no file is read again."""
         level = self.loaded.level
         drifts = 0.0 < level.weather.cloud_cover < 1.0
@@ -54,9 +54,9 @@ class Population:
         """The trees, if there are any."""
         if not self.loaded.level.forest:
             return None
-        from terrain.trees.forest import plant  # its libraries take half a second, which levels without trees need not pay
+        from terrain.trees.forest import plant_trees  # its libraries take half a second, which levels without trees need not pay
 
-        trees = plant(self.loaded, self.world, self.elevation)
+        trees = plant_trees(self.loaded, self.world, self.elevation)
         return trees if trees is not None and len(trees.rank) else None
 
     @cached_property
@@ -64,9 +64,9 @@ class Population:
         """What meshes stand where, whatever the clock says, if there are any."""
         if not self.loaded.level.meshes:
             return None
-        from terrain.meshes.assemble import place
+        from terrain.meshes.assemble import place_meshes
 
-        return place(self.loaded, self.world, self.elevation)
+        return place_meshes(self.loaded, self.world, self.elevation)
 
     @cached_property
     def solids(self) -> Solids | None:
@@ -87,7 +87,7 @@ class Population:
         if self.solids is None:
             return np.zeros(0, np.float32)
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
-        return creases(vertices, face_normals(vertices, triangles), triangles, EDGE)
+        return creases(vertices, face_normals(vertices, triangles), triangles, CREASE_DISTANCE)
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:
@@ -123,8 +123,8 @@ class Population:
         return max(tree_m, float(np.nanmax(above, initial=0.0)))
 
 
-@kept("scene", 512 * MIB)
-def _on(population: Population, kind: str, crs: CRS) -> np.ndarray:
+@cached("scene", 512 * MIB)
+def _on(population: SceneObjects, kind: str, crs: CRS) -> np.ndarray:
     if kind == "solids":
         assert population.solids is not None
         points = population.solids.vertices_earth_m

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
@@ -206,7 +206,7 @@ def _sky(rows, cols, tangents, up, horizon, zenith):
     return out
 
 
-def encoded(linear: np.ndarray) -> np.ndarray:
+def srgb_encoded(linear: np.ndarray) -> np.ndarray:
     """sRGB as uint8 of linear display colour in [0, 1]."""
     return _srgb_table()[np.minimum((linear * _SRGB_STEPS).astype(np.int32), _SRGB_STEPS - 1)]
 
@@ -230,7 +230,7 @@ def tint_table() -> np.ndarray:
     return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _srgb_table() -> np.ndarray:
     return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from api.cli import main as cli
 from api.http.app import create_app
-from api.layers import encode_picture, picture_of
+from api.layers import encode_picture, picture_layer
 from api.settings import Settings
-from api.workers.jobs import Block, BlockJob, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
-from api.workers.render_worker import Desk, WorkerConfig, work
+from api.workers.jobs import BlockJob, DescriptorJob, PlanAnswer, PlanJob, Ready, RenderedBlock, Snapshot
+from api.workers.render_worker import WorkerConfig, WorkerState, run_job
 from selector.candidates import name_of
 from shadows.maps.settings import ShadowMapSettings
 from terrain.describe import describe
@@ -44,7 +44,7 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
         except EOFError:
             return
         if isinstance(job, DescriptorJob):
-            pipe.send(work(job, Desk("told")))
+            pipe.send(run_job(job, WorkerState("told")))
             continue
         sun = job.wishes.seen(build_scene(load_level(job.level.path))).sun
         said = json.dumps([job.wishes.overrides.for_selector(), None if sun is None else sun.altitude_deg])
@@ -52,13 +52,13 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             pipe.send(PlanAnswer(said))
             continue
         side = BLOCK_PX
-        block = Block(
+        block = RenderedBlock(
             np.zeros((side, side, 3), np.uint8), np.full((side, side), 0.25, np.float32), "{}", said, (), 0.0, 0.0, False, "told"
         )
         if isinstance(job, BlockJob):
             pipe.send(block)
         else:
-            body = encode_picture(picture_of(block.part(0, 0, 8), job.layer), f".{job.format}")
+            body = encode_picture(picture_layer(block.part(0, 0, 8), job.layer), f".{job.format}")
             pipe.send(Snapshot(body, 0.0, said, (), 0.0, 0.0, False, "told"))
 
 
@@ -87,9 +87,9 @@ def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
 
 def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     """A setting ``gloss`` of ``dull`` or ``bright``."""
-    from api.report.plan_text import in_words
+    from api.report.plan_text import format_plan
     from selector.pin import pinned_text, pins
-    from selector.planner.planner import choose
+    from selector.planner.planner import make_plan
 
     more = level.with_name("glossy.json")
     more.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "bright"}}))
@@ -102,7 +102,7 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     loaded = load_level(level)
     scene = build_scene(loaded)
     descriptor = describe(scene, scene.view("map"))
-    plan = choose(descriptor, loaded.level, {"algorithm": "shadow_map", "gloss": "bright"})
+    plan = make_plan(descriptor, loaded.level, {"algorithm": "shadow_map", "gloss": "bright"})
 
     class Glossy(ShadowMapSettings):
         gloss: str = "dull"
@@ -148,7 +148,7 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
         "refusals": [client.get(path, params={"gloss": "loud"}).json() for path in (TILE, SNAPSHOT, PLAN)],
         "tags": {path: [client.get(path, params=query).headers["etag"] for query in ({}, asked)] for path in (TILE, SNAPSHOT)},
         "pin": pinned_text(level.read_text(), chosen, ["Chosen."]),
-        "words": in_words(plan, "A plan."),
+        "words": format_plan(plan, "A plan."),
         "candidate": name_of(plan),
     }
 

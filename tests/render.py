@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.describe import describe
@@ -16,7 +16,7 @@ from terrain.scene import Scene
 
 
 def plan_of(scene: Scene, view: MapView, **overrides: Any) -> Plan:
-    return choose(describe(scene, view), scene.loaded.level, overrides)
+    return make_plan(describe(scene, view), scene.loaded.level, overrides)
 
 
 def render(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:

@@ -18,30 +18,30 @@ from api.report.page.marks import mark_of
 from selector.candidates import candidates, name_of
 from selector.cost import calibration
 from selector.cost.calibration import calibrate
-from selector.cost.calibration_scenes import stages
+from selector.cost.calibration_scenes import calibration_views
 from selector.cost.device_profile import DeviceProfile
 from selector.measure.compare import compare
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from selector.predict import predicted_plan
 from selector.select import select
 from shadows.algorithm import (
     Accuracy,
     Algorithm,
+    AlgorithmSettings,
     Cost,
     ErrorConstants,
     Mark,
     Reasoned,
     ResolvedSettings,
     Search,
-    Settings,
     SettingsRequest,
 )
 from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, able, register, served_algorithms
+from shadows.registry import ALGORITHMS, algorithms_serving, register, served_algorithms
 from shadows.render import render_frame
 from shadows.truth.truth import lit_from, ray_scene
-from shadows.work import Task, Work
-from terrain.cache import Cache, Missing, caches, forget
+from shadows.work import Work, Workload
+from terrain.cache import Cache, Missing, caches, clear_caches
 from terrain.describe import describe
 from terrain.errors import LevelError, UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -59,7 +59,7 @@ cast: list[int] = []
 """How many rays each call cast."""
 
 
-class CoarseRaysSettings(Settings):
+class CoarseRaysSettings(AlgorithmSettings):
     """A ray for each square of so many pixels a side."""
 
     square_px: int
@@ -87,7 +87,7 @@ def resolve(request: SettingsRequest) -> ResolvedSettings:
     return CoarseRaysSettings(square_px=side), [Reasoned(name=f"square_px {side}", reason="fewer rays would be seen")]
 
 
-def work(task: Task, settings: CoarseRaysSettings) -> Work:
+def work(task: Workload, settings: CoarseRaysSettings) -> Work:
     return {"coarse rays": {"blocks": 1.0, "rays": task.seen / settings.square_px**2, "triangles": task.all_triangles}}
 
 
@@ -148,7 +148,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 def plan_by(scene: Scene, view, **asked) -> Plan:
-    return choose(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **asked})
+    return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **asked})
 
 
 def test_a_level_may_name_it(coarse_rays, tmp_path):
@@ -173,7 +173,7 @@ def test_it_is_planned_with_its_own_settings_and_survives_json(coarse_rays, scen
     assert {one.name: one.reason for one in plan.reasons}["square_px 4"] == "fewer rays would be seen"
     assert Plan.model_validate_json(plan.model_dump_json()) == plan
     assert json.loads(plan.model_dump_json())["settings"][SUN]["relief"] == {"square_px": 4}
-    by_maps = choose(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"})
+    by_maps = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"})
     assert "coarse_rays" in {one.name for one in by_maps.rejected}
 
 
@@ -181,14 +181,16 @@ def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
     lit = build_scene(load_level(level_file(tmp_path)))
     view = lit.view(size=(64, 64))
     with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; what can: shadow_map"):
-        choose(describe(lit, view), lit.loaded.level, {"algorithm": "coarse_rays"})
-    assert "coarse_rays" in able(("map", "sun", "relief", "uneven")) and "coarse_rays" not in able(("map", "omni", "relief"))
+        make_plan(describe(lit, view), lit.loaded.level, {"algorithm": "coarse_rays"})
+    assert "coarse_rays" in algorithms_serving(("map", "sun", "relief", "uneven")) and "coarse_rays" not in algorithms_serving(
+        ("map", "omni", "relief")
+    )
 
 
 def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
     view = scene.view(size=(64, 64))
     whole = render_frame(scene, view, plan_by(scene, view, map_size=4096)).visibility
-    truth = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
+    truth = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
     assert np.array_equal(whole, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
     frame = render_frame(scene, view, plan_by(scene, view))
     assert [record.name for record in frame.passes] == frame.plan.passes
@@ -203,7 +205,7 @@ def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
     assert len(cache) == 0
     render_frame(scene, view, plan_by(scene, view))
     assert len(cache) > 0 and len(cast) == 3
-    forget("light")
+    clear_caches("light")
     assert len(cache) == 0
 
 
@@ -220,11 +222,11 @@ def test_it_is_compared(gl, coarse_rays, scene):
 
 
 def test_it_is_calibrated(gl, coarse_rays, monkeypatch):
-    monkeypatch.setattr(calibration, "TURNS", 2)
+    monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
     monkeypatch.setattr(
         calibration,
         "stages",
-        lambda folder: (replace(each, grid="few") for each in stages(folder) if each.name == "few_balls_small"),
+        lambda folder: (replace(each, grid="few") for each in calibration_views(folder) if each.name == "few_balls_small"),
     )
     found = calibrate()
     assert found.residuals["coarse_rays"].rows == 3

@@ -12,12 +12,12 @@ from pyproj import CRS
 
 from selector.measure.footprint import texel_footprint_px
 from selector.measure.view_truth import truth_of_view
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
-from terrain.cache import caches, forget
+from terrain.cache import caches, clear_caches
 from terrain.describe import describe
-from terrain.facts.relief_rays import placed
-from terrain.facts.visible_points import points_in_map
+from terrain.facts.relief_rays import overview_probes
+from terrain.facts.visible_points import probes_in_map
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
@@ -84,10 +84,10 @@ def draw_with_everything(scene: Scene) -> list[object]:
         descriptor = describe(scene, view)
         for asked in EVERYTHING:
             if "perspective_shadow_map" not in str(asked) or not isinstance(view, MapView):
-                render_frame(scene, view, choose(descriptor, scene.loaded.level, asked))
-    probes = points_in_map(scene, descriptor.pixel_m, None)
-    placed(scene.world, scene.elevation, probes)
-    plan = choose(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
+                render_frame(scene, view, make_plan(descriptor, scene.loaded.level, asked))
+    probes = probes_in_map(scene, descriptor.pixel_m, None)
+    overview_probes(scene.world, scene.elevation, probes)
+    plan = make_plan(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
     buffer, real = geometry_of(scene, view), truth_of_view(scene, view, "sun")
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
@@ -95,7 +95,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
 
 
 def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
-    forget("light", "scene")
+    clear_caches("light", "scene")
     alive = draw_with_everything(scene)
     assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], "not filled, so not tested"
     scene.close()
@@ -106,10 +106,10 @@ def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
 
 
 def test_a_scene_that_nobody_holds_any_more_leaves_nothing_either(gl, scene_of_its_own):
-    forget("light", "scene")
+    clear_caches("light", "scene")
     scene = scene_of_its_own()
     for view in (scene.view(size=(64, 64)), scene.view("eye")):
-        render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"}))
+        render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "shadow_map"}))
     assert sum(len(cache) for cache in caches("scene")) > 20
     del scene, view
     gc.collect()

@@ -27,7 +27,7 @@ def test_the_page_of_the_seeds_is_what_its_script_writes_of_its_figures():
 
 
 def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures():
-    figures = peer_figures.Comparison.read(kept("peers/peers.json"))
+    figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
     assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
     assert table in (HERE / "README.md").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures():
 
 def test_no_peer_is_both_faster_and_more_accurate():
     """By either clock, in every raster under every sun and in the means off the axes."""
-    figures = peer_figures.Comparison.read(kept("peers/peers.json"))
+    figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
     assert len(figures.tools) - sum(tool.ours for tool in figures.tools) >= 5
     for clock in peer_figures.CLOCKS:
         assert peer_figures.unmatched(figures, clock) == []

@@ -53,7 +53,7 @@ def _opengl() -> Finding:
 
 def _calibration() -> Finding:
     """What predictions go by; without it the rules choose, which is no fault."""
-    from selector.cost.device_profile import load_profile, why_none
+    from selector.cost.device_profile import load_profile, missing_profile_reason
     from terrain.gl.device import device
 
     try:
@@ -61,7 +61,7 @@ def _calibration() -> Finding:
     except SkuggaError:
         return Finding("calibration", True, "there is no device to calibrate")
     profile = load_profile(gl.renderer, gl.version)
-    said = why_none(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
+    said = missing_profile_reason(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
     return Finding("calibration", True, said or "")
 
 

@@ -29,7 +29,7 @@ app = typer.Typer(
 _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
-LevelName = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
+LevelArgument = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
 _FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
 LayerName = Annotated[
     str,
@@ -38,16 +38,16 @@ LayerName = Annotated[
         f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}."
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
-View = Annotated[str, typer.Option(help="A view of the level.")]
-Time = Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")]
-Azimuth = Annotated[float | None, typer.Option(help="Degrees clockwise from north.")]
-Altitude = Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")]
-Size = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
-Bounds = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
-Crs = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
-Seconds = Annotated[float | None, typer.Option(help="The clock of moving casters.")]
+ViewOption = Annotated[str, typer.Option(help="A view of the level.")]
+TimeOption = Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")]
+AzimuthOption = Annotated[float | None, typer.Option(help="Degrees clockwise from north.")]
+AltitudeOption = Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")]
+SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
+BoundsOption = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
+CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
+SecondsOption = Annotated[float | None, typer.Option(help="The clock of moving casters.")]
 
 
 @app.callback()
@@ -74,18 +74,18 @@ def serve(
 @app.command()
 @with_shadow_options("render")
 def render(
-    level: LevelName,
+    level: LevelArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
-    view: View = "map",
+    view: ViewOption = "map",
     layer: LayerName = "color",
-    time: Time = None,
-    azimuth: Azimuth = None,
-    altitude: Altitude = None,
-    size: Size = None,
-    bounds: Bounds = None,
-    crs: Crs = None,
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
     light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
-    seconds: Seconds = None,
+    seconds: SecondsOption = None,
     stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
     **asked: Any,
 ) -> None:
@@ -106,68 +106,68 @@ def render(
 @app.command()
 @with_shadow_options("select")
 def select(
-    level: LevelName,
-    view: View = "map",
+    level: LevelArgument,
+    view: ViewOption = "map",
     policy: Annotated[
         str, typer.Option(help="rules: what is known beforehand; predict: by this device; measure: against truth, in minutes.")
     ] = "predict",
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
     descriptor: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view, as POST /plan takes them.")
     ] = None,
-    time: Time = None,
-    azimuth: Azimuth = None,
-    altitude: Altitude = None,
-    size: Size = None,
-    bounds: Bounds = None,
-    crs: Crs = None,
-    seconds: Seconds = None,
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    seconds: SecondsOption = None,
     **asked: Any,
 ) -> None:
     """Choose algorithms and settings for a view, and say why."""
-    from api.cli.planning import choose, pin_down, write_descriptor
-    from api.report.plan_text import in_words
+    from api.cli.planning import pin_plan, plan_level_view, write_descriptor
+    from api.report.plan_text import format_plan
 
     overrides = overrides_of("select", asked)
     seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
-        choice = choose(find_level(level), view, policy, overrides, *seen, anew=write)
-        said = pin_down(choice) if write else None
+        choice = plan_level_view(find_level(level), view, policy, overrides, *seen, anew=write)
+        said = pin_plan(choice) if write else None
     if descriptor is not None:
         write_descriptor(choice, descriptor)
-    typer.echo(choice.plan.model_dump_json(indent=2) if as_json else in_words(choice.plan, choice.heading))
+    typer.echo(choice.plan.model_dump_json(indent=2) if as_json else format_plan(choice.plan, choice.heading))
     if said is not None:
         typer.echo(said, err=True)
 
 
 @app.command()
-def calibrate(as_json: AsJson = False) -> None:
+def calibrate(as_json: JsonOption = False) -> None:
     """Measure this device, so that `predict` can tell what shadows will take on it."""
-    from api.device_calibration import in_words
+    from api.device_calibration import format_calibration
     from selector.cost.calibration import calibrate as measure
     from selector.cost.device_profile import save_profile
 
     with _progress("Calibrating") as advance:
         profile = measure(advance)
     path = save_profile(profile)
-    typer.echo(profile.model_dump_json(indent=2) if as_json else in_words(profile, path))
+    typer.echo(profile.model_dump_json(indent=2) if as_json else format_calibration(profile, path))
 
 
 @app.command()
 def compare(
-    level: LevelName,
-    view: View = "map",
+    level: LevelArgument,
+    view: ViewOption = "map",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
-    time: Time = None,
-    azimuth: Azimuth = None,
-    altitude: Altitude = None,
-    size: Size = None,
-    bounds: Bounds = None,
-    crs: Crs = None,
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
     light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
     time_limit: Annotated[
@@ -194,7 +194,7 @@ def compare(
 
 
 @app.command()
-def levels(as_json: AsJson = False) -> None:
+def levels(as_json: JsonOption = False) -> None:
     """List the bundled levels."""
     from api.catalogue import summary
 
@@ -213,7 +213,7 @@ def levels(as_json: AsJson = False) -> None:
 
 
 @app.command()
-def validate(level: LevelName) -> None:
+def validate(level: LevelArgument) -> None:
     """Check a level file and the data it names."""
     from api.catalogue import remarks, summary
 
@@ -225,7 +225,7 @@ def validate(level: LevelName) -> None:
 
 
 @app.command()
-def doctor(as_json: AsJson = False) -> None:
+def doctor(as_json: JsonOption = False) -> None:
     """Say what this machine renders with and what is missing."""
     findings = doctor_checks.examine()
     if as_json:

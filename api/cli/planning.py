@@ -9,10 +9,10 @@ from typing import Any, cast, get_args
 
 from api.cli.snapshot import scene_and_view
 from api.device_calibration import calibration_for
-from api.report.plan_text import POLICIES, choices, circumstances, expectation, heading
-from selector.choices import Asked, PolicyName, Wishes
-from selector.pin import MARK, pin, pinned, pins
-from selector.planner.planner import choose as choose_by_rules
+from api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
+from selector.choices import PlanRequest, PolicyName, StandaloneRequest
+from selector.pin import PIN_COMMENT, pin, pinned, pins
+from selector.planner.planner import make_plan as choose_by_rules
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from terrain.describe import describe
@@ -25,7 +25,7 @@ from terrain.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class PlannedView:
     """A plan, with the level's file, the scene and the view that it was made for."""
 
     path: Path
@@ -36,10 +36,10 @@ class Choice:
     @property
     def heading(self) -> str:
         """Whose plan it is."""
-        return heading(self.scene, self.plan)
+        return format_heading(self.scene, self.plan)
 
 
-def choose(
+def plan_level_view(
     path: Path,
     view: str,
     policy: str,
@@ -50,7 +50,7 @@ def choose(
     crs: str | None = None,
     seconds: float | None = None,
     anew: bool = False,
-) -> Choice:
+) -> PlannedView:
     """Choose for a view of a level; ``anew`` as if no earlier choice had been pinned into its file. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
@@ -58,10 +58,10 @@ def choose(
     if anew:
         scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
-    return Choice(path, scene, seen, plan_of_view(scene, seen, view, overrides, cast(PolicyName, policy), device))
+    return PlannedView(path, scene, seen, plan_of_view(scene, seen, view, overrides, cast(PolicyName, policy), device))
 
 
-def pin_down(choice: Choice) -> str:
+def pin_plan(choice: PlannedView) -> str:
     """Pin a choice into the level's file; says what was written and where.
 
     Raises ``LevelError`` for a file that cannot be written, ``UnsupportedError`` where another view of the level could not be
@@ -70,7 +70,7 @@ def pin_down(choice: Choice) -> str:
     scene, plan = choice.scene, choice.plan
     level = scene.loaded.level
     chosen = pins(plan, describe(scene, choice.view, plan.view), level)
-    wishes = Asked(override(level.shadows, chosen), level.light_names, level.effects)
+    wishes = StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects)
     for name in level.views:
         _check(scene, name, wishes, plan)
     pin(choice.path, chosen, _why(choice))
@@ -78,7 +78,7 @@ def pin_down(choice: Choice) -> str:
     return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
 
 
-def write_descriptor(choice: Choice, path: Path) -> None:
+def write_descriptor(choice: PlannedView, path: Path) -> None:
     """Write the facts that a choice is made from."""
     descriptor = describe(choice.scene, choice.view, choice.plan.view)
     path.write_text(descriptor.model_dump_json(indent=2) + "\n", encoding="utf-8")
@@ -92,7 +92,7 @@ def _unpinned(scene: Scene) -> Scene:
     return replace(scene, loaded=loaded)
 
 
-def _check(scene: Scene, name: str, wishes: Wishes, plan: Plan) -> None:
+def _check(scene: Scene, name: str, wishes: PlanRequest, plan: Plan) -> None:
     try:
         choose_by_rules(describe(scene, scene.view(name), name), wishes)
     except UnsupportedError as error:
@@ -100,12 +100,12 @@ def _check(scene: Scene, name: str, wishes: Wishes, plan: Plan) -> None:
         raise UnsupportedError("--write", plan.headline, reason) from None
 
 
-def _why(choice: Choice) -> list[str]:
+def _why(choice: PlannedView) -> list[str]:
     """The pin's comment: its first line is the one that it is known by."""
     plan = choice.plan
     return [
-        f"{MARK.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",
-        f"{circumstances(choice.scene, plan)}.",
-        *choices(plan),
-        expectation(plan),
+        f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",
+        f"{format_view_and_sun(choice.scene, plan)}.",
+        *format_choices(plan),
+        format_expectation(plan),
     ]

@@ -72,11 +72,11 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
     )  # fmt: skip
     app.add_middleware(HeadAsGet)
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
-    problems.install(app)
+    problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (routes_levels, routes_plan, routes_tiles, routes_snapshot, routes_health):
         app.include_router(routes.router)
-    routes_viewer.install(app, routes_viewer.STATIC_FOLDER)
+    routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
     return app
 
 

@@ -10,7 +10,7 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.geo.grid import BLOCK_PX, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
 from terrain.ground.surface import step_at_anchor_m
@@ -36,7 +36,7 @@ class ZoomRange:
     last: int
 
 
-@kept("process", 64 * MIB)
+@cached("process", 64 * MIB)
 def served_matrix_sets() -> dict[str, TileMatrixSet]:
     """The tile matrix sets whose tiles are 256 x 256 square pixels, counted from the top left, of constant width."""
     served = {}

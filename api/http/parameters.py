@@ -13,7 +13,7 @@ from pydantic import BeforeValidator
 from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import taking
-from api.workers.jobs import Overrides, ServedPolicy, Wishes
+from api.workers.jobs import Overrides, PictureRequest, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import InputError
 from terrain.level.level import parse_sun
@@ -23,14 +23,14 @@ from terrain.scene import MAX_PERSPECTIVE_PX
 
 
 @dataclass(frozen=True)
-class PlanWishes:
+class PlanQuery:
     """By which policy a plan is made, and what a request asks of the shadows."""
 
     policy: ServedPolicy
     overrides: Overrides
 
 
-def only(*names: str) -> Callable[[Request], Awaitable[None]]:
+def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
     """A dependency that refuses query parameters other than these, and repeated ones. Raises ``InputError``."""
 
     async def refuse(request: Request) -> None:
@@ -48,9 +48,9 @@ def _whole(value: Any) -> Any:
     return int(value) if isinstance(value, str) and value.isascii() and value.isdigit() else value
 
 
-Time = Annotated[str | None, Query(description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00; default: the level's.")]
-Azimuth = Annotated[float | None, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")]
-Altitude = Annotated[float | None, Query(description="Apparent degrees above the horizon.")]
+TimeQuery = Annotated[str | None, Query(description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00; default: the level's.")]
+AzimuthQuery = Annotated[float | None, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")]
+AltitudeQuery = Annotated[float | None, Query(description="Apparent degrees above the horizon.")]
 
 
 def _parameter(setting: Setting) -> Any:
@@ -61,23 +61,23 @@ def _parameter(setting: Setting) -> Any:
 
 
 @taking("pictures", _parameter)
-async def wishes(
-    time: Time = None,
-    azimuth: Azimuth = None,
-    altitude: Altitude = None,
+async def picture_query(
+    time: TimeQuery = None,
+    azimuth: AzimuthQuery = None,
+    altitude: AltitudeQuery = None,
     **asked: Any,
-) -> Wishes:
+) -> PictureRequest:
     """The dependency for pictures. Raises ``InputError``."""
-    return Wishes(sun=parse_sun(time, azimuth, altitude), overrides=_served(asked))
+    return PictureRequest(sun=parse_sun(time, azimuth, altitude), overrides=_served(asked))
 
 
-async def sun_wished(time: Time = None, azimuth: Azimuth = None, altitude: Altitude = None) -> SunSpec | None:
+async def sun_query(time: TimeQuery = None, azimuth: AzimuthQuery = None, altitude: AltitudeQuery = None) -> SunSpec | None:
     """The dependency for a sun alone; ``None``: the level's own. Raises ``InputError``."""
     return parse_sun(time, azimuth, altitude)
 
 
 @taking("plans", _parameter)
-async def plan_wishes(
+async def plan_query(
     policy: Annotated[
         str,
         Query(
@@ -86,14 +86,14 @@ async def plan_wishes(
         ),
     ] = "predict",
     **asked: Any,
-) -> PlanWishes:
+) -> PlanQuery:
     """The dependency for plans. Raises ``InputError``."""
     if policy == "measure":
         allowed = "rules, predict: to measure takes minutes, at design time (skugga select --policy measure)"
         raise InputError("policy", policy, allowed)
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))
-    return PlanWishes(cast(ServedPolicy, policy), _served(asked))
+    return PlanQuery(cast(ServedPolicy, policy), _served(asked))
 
 
 def _served(asked: dict[str, Any]) -> Overrides:
@@ -104,11 +104,11 @@ def _served(asked: dict[str, Any]) -> Overrides:
     return overrides
 
 
-SUN_PARAMETERS = tuple(signature(sun_wished).parameters)
-PICTURE_PARAMETERS = tuple(signature(wishes).parameters)
+SUN_PARAMETERS = tuple(signature(sun_query).parameters)
+PICTURE_PARAMETERS = tuple(signature(picture_query).parameters)
 """What may be asked of any picture."""
 
-PLAN_PARAMETERS = tuple(signature(plan_wishes).parameters)
+PLAN_PARAMETERS = tuple(signature(plan_query).parameters)
 """What may be asked of any plan besides the sun."""
 
 
@@ -128,6 +128,6 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
 
 
 _LAYERS_IN_WORDS = "; ".join(f"`{name}` is {LAYERS[name].about}" for name in PICTURE_LAYERS)
-Layer = Annotated[PictureLayer, Query(description=f"{_LAYERS_IN_WORDS}.")]
+LayerQuery = Annotated[PictureLayer, Query(description=f"{_LAYERS_IN_WORDS}.")]
 
-View = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]
+ViewQuery = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]

@@ -58,7 +58,7 @@ def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
     return problem_response(outcome.status, outcome.code, outcome.public or str(error), parameter, headers)
 
 
-def install(app: FastAPI) -> None:
+def install_problem_handlers(app: FastAPI) -> None:
     """Answer every error of an application as a problem document."""
 
     async def domain(request: Request, error: Exception) -> JSONResponse:

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse
 
 from api.errors import NotReadyError
-from api.http.parameters import only
+from api.http.parameters import allow_only
 from api.http.problems import problem_docs
 from api.http.service import TheService
 
-router = APIRouter(tags=["health"], dependencies=[Depends(only())])
+router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
 
 _UNCACHED = {"Cache-Control": "no-store"}
 

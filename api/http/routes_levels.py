@@ -9,16 +9,16 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.http.answers import json_answer
-from api.http.parameters import PICTURE_PARAMETERS, Layer, only, wishes
+from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, allow_only, picture_query
 from api.http.problems import problem_docs
 from api.http.service import TheService
 from api.layers import PictureFormat
-from api.workers.jobs import Wishes
+from api.workers.jobs import PictureRequest
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
 
-@router.get("/levels", summary="The levels", dependencies=[Depends(only())], response_model=list[dict[str, Any]])
+@router.get("/levels", summary="The levels", dependencies=[Depends(allow_only())], response_model=list[dict[str, Any]])
 async def levels(request: Request, service: TheService) -> Response:
     """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
 
@@ -29,7 +29,7 @@ async def levels(request: Request, service: TheService) -> Response:
     return json_answer(request, [level.summary() for level in served])
 
 
-@router.get("/levels/{level}", summary="A level", dependencies=[Depends(only())], response_model=dict[str, Any])
+@router.get("/levels/{level}", summary="A level", dependencies=[Depends(allow_only())], response_model=dict[str, Any])
 async def level(request: Request, service: TheService, level: str) -> Response:
     """One level, as in the list."""
     return json_answer(request, (await service.level(level)).summary())
@@ -38,7 +38,7 @@ async def level(request: Request, service: TheService, level: str) -> Response:
 @router.get(
     "/levels/{level}/{tms}/tilejson.json",
     summary="TileJSON",
-    dependencies=[Depends(only("layer", "format", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only("layer", "format", *PICTURE_PARAMETERS))],
     response_model=dict[str, Any],
 )
 async def tilejson(
@@ -46,8 +46,8 @@ async def tilejson(
     service: TheService,
     level: str,
     tms: str,
-    wanted: Annotated[Wishes, Depends(wishes)],
-    layer: Layer = "color",
+    wanted: Annotated[PictureRequest, Depends(picture_query)],
+    layer: LayerQuery = "color",
     format: Annotated[PictureFormat, Query(description="Of the tiles.")] = "png",
 ) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.

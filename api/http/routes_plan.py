@@ -12,12 +12,12 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import NotServedError
 from api.http.answers import json_answer
 from api.http.matrices import matrix_set_of
-from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanWishes, View, only, plan_wishes, sun_wished
+from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
 from api.http.problems import problem_docs
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.service import TheService, unless_gone
-from api.workers.jobs import DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles, Wishes
-from selector.choices import Asked
+from api.http.service import TheService, cancel_on_disconnect
+from api.workers.jobs import DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
+from selector.choices import StandaloneRequest
 from selector.select import select
 from shadows.plan import Plan
 from terrain.errors import InputError
@@ -27,33 +27,33 @@ from terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
 
-Zoom = Annotated[int | None, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")]
-MatrixSet = Annotated[str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.")]
+ZoomQuery = Annotated[int | None, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")]
+MatrixSetQuery = Annotated[str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.")]
 
-SEEN = ("view", "zoom", "tms")
+VIEW_PARAMETERS = ("view", "zoom", "tms")
 
 
 @router.get(
     "/levels/{level}/plan",
     summary="The plan of a view",
     response_model=Plan,
-    dependencies=[Depends(only(*SEEN, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
+    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
 )
 async def plan(
     request: Request,
     service: TheService,
     level: str,
-    sun: Annotated[SunSpec | None, Depends(sun_wished)],
-    wanted: Annotated[PlanWishes, Depends(plan_wishes)],
-    view: View = None,
-    zoom: Zoom = None,
-    tms: MatrixSet = None,
+    sun: Annotated[SunSpec | None, Depends(sun_query)],
+    wanted: Annotated[PlanQuery, Depends(plan_query)],
+    view: ViewQuery = None,
+    zoom: ZoomQuery = None,
+    tms: MatrixSetQuery = None,
 ) -> Any:
     """What the selector chooses for a view, or for the tiles of a zoom, and why."""
     served = await service.level(level)
     seen = _seen(served, view, zoom, tms)
-    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, wishes=Wishes(sun=sun, overrides=wanted.overrides))
-    answer = await unless_gone(request, service.pool.run(job))
+    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, wishes=PictureRequest(sun=sun, overrides=wanted.overrides))
+    answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json))
 
@@ -62,21 +62,21 @@ async def plan(
     "/levels/{level}/descriptor",
     summary="The facts of a view",
     response_model=Descriptor,
-    dependencies=[Depends(only(*SEEN, *SUN_PARAMETERS))],
+    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
 )
 async def descriptor(
     request: Request,
     service: TheService,
     level: str,
-    sun: Annotated[SunSpec | None, Depends(sun_wished)],
-    view: View = None,
-    zoom: Zoom = None,
-    tms: MatrixSet = None,
+    sun: Annotated[SunSpec | None, Depends(sun_query)],
+    view: ViewQuery = None,
+    zoom: ZoomQuery = None,
+    tms: MatrixSetQuery = None,
 ) -> Any:
     """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
     served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), wishes=Wishes(sun=sun))
-    answer = await unless_gone(request, service.pool.run(job))
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), wishes=PictureRequest(sun=sun))
+    answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json))
 
@@ -86,7 +86,7 @@ async def descriptor(
     summary="The plan of a descriptor",
     response_model=Plan,
     responses=problem_docs(413),
-    dependencies=[Depends(only(*PLAN_PARAMETERS))],
+    dependencies=[Depends(allow_only(*PLAN_PARAMETERS))],
 )
 async def plan_of_descriptor(
     request: Request,
@@ -94,7 +94,7 @@ async def plan_of_descriptor(
     described: Annotated[
         Descriptor, Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.")
     ],
-    wanted: Annotated[PlanWishes, Depends(plan_wishes)],
+    wanted: Annotated[PlanQuery, Depends(plan_query)],
 ) -> Any:
     """What the selector chooses for a scene and a view that it knows by their facts alone, and why.
 
@@ -102,8 +102,8 @@ async def plan_of_descriptor(
     Predictions are for the service's own device.
     """
     if wanted.policy == "predict":
-        await unless_gone(request, service.pool.settled())
-    asked = Asked(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
+        await cancel_on_disconnect(request, service.pool.settled())
+    asked = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
     overrides = wanted.overrides.for_selector()
     made = await run_in_threadpool(select, described, asked, overrides, wanted.policy, service.pool.device)
     return JSONResponse(made.model_dump(mode="json"), headers={"Cache-Control": "no-store"})

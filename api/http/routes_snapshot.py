@@ -7,12 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.http.parameters import PICTURE_PARAMETERS, Layer, View, check_pixels, only, parse_size, wishes
+from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
-from api.http.service import TheService, unless_gone
+from api.http.service import TheService, cancel_on_disconnect
 from api.http.tiles import check_format
 from api.layers import LAYERS, MEDIA_TYPES, PictureFormat
-from api.workers.jobs import Snapshot, SnapshotJob, Wishes
+from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
 from terrain.errors import InputError
 
 router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
@@ -21,17 +21,17 @@ router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_
 @router.get(
     "/levels/{level}/snapshot.{format}",
     summary="A view of a level",
-    dependencies=[Depends(only("view", "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only("view", "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
 )
 async def snapshot(
     request: Request,
     service: TheService,
     level: str,
     format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.")],
-    wanted: Annotated[Wishes, Depends(wishes)],
-    view: View = None,
+    wanted: Annotated[PictureRequest, Depends(picture_query)],
+    view: ViewQuery = None,
     size: Annotated[str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.")] = None,
-    layer: Layer = "color",
+    layer: LayerQuery = "color",
     light: Annotated[
         str | None, Query(max_length=100, description=f"The light that {EXACT} show; default: the sun, else the first.")
     ] = None,
@@ -61,7 +61,7 @@ async def snapshot(
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
-    drawn = await unless_gone(request, service.pool.run(job))
+    drawn = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(drawn, Snapshot)
     headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *asked), fresh_s)
     headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)

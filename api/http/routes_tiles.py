@@ -11,13 +11,13 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
-from api.http.parameters import PICTURE_PARAMETERS, Layer, only, wishes
+from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, allow_only, picture_query
 from api.http.problems import problem_docs
-from api.http.service import Service, TheService, unless_gone
+from api.http.service import Service, TheService, cancel_on_disconnect
 from api.http.tiles import block_of_tile, check_format, cut, empty_tile, encode
 from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
-from api.workers.jobs import Block, BlockJob, Wishes
-from selector.formatting import listed
+from api.workers.jobs import BlockJob, PictureRequest, RenderedBlock
+from selector.formatting import format_list
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
     200: {
@@ -30,18 +30,18 @@ PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
 
 router = APIRouter(
     tags=["tiles"],
-    dependencies=[Depends(only("layer", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only("layer", *PICTURE_PARAMETERS))],
     responses=PICTURE_DOCS,
     default_response_class=Response,
 )
 
-EXACT = listed([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+EXACT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
 """Layers to compute with, in words."""
 
-JPEG = listed([f"`{name}`" for name in PICTURE_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
+JPEG = format_list([f"`{name}`" for name in PICTURE_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
 """Layers that there are as JPEG, in words."""
 
-Format = Annotated[PictureFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone.")]
+FormatPath = Annotated[PictureFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone.")]
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
@@ -53,9 +53,9 @@ async def double_tile(
     z: int,
     x: int,
     y: int,
-    format: Format,
-    wanted: Annotated[Wishes, Depends(wishes)],
-    layer: Layer = "color",
+    format: FormatPath,
+    wanted: Annotated[PictureRequest, Depends(picture_query)],
+    layer: LayerQuery = "color",
 ) -> Response:
     """The four tiles of the next zoom that cover the tile, for dense screens."""
     return await _answer(request, service, level, tms, (z, x, y), 2, format, wanted, layer)
@@ -70,9 +70,9 @@ async def tile(
     z: int,
     x: int,
     y: int,
-    format: Format,
-    wanted: Annotated[Wishes, Depends(wishes)],
-    layer: Layer = "color",
+    format: FormatPath,
+    wanted: Annotated[PictureRequest, Depends(picture_query)],
+    layer: LayerQuery = "color",
 ) -> Response:
     """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
     return await _answer(request, service, level, tms, (z, x, y), 1, format, wanted, layer)
@@ -86,7 +86,7 @@ async def _answer(
     zxy: tuple[int, int, int],
     scale: int,
     format: PictureFormat,
-    wanted: Wishes,
+    wanted: PictureRequest,
     layer: str,
 ) -> Response:
     level, matrix_set = await service.level(name), matrix_set_of(tms)
@@ -114,15 +114,15 @@ async def _answer(
     block_x, block_y = block_of_tile(x, y)
     job = BlockJob(level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y, wishes=wanted)
     kept = service.pool.finished(job) is not None
-    block = await unless_gone(request, service.pool.run(job))
-    assert isinstance(block, Block)
+    block = await cancel_on_disconnect(request, service.pool.run(job))
+    assert isinstance(block, RenderedBlock)
     body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
     headers = cache_headers(tag_of(block.renderer, block.calibration, *asked), fresh_s)
     headers |= drawn_headers(block, "block", kept, encode_ms)
     return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
 
 
-def _encoded(block: Block, x: int, y: int, layer: str, tiles: int, format: str) -> tuple[bytes, float]:
+def _encoded(block: RenderedBlock, x: int, y: int, layer: str, tiles: int, format: str) -> tuple[bytes, float]:
     """The bytes of a picture and the milliseconds that they took."""
     start = clock.perf_counter()
     body = encode(cut(block, x, y, layer, tiles), layer, format)

@@ -26,7 +26,7 @@ _PAGE = """<!doctype html>
 """
 
 
-def install(app: FastAPI, folder: Path) -> None:
+def install_viewer(app: FastAPI, folder: Path) -> None:
     """Serve the viewer of a folder: its page on ``/``, its parts under ``/assets``, all of it under ``/static``."""
 
     @app.get("/", include_in_schema=False)

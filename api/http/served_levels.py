@@ -18,7 +18,7 @@ from shadows.registry import served_algorithms
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.level.level import SUN, LoadedLevel, algorithm_choice, lights_named, load_level
+from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
@@ -174,7 +174,7 @@ def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     """The algorithms that an override names, whichever way it is spelt."""
     if algorithm is None:
         return set()
-    return {name for kinds in algorithm_choice(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
+    return {name for kinds in expand_override(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
 
 
 def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:

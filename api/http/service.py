@@ -42,7 +42,7 @@ def service_of(request: Request) -> Service:
 TheService = Annotated[Service, Depends(service_of)]
 
 
-async def unless_gone(request: Request, work: Coroutine[Any, Any, T]) -> T:
+async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
     """The result of work, which is cancelled when the client goes away. Raises ``ClientGoneError``."""
     working = asyncio.ensure_future(work)
     gone = asyncio.ensure_future(_gone(request))

@@ -8,9 +8,9 @@ import numpy as np
 from PIL import Image
 
 from api.http.matrices import BLOCK_TILES, TILE_PX
-from api.layers import LAYERS, encode_picture, picture_of
-from api.workers.jobs import Block
-from terrain.cache import MIB, kept
+from api.layers import LAYERS, encode_picture, picture_layer
+from api.workers.jobs import RenderedBlock
+from terrain.cache import MIB, cached
 from terrain.errors import InputError
 
 LOSSY_QUALITY = 90
@@ -22,13 +22,13 @@ def block_of_tile(x: int, y: int) -> tuple[int, int]:
     return x // BLOCK_TILES, y // BLOCK_TILES
 
 
-def cut(block: Block, x: int, y: int, layer: str, tiles: int = 1) -> np.ndarray:
+def cut(block: RenderedBlock, x: int, y: int, layer: str, tiles: int = 1) -> np.ndarray:
     """A picture layer of ``tiles`` x ``tiles`` tiles of a block, (x, y) being the north-western one in its matrix.
 
     The tiles must lie in one block.
     """
     row, col = (index % BLOCK_TILES * TILE_PX for index in (y, x))
-    return picture_of(block.part(row, col, tiles * TILE_PX), layer)
+    return picture_layer(block.part(row, col, tiles * TILE_PX), layer)
 
 
 def check_format(layer: str, format: str) -> None:
@@ -50,14 +50,14 @@ def encode(array: np.ndarray, layer: str, format: str) -> bytes:
     return encode_picture(array, f".{format}")
 
 
-@kept("process", 4 * MIB)
+@cached("process", 4 * MIB)
 def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
     """A tile without a surface."""
     side = tiles * TILE_PX
-    nothing = Block(
+    nothing = RenderedBlock(
         np.zeros((side, side, 3), np.uint8), np.full((side, side), np.nan, np.float32), "", "none", (), 0.0, 0.0, False, ""
     )
-    return encode(picture_of(nothing, layer), layer, format)
+    return encode(picture_layer(nothing, layer), layer, format)
 
 
 def _save(image: Image.Image, kind: str, **options: int) -> bytes:

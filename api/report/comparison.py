@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from api.report.report import write_report, write_scatter
-from api.report.summary import in_words
-from selector.measure.compare import Comparison, Row, false_colours
-from selector.planner.planner import choose
-from shadows.registry import NOTHING
+from api.report.summary import format_summary
+from selector.measure.compare import Comparison, ComparisonRow, false_colours
+from selector.planner.planner import make_plan
+from shadows.registry import NO_SHADOWS
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import InputError
@@ -63,7 +63,7 @@ def show(comparison: Comparison) -> None:
     )
     if any(row.figures["cold"] for row in comparison.rows):
         console.print("?: timed by its first run alone, which compiles and allocates too")
-    for sentence in in_words(comparison):
+    for sentence in format_summary(comparison):
         console.print(sentence)
     for remark in comparison.remarks:
         console.print(f"note: {remark}")
@@ -71,7 +71,7 @@ def show(comparison: Comparison) -> None:
 
 def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
     """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue."""
-    plan = choose(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NOTHING})
+    plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
     about = _about(scene, comparison, view)
     write_report(folder / "report.html", comparison, base, about)
@@ -100,7 +100,7 @@ def _about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
     }
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: ComparisonRow) -> list[str]:
     f = row.figures
     return [
         f["name"],

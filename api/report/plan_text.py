@@ -6,66 +6,66 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from selector.formatting import duration, listed, percent
-from selector.planner.planner import SETTINGS
-from shadows.algorithm import Reasoned, Settings
+from selector.formatting import format_duration, format_list, format_percent
+from selector.planner.planner import SETTING_NAMES
+from shadows.algorithm import AlgorithmSettings, Reasoned
 from shadows.plan import Plan, Step, Target
-from shadows.registry import ALGORITHMS, NOTHING
+from shadows.registry import ALGORITHMS, NO_SHADOWS
 from terrain.effects import EFFECTS
 from terrain.geo.sun import Sun
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
-WIDTH = 100
+LINE_WIDTH = 100
 """Characters of a line, at most."""
 
 POLICIES = {"rules": "by the rules", "predict": "by prediction", "measure": "by measuring"}
 
-WINDS = (
+COMPASS_POINTS = (
     "north", "north-north-east", "north-east", "east-north-east", "east", "east-south-east", "south-east", "south-south-east",
     "south", "south-south-west", "south-west", "west-south-west", "west", "west-north-west", "north-west", "north-north-west",
 )  # fmt: skip
 
-ALWAYS_SAID = ("cascades", "map_size", "depth_bits", "filter")
+ALWAYS_LISTED = ("cascades", "map_size", "depth_bits", "filter")
 """Settings that are said whether or not there is a reason for them."""
 
-ORDER = (*ALWAYS_SAID, *(key for key in SETTINGS if key not in ALWAYS_SAID))
+ORDER = (*ALWAYS_LISTED, *(key for key in SETTING_NAMES if key not in ALWAYS_LISTED))
 
 _WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
 
-AS_PICKED = "as picked"
+AS_CHOSEN = "as picked"
 """The reason for a setting that comes with the algorithm, whose reason is told already."""
 
 
-def heading(scene: Scene, plan: Plan) -> str:
+def format_heading(scene: Scene, plan: Plan) -> str:
     """Whose plan it is, and how it was chosen."""
-    return f"{scene.loaded.level.title or scene.loaded.name}. {circumstances(scene, plan)}; chosen {POLICIES[plan.policy]}."
+    return f"{scene.loaded.level.title or scene.loaded.name}. {format_view_and_sun(scene, plan)}; chosen {POLICIES[plan.policy]}."
 
 
-def circumstances(scene: Scene, plan: Plan) -> str:
+def format_view_and_sun(scene: Scene, plan: Plan) -> str:
     """The view and the sun that a plan was made for."""
-    return f"View {plan.view}, {sun_in_words(scene.sun)}"
+    return f"View {plan.view}, {format_sun(scene.sun)}"
 
 
-def sun_in_words(sun: Sun | None) -> str:
+def format_sun(sun: Sun | None) -> str:
     """Where a sun stands, as ``the sun 12 degrees high in the west-south-west``."""
     if sun is None:
         return "without a sun"
-    wind = WINDS[round(sun.azimuth_deg / 22.5) % 16]
+    wind = COMPASS_POINTS[round(sun.azimuth_deg / 22.5) % 16]
     if sun.altitude_deg < 0.0:
         return f"the sun {_short(-sun.altitude_deg)} degrees below the horizon in the {wind}"
     return f"the sun {_short(sun.altitude_deg)} degrees high in the {wind}"
 
 
-def in_words(plan: Plan, title: str) -> str:
-    """A plan as text for a terminal: sentences under headings, lines of at most ``WIDTH`` characters."""
+def format_plan(plan: Plan, title: str) -> str:
+    """A plan as text for a terminal: sentences under headings, lines of at most ``LINE_WIDTH`` characters."""
     plan = _aloud(plan)
-    told = _Told(plan)
+    told = _ReasonList(plan)
     parts = [[title, *told.notes("policy")], *(told.light(light) for light in plan.algorithm)]
     if not plan.algorithm:
         parts.append(["Nothing here casts a shadow."])
     told.notes("missed")  # which the expectation tells
-    parts += [[expectation(plan)], told.others()]
+    parts += [[format_expectation(plan)], told.others()]
     parts += [
         _list("Effects that run", plan.effects),
         _list("Effects left out", plan.left_out),
@@ -74,55 +74,55 @@ def in_words(plan: Plan, title: str) -> str:
     return "\n\n".join("\n".join(_wrapped(line) for line in part) for part in parts if part)
 
 
-def choices(plan: Plan) -> list[str]:
+def format_choices(plan: Plan) -> list[str]:
     """For each light and kind of casters that casts: its algorithm and why it was taken, in a sentence."""
     why = {one.name: one.reason for one in _aloud(plan).reasons}
     return [
-        f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {spoken(name)}: {why[f'{light}/{kind}: {name}']}."
+        f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: {why[f'{light}/{kind}: {name}']}."
         for light, kinds in plan.algorithm.items()
         for kind, name in kinds.items()
-        if name != NOTHING and f"{light}/{kind}: {name}" in why
+        if name != NO_SHADOWS and f"{light}/{kind}: {name}" in why
     ]
 
 
-def expectation(plan: Plan) -> str:
+def format_expectation(plan: Plan) -> str:
     """What a plan is expected to cost, held against what was asked, in one or two sentences."""
-    asked = wanted(plan.target)
+    asked = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {asked}."
     verb = "Measured" if plan.policy == "measure" else "Expected"
-    said = f"{verb}: {duration(plan.predicted.ms)} of shadow work, {percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+    said = f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, {format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
     if plan.target.met is None:
         return f"{said} Asked for: {asked}."
     if plan.target.met:
         return f"{said} That meets the target: {asked}."
-    return f"{said} That misses the target ({asked}) by {overshoot(plan)}; nothing comes nearer."
+    return f"{said} That misses the target ({asked}) by {format_overshoot(plan)}; nothing comes nearer."
 
 
-def wanted(target: Target) -> str:
+def format_target(target: Target) -> str:
     """A target, as ``at most 3 % wrong, within 40 ms``."""
     error = f"at most {100.0 * target.max_error:.3g} % of the cast shadow wrong"
-    return error if target.max_ms is None else f"{error}, within {duration(target.max_ms)}"
+    return error if target.max_ms is None else f"{error}, within {format_duration(target.max_ms)}"
 
 
-def spoken(name: str) -> str:
+def display_name(name: str) -> str:
     """The name of an algorithm or an effect as it is read aloud."""
-    return "no shadows" if name == NOTHING else name.replace("_", " ")
+    return "no shadows" if name == NO_SHADOWS else name.replace("_", " ")
 
 
-def overshoot(plan: Plan) -> str:
+def format_overshoot(plan: Plan) -> str:
     """By how much a plan misses its target, as ``2.1 % of the cast shadow and 15 ms``."""
     assert plan.predicted is not None
     over = []
     if (error := plan.predicted.wrong_cast - plan.target.max_error) > 0.0:
-        over.append(f"{percent(error)} of the cast shadow")
+        over.append(f"{format_percent(error)} of the cast shadow")
     if plan.target.max_ms is not None and (ms := plan.predicted.ms - plan.target.max_ms) > 0.0:
-        over.append(duration(ms))
+        over.append(format_duration(ms))
     told = (one.reason.removeprefix("expected: ") for one in plan.reasons if one.name.endswith(": target missed"))
     return " and ".join(over) or "; ".join(told)
 
 
-class _Told:
+class _ReasonList:
     """The reasons of a plan, each told once: by its light and caster kind, by its setting, or after all others."""
 
     def __init__(self, plan: Plan) -> None:
@@ -151,12 +151,12 @@ class _Told:
             reasons = self._named(f"{step.light}/{kind}: {step.algorithm}")
             why.setdefault("; ".join(reasons), []).append(kind)
         for reason, kinds in why.items():
-            taken = "casts nothing" if step.algorithm == NOTHING else f"by {spoken(step.algorithm)}"
-            yield f"  {_capital(listed(kinds))} {taken}{f': {reason}' if reason else ''}."
+            taken = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
+            yield f"  {_capital(format_list(kinds))} {taken}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
             reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
-            if reasons or (key in ALWAYS_SAID and (key, value) not in (("cascades", 1), ("filter", 1))):
-                reason = f": {reasons[0]}" if reasons and reasons[0] != AS_PICKED else ""
+            if reasons or (key in ALWAYS_LISTED and (key, value) not in (("cascades", 1), ("filter", 1))):
+                reason = f": {reasons[0]}" if reasons and reasons[0] != AS_CHOSEN else ""
                 yield f"    {_capital(_setting(key, value))}{reason}."
 
     def _named(self, *names: str) -> list[str]:
@@ -169,7 +169,7 @@ class _Told:
         return taken
 
 
-def _values(settings: Settings | None) -> Iterator[tuple[str, object]]:
+def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
     """The settings of a step as overrides spell them; ``cascades`` is their number."""
     asked = {} if settings is None else settings.asked_as
     yield from ((key, asked[key]) for key in ORDER if key in asked)
@@ -178,7 +178,7 @@ def _values(settings: Settings | None) -> Iterator[tuple[str, object]]:
 def _spoken_name(found: re.Match[str]) -> str:
     """The name of an algorithm or an effect without its underscores; any other word as it is."""
     word = found.group()
-    return spoken(word) if word in ALGORITHMS or word in EFFECTS else word
+    return display_name(word) if word in ALGORITHMS or word in EFFECTS else word
 
 
 def _setting(key: str, value: object) -> str:
@@ -200,9 +200,9 @@ def _setting(key: str, value: object) -> str:
         case "culling", "none":
             return "no culling"
         case _, str() if key != "culling":
-            return f"{spoken(value)} {spoken(key)}"
+            return f"{display_name(value)} {display_name(key)}"
         case _:
-            return f"{spoken(key)} {value}"
+            return f"{display_name(key)} {value}"
 
 
 def _aloud(plan: Plan) -> Plan:
@@ -225,8 +225,8 @@ def _not_taken(plan: Plan) -> list[Reasoned]:
 def _list(title: str, reasoned: list[Reasoned]) -> list[str]:
     names: dict[str, list[str]] = {}
     for one in reasoned:
-        names.setdefault(one.reason, []).append(spoken(one.name))
-    return [title, *(f"  {_capital(listed(its, most=9))}: {reason}." for reason, its in names.items())] if reasoned else []
+        names.setdefault(one.reason, []).append(display_name(one.name))
+    return [title, *(f"  {_capital(format_list(its, most=9))}: {reason}." for reason, its in names.items())] if reasoned else []
 
 
 def _sentence(text: str) -> str:
@@ -243,4 +243,4 @@ def _short(degrees: float) -> str:
 
 def _wrapped(line: str) -> str:
     indent = " " * (len(line) - len(line.lstrip()))
-    return textwrap.fill(line.strip(), WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_on_hyphens=False)
+    return textwrap.fill(line.strip(), LINE_WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_on_hyphens=False)

@@ -13,14 +13,14 @@ import numpy as np
 
 from api.report.page.bars import bars, bars_legend, too_long
 from api.report.page.markup import breakable, definitions, script_json, tag
-from api.report.page.pictures import LEVELS, Errors, Pictures, palette, pictures
-from api.report.page.scatter import legend, scatter, still
-from api.report.page.table import GLOSSARY, table
-from api.report.summary import FLOORS, Figures, casts, in_words, on_front
-from selector.formatting import duration, percent
+from api.report.page.pictures import GRAY_LEVELS, ErrorPicture, Pictures, palette, report_pictures
+from api.report.page.scatter import legend, scatter_plot, still
+from api.report.page.table import GLOSSARY, rows_table
+from api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
+from selector.formatting import format_duration, format_percent
 from selector.measure.compare import Comparison
 
-MOST_BYTES = 5_000_000
+MAX_PAGE_BYTES = 5_000_000
 """Of a page; what its text leaves of this is for pictures."""
 
 LONG = 240
@@ -45,7 +45,7 @@ def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: di
     OSError
         If the file cannot be written.
     """
-    path.write_text(report(comparison, base, about), encoding="utf-8")
+    path.write_text(report_html(comparison, base, about), encoding="utf-8")
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
@@ -53,14 +53,14 @@ def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     path.write_text(still(comparison, title, _part("report.css")), encoding="utf-8")
 
 
-def report(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:
+def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:
     """The page as text; see ``write_report``."""
     style, script = _part("report.css"), _part("report.js")
     parts = {
         "title": escape(" · ".join(list(about.values())[:2])),
         "about": definitions(about, class_="about"),
         "summary": tag(
-            "ul", *(tag("li", text) for text in [*map(escape, in_words(comparison)), *map(_remark, comparison.remarks)])
+            "ul", *(tag("li", text) for text in [*map(escape, format_summary(comparison)), *map(_remark, comparison.remarks)])
         ),
         "shares": definitions(_shares(comparison), class_="shares"),
         "glossary": definitions(GLOSSARY),
@@ -72,8 +72,8 @@ def report(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> s
     if not comparison.rows:
         return Template(_part("report.html")).substitute(parts, results="", data="")
     results = _results(comparison)
-    spare = MOST_BYTES - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
-    drawn = pictures(base, _errors(comparison), spare)
+    spare = MAX_PAGE_BYTES - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
+    drawn = report_pictures(base, _errors(comparison), spare)
     results |= {"thumbs": _thumbs(comparison, drawn), "shrunk": _shrunk(drawn)}
     return Template(_part("report.html")).substitute(
         parts, results=Template(_part("results.html")).substitute(results), data=_data(comparison, drawn)
@@ -98,10 +98,10 @@ def _remark(remark: str) -> str:
 
 def _shares(comparison: Comparison) -> dict[str, str]:
     return {
-        "boundary": f"{percent(comparison.boundary)} of the surface: no error is counted there, for truth itself is not certain",
-        "drawn grid": f"{percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
-        "noise floor": f"{percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
-        f"errors up to {percent(FLOORS * comparison.noise_floor)} are called exact",
+        "boundary": f"{format_percent(comparison.boundary)} of the surface: no error is counted there, for truth itself is not certain",
+        "drawn grid": f"{format_percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
+        "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
+        f"errors up to {format_percent(FLOORS * comparison.noise_floor)} are called exact",
     }
 
 
@@ -109,13 +109,13 @@ def _results(comparison: Comparison) -> dict[str, str]:
     figures = [row.figures for row in comparison.rows]
     cold = [f["name"] for f in figures if f["cold"]]
     return {
-        "scatter": scatter(comparison),
+        "scatter": scatter_plot(comparison),
         "scatter_legend": legend(comparison),
         "bars": bars(figures),
         "bars_legend": bars_legend(figures),
         "cut": "A bar with a cut is longer than the axis: its stages are drawn in proportion." if too_long(figures) else "",
         "options": "".join(tag("option", escape(f["name"]), value=k) for k, f in enumerate(figures)),
-        "table": table(comparison),
+        "table": rows_table(comparison),
         "cold": "A time with a question mark is that of a first run, which pays for what later ones have." if cold else "",
         "colours": tag(
             "ul",
@@ -125,11 +125,11 @@ def _results(comparison: Comparison) -> dict[str, str]:
     }
 
 
-def _errors(comparison: Comparison) -> list[Errors]:
+def _errors(comparison: Comparison) -> list[ErrorPicture]:
     """What is drawn of each row; what no light can reach is dark in the shaded view already, and so not part of the cast shadow."""
     bare = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
     return [
-        Errors(row.visibility if bare is None else np.where(bare, 255, row.visibility), row.false_shadow, row.missed_shadow)
+        ErrorPicture(row.visibility if bare is None else np.where(bare, 255, row.visibility), row.false_shadow, row.missed_shadow)
         for row in comparison.rows
     ]
 
@@ -150,7 +150,7 @@ def _data(comparison: Comparison, drawn: Pictures) -> str:
     value = {
         "rows": drawn.rows,
         "cols": drawn.cols,
-        "levels": LEVELS,
+        "levels": GRAY_LEVELS,
         "palette": palette().tolist(),
         "ground": drawn.ground,
         "left": shown[0],
@@ -165,9 +165,9 @@ def _thumbs(comparison: Comparison, drawn: Pictures) -> str:
     return "".join(_thumb(k, figures[k], comparison.error, drawn) for k in order)
 
 
-def _thumb(k: int, figures: Figures, error: str, drawn: Pictures) -> str:
-    caption = f"{percent(figures[error])}, {duration(figures['ms_median'])}"
-    shares = f"{percent(figures['false_shadow'])} false and {percent(figures['missed_shadow'])} missed shadow"
+def _thumb(k: int, figures: RowFigures, error: str, drawn: Pictures) -> str:
+    caption = f"{format_percent(figures[error])}, {format_duration(figures['ms_median'])}"
+    shares = f"{format_percent(figures['false_shadow'])} false and {format_percent(figures['missed_shadow'])} missed shadow"
     alt = f"Errors of {figures['name']}: {shares}"
     picture = tag("img", src=drawn.of_rows[k], alt=alt, width=drawn.cols, height=drawn.rows)
     name = tag("figcaption", tag("b", breakable(figures["name"])), tag("span", escape(caption)))

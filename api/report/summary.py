@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from selector.formatting import duration, listed, percent, two_digits
+from selector.formatting import format_duration, format_list, format_percent, format_two_digits
 from selector.measure.compare import Comparison
-from shadows.registry import NOTHING
+from shadows.registry import NO_SHADOWS
 from shadows.truth.metrics import MOST_INTERIOR
 
-Figures = dict[str, Any]
+RowFigures = dict[str, Any]
 
 
 FLOORS = 3.0
@@ -21,7 +21,7 @@ SMALL_ERROR = 0.03
 """An error that levels accept unless they say otherwise."""
 
 
-def in_words(comparison: Comparison) -> list[str]:
+def format_summary(comparison: Comparison) -> list[str]:
     """A few sentences on the rows that cast shadows; none where there are no such rows.
 
     The price of accuracy is told along the front alone: from its fastest row on, in steps that at least halve the error, until
@@ -30,41 +30,41 @@ def in_words(comparison: Comparison) -> list[str]:
     rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
     if not rows:
         return []
-    told = _Told(comparison.error, FLOORS * comparison.noise_floor)
+    told = _SummaryText(comparison.error, FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], told.of(f)))
     return [*told.extremes(rows), *told.prices(front), *told.failures(rows), *_never_on_the_front(rows, comparison.light)]
 
 
-def casts(figures: Figures, light: str) -> bool:
+def casts(figures: RowFigures, light: str) -> bool:
     """Whether any algorithm but ``none`` is at work for a light in a row."""
-    return family(figures, light) != NOTHING
+    return algorithm_family(figures, light) != NO_SHADOWS
 
 
-def family(figures: Figures, light: str) -> str:
+def algorithm_family(figures: RowFigures, light: str) -> str:
     """The algorithms of a row for a light, without their settings, as ``sweep + shadow_map``; ``none`` where none casts."""
-    names = [name for name in figures["algorithm"].get(light, {}).values() if name != NOTHING]
-    return " + ".join(dict.fromkeys(names)) or NOTHING
+    names = [name for name in figures["algorithm"].get(light, {}).values() if name != NO_SHADOWS]
+    return " + ".join(dict.fromkeys(names)) or NO_SHADOWS
 
 
-def on_front(figures: Figures, light: str) -> bool:
+def on_front(figures: RowFigures, light: str) -> bool:
     """Whether a row that casts for a light is on the front."""
     return figures["pareto"] and casts(figures, light)
 
 
 @dataclass(frozen=True)
-class _Told:
+class _SummaryText:
     """Sentences in terms of one error figure, of which ``exact_to`` and less is called exact."""
 
     error: str
     exact_to: float
 
-    def of(self, figures: Figures) -> float:
+    def of(self, figures: RowFigures) -> float:
         return float(figures[self.error])
 
-    def exact(self, figures: Figures) -> bool:
+    def exact(self, figures: RowFigures) -> bool:
         return self.of(figures) <= self.exact_to
 
-    def extremes(self, rows: list[Figures]) -> list[str]:
+    def extremes(self, rows: list[RowFigures]) -> list[str]:
         fastest = min(rows, key=lambda f: (f["ms_median"], self.of(f)))
         best = min(rows, key=lambda f: (0.0 if self.exact(f) else self.of(f), f["ms_median"]))
         exact = sum(map(self.exact, rows))
@@ -76,12 +76,12 @@ class _Told:
         times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
         if exact > 1:
             most = f"{exact} rows are exact to what truth can tell; the fastest of them is {best['name']}"
-            most = f"{most}, in {duration(best['ms_median'])}"
+            most = f"{most}, in {format_duration(best['ms_median'])}"
         else:
             most = f"The most accurate is {best['name']}: {self._result(best)}"
         return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{most}{times}."]
 
-    def prices(self, front: list[Figures]) -> list[str]:
+    def prices(self, front: list[RowFigures]) -> list[str]:
         said, here = [], front[0] if front else None
         while here is not None and not self.exact(here):
             next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(here) / 2.0), None)
@@ -90,49 +90,49 @@ class _Told:
             here = next_
         return said
 
-    def _price(self, here: Figures, there: Figures) -> str:
+    def _price(self, here: RowFigures, there: RowFigures) -> str:
         ratio = there["ms_median"] / here["ms_median"]
         steps = (
             f"{f'costs {_times(ratio)} the' if ratio >= HARDLY else 'takes hardly more'} time ({here['name']} to {there['name']})"
         )
         if self.exact(there):
-            return f"Bringing the error from {percent(self.of(here))} down to what truth can tell {steps}."
+            return f"Bringing the error from {format_percent(self.of(here))} down to what truth can tell {steps}."
         if self.of(there) > self.of(here) / 2.5:
-            return f"Halving the error from {percent(self.of(here))} {steps}."
-        return f"Bringing the error from {percent(self.of(here))} down to {percent(self.of(there))} {steps}."
+            return f"Halving the error from {format_percent(self.of(here))} {steps}."
+        return f"Bringing the error from {format_percent(self.of(here))} down to {format_percent(self.of(there))} {steps}."
 
-    def failures(self, rows: list[Figures]) -> list[str]:
+    def failures(self, rows: list[RowFigures]) -> list[str]:
         failed = [f for f in rows if f["interior"] > MOST_INTERIOR and self.of(f) <= SMALL_ERROR]
         if not failed:
             return []
         worst = max(f["interior"] for f in failed)
         whose, up_to = ("its", "") if len(failed) == 1 else ("their", "up to ")
         return [
-            f"{listed([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {whose} error is "
-            f"small: {up_to}{percent(worst)} of the surface is wrong away from all shadow edges, which aliasing cannot explain."
+            f"{format_list([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {whose} error is "
+            f"small: {up_to}{format_percent(worst)} of the surface is wrong away from all shadow edges, which aliasing cannot explain."
         ]
 
-    def _result(self, figures: Figures) -> str:
+    def _result(self, figures: RowFigures) -> str:
         what = "of the cast shadow wrong" if self.error == "wrong_cast" else "off in shadow share"
-        wrong = "exact to what truth can tell" if self.exact(figures) else f"{percent(self.of(figures))} {what}"
-        return f"{wrong}, in {duration(figures['ms_median'])}"
+        wrong = "exact to what truth can tell" if self.exact(figures) else f"{format_percent(self.of(figures))} {what}"
+        return f"{wrong}, in {format_duration(figures['ms_median'])}"
 
 
-def _never_on_the_front(rows: list[Figures], light: str) -> list[str]:
+def _never_on_the_front(rows: list[RowFigures], light: str) -> list[str]:
     on_it = {name for f in rows if f["pareto"] for name in _algorithms(f, light)}
     lost = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_it]
     if not lost or not on_it:
         return []
     serve, are, whose = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
     return [
-        f"{listed(lost, most=6)} {serve} this view, but {are} never on the front: "
+        f"{format_list(lost, most=6)} {serve} this view, but {are} never on the front: "
         f"at each of {whose} settings that were compared, something else is no slower and no less accurate."
     ]
 
 
-def _algorithms(figures: Figures, light: str) -> list[str]:
-    return family(figures, light).split(" + ")
+def _algorithms(figures: RowFigures, light: str) -> list[str]:
+    return algorithm_family(figures, light).split(" + ")
 
 
 def _times(ratio: float) -> str:
-    return f"{two_digits(ratio)} times"
+    return f"{format_two_digits(ratio)} times"

@@ -33,7 +33,7 @@ class Overrides(_Value):
     """What a request asks of the shadows: keys of a level's ``shadows`` and their values, in the order of the keys there.
 
     ``algorithm`` is as the query spells it. A key that is not asked for is not among them: the level has its say. What else a
-    request asks is a field of ``Wishes``.
+    request asks is a field of ``PictureRequest``.
     """
 
     asked: tuple[tuple[str, Any], ...] = ()
@@ -59,7 +59,7 @@ def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in asked}
 
 
-class Wishes(_Value):
+class PictureRequest(_Value):
     """What a request asks whatever the view: of the sun (``None``: the level's own) and of the shadows.
 
     Jobs carry it whole, and entity tags and caches of plans know all of it: a field more needs nothing but its line in
@@ -94,7 +94,7 @@ class BlockJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    wishes: Wishes = Wishes()
+    wishes: PictureRequest = PictureRequest()
 
 
 class Tiles(_Value):
@@ -110,7 +110,7 @@ class PlanJob(_Value):
     level: LevelKey
     view: str | Tiles
     policy: ServedPolicy = "predict"
-    wishes: Wishes = Wishes()
+    wishes: PictureRequest = PictureRequest()
 
 
 class DescriptorJob(_Value):
@@ -118,7 +118,7 @@ class DescriptorJob(_Value):
 
     level: LevelKey
     view: str | Tiles
-    wishes: Wishes = Wishes()
+    wishes: PictureRequest = PictureRequest()
 
 
 class SnapshotJob(_Value):
@@ -135,7 +135,7 @@ class SnapshotJob(_Value):
     size: tuple[int, int] | None = None
     light: str | None = None
     seconds: float | None = None
-    wishes: Wishes = Wishes()
+    wishes: PictureRequest = PictureRequest()
 
 
 Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob
@@ -150,7 +150,7 @@ class Ready:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class RenderedBlock:
     """A finished block: ``color`` (rows, cols, 3) uint8, ``visibility`` (rows, cols) float32, NaN off the surface.
 
     ``plan_json`` is the plan, ``headline`` its algorithms as in overrides; ``passes`` are names with milliseconds;
@@ -175,7 +175,7 @@ class Block:
 
     opaque = there
 
-    def part(self, row: int, col: int, side: int) -> Block:
+    def part(self, row: int, col: int, side: int) -> RenderedBlock:
         """The square part of a block whose first pixel is (row, col)."""
         pixels = slice(row, row + side), slice(col, col + side)
         return replace(self, color=self.color[pixels], visibility=self.visibility[pixels])
@@ -248,5 +248,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = Block | Snapshot | PlanAnswer | DescriptorAnswer
+Result = RenderedBlock | Snapshot | PlanAnswer | DescriptorAnswer
 Answer = Result | Failure

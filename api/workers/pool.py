@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from api.device_calibration import digest_of
 from api.errors import WorkerCrashError
 from api.settings import Settings, cores
-from api.workers.jobs import Answer, Block, Failure, Job, Result, Snapshot
+from api.workers.jobs import Answer, Failure, Job, RenderedBlock, Result, Snapshot
 from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
@@ -29,7 +29,7 @@ log = logging.getLogger("skugga")
 
 
 @dataclass(eq=False)
-class _Flight:
+class _PendingJob:
     """A job on its way, and how many wait for it."""
 
     job: Job
@@ -38,7 +38,7 @@ class _Flight:
 
 
 @dataclass
-class Tally:
+class PoolCounters:
     """What the pool has done since it was started."""
 
     answered: int = 0
@@ -58,11 +58,11 @@ class Pool:
         self._target = target
         self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
-        self._finished: Cache[Block | Snapshot] = Cache(
+        self._finished: Cache[RenderedBlock | Snapshot] = Cache(
             "api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
         )
-        self._flights: dict[Job, _Flight] = {}
-        self._queue: OrderedDict[Job, _Flight] = OrderedDict()
+        self._flights: dict[Job, _PendingJob] = {}
+        self._queue: OrderedDict[Job, _PendingJob] = OrderedDict()
         self._news = asyncio.Event()
         self._slots: list[asyncio.Task[None]] = []
         self._start_error: SkuggaError | None = None
@@ -71,7 +71,7 @@ class Pool:
         self.renderer: str | None = None
         self.device: DeviceProfile | None = None
         self.pids: set[int] = set()
-        self.tally = Tally()
+        self.tally = PoolCounters()
 
     @property
     def ready(self) -> bool:
@@ -92,7 +92,7 @@ class Pool:
         """Jobs that wait for a process."""
         return len(self._queue)
 
-    def finished(self, job: Job) -> Block | Snapshot | None:
+    def finished(self, job: Job) -> RenderedBlock | Snapshot | None:
         """A block or a snapshot that is kept."""
         drawn = self._finished.get(job)
         return None if isinstance(drawn, Missing) else drawn
@@ -135,14 +135,14 @@ class Pool:
             raise answer.error()
         return answer
 
-    def _enqueue(self, job: Job) -> _Flight:
+    def _enqueue(self, job: Job) -> _PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
         if self._start_error is not None and not self.ready:
             raise GraphicsError(str(self._start_error))
         if len(self._queue) >= self._settings.queue_length:
             raise BusyError(f"The service is busy: {len(self._queue)} pictures are waiting to be drawn.")
-        flight = _Flight(job, asyncio.get_running_loop().create_future())
+        flight = _PendingJob(job, asyncio.get_running_loop().create_future())
         # An error that nobody waits for any more is no news.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
         self._flights[job] = self._queue[job] = flight
@@ -203,7 +203,7 @@ class Pool:
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
-    async def _next(self, worker: WorkerProcess) -> _Flight | None:
+    async def _next(self, worker: WorkerProcess) -> _PendingJob | None:
         """The next job of the queue; ``None`` where the process dies while it waits for one."""
         while not worker.dead:
             if self._queue:
@@ -212,18 +212,18 @@ class Pool:
             await self._news.wait()
         return None
 
-    def _land(self, flight: _Flight, answer: Answer | SkuggaError) -> None:
+    def _land(self, flight: _PendingJob, answer: Answer | SkuggaError) -> None:
         self._flights.pop(flight.job, None)
         if isinstance(answer, SkuggaError):
             self.tally.failed += 1
             flight.answer.set_exception(answer)
         else:
             self.tally.answered += 1
-            if isinstance(answer, Block | Snapshot):
+            if isinstance(answer, RenderedBlock | Snapshot):
                 self._finished.put(flight.job, value=answer)
             flight.answer.set_result(answer)
 
-    def _fail_all(self, error: SkuggaError, flights: list[_Flight]) -> None:
+    def _fail_all(self, error: SkuggaError, flights: list[_PendingJob]) -> None:
         for flight in flights:
             self._queue.pop(flight.job, None)
             self._land(flight, error)

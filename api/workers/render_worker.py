@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Any
 from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration, digest_of
-from api.layers import encode_picture, picture_of
+from api.layers import encode_picture, picture_layer
 from api.workers.jobs import (
     Answer,
-    Block,
     BlockJob,
     DescriptorAnswer,
     DescriptorJob,
@@ -31,6 +30,7 @@ from api.workers.jobs import (
     PlanAnswer,
     PlanJob,
     Ready,
+    RenderedBlock,
     Result,
     Snapshot,
     SnapshotJob,
@@ -82,7 +82,7 @@ def resident_bytes() -> int:
         return 0
 
 
-class Scenes:
+class SceneCache:
     """The scenes used last, by level file; a level of which a file has changed is opened anew."""
 
     def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
@@ -112,7 +112,7 @@ class Scenes:
         return found[1]
 
 
-class TilePlans:
+class TilePlanCache:
     """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
 
     def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
@@ -128,13 +128,13 @@ class TilePlans:
 
 
 @dataclass(frozen=True, eq=False)
-class Desk:
+class WorkerState:
     """What a render process keeps while it lives: its renderer, the device's calibration, scenes and plans of tiles."""
 
     renderer: str
     device: DeviceProfile | None = None
-    scenes: Scenes = field(default_factory=Scenes)
-    plans: TilePlans = field(default_factory=TilePlans)
+    scenes: SceneCache = field(default_factory=SceneCache)
+    plans: TilePlanCache = field(default_factory=TilePlanCache)
 
     @property
     def calibration(self) -> str:
@@ -158,7 +158,7 @@ def _block(grid: Grid, x: int, y: int) -> MapView:
     return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
-def work(job: Job, desk: Desk) -> Result:
+def run_job(job: Job, desk: WorkerState) -> Result:
     """Do a job. Raises ``SkuggaError``."""
     scene = job.wishes.seen(desk.scenes.get(job.level))
     overrides = job.wishes.overrides.for_selector()
@@ -171,13 +171,15 @@ def work(job: Job, desk: Desk) -> Result:
         case BlockJob():
             plan = _plan_of_tiles(job, scene, desk)
             frame = render_frame(scene, block_view(job), plan)
-            return Block(color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, desk))
+            return RenderedBlock(
+                color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, desk)
+            )
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
             frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=desk.device))
             start = clock.perf_counter()
-            body = encode_picture(picture_of(frame.under(job.light), job.layer), f".{job.format}")
+            body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
             return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, desk))
 
 
@@ -186,7 +188,7 @@ def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, s
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def _plan_of_tiles(job: BlockJob, scene: Scene, desk: Desk) -> Plan:
+def _plan_of_tiles(job: BlockJob, scene: Scene, desk: WorkerState) -> Plan:
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
@@ -195,7 +197,7 @@ def _plan_of_tiles(job: BlockJob, scene: Scene, desk: Desk) -> Plan:
     return desk.plans.get((job.level, tiles, job.wishes), make)
 
 
-def _facts(frame: Frame, desk: Desk) -> dict[str, Any]:
+def _facts(frame: Frame, desk: WorkerState) -> dict[str, Any]:
     """What a picture says of what drew it."""
     return {
         "headline": frame.plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
@@ -211,7 +213,7 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     from api.workers.warm_up import warm_up
 
     try:
-        desk = Desk(warm_up(config.expect_renderer), calibration())
+        desk = WorkerState(warm_up(config.expect_renderer), calibration())
         pipe.send(Ready(desk.renderer, desk.device))
         while True:
             answer = _answer(pipe.recv(), desk)
@@ -224,9 +226,9 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         return
 
 
-def _answer(job: Job, desk: Desk) -> Answer:
+def _answer(job: Job, desk: WorkerState) -> Answer:
     try:
-        return work(job, desk)
+        return run_job(job, desk)
     except SkuggaError as error:
         return Failure.of(error, fatal=isinstance(error, GraphicsError))
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it

@@ -21,7 +21,7 @@ from terrain.gl import device as gl
 from terrain.level.level import Level, LoadedLevel
 from terrain.scene import build_scene
 
-CELL_M, CELLS, WALL_M = 30.0, 64, 300.0
+WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """A plain of 64 x 64 cells with a wall from north to south in its middle."""
 
 ZOOM = 12
@@ -49,12 +49,12 @@ def warm_up(expect_renderer: str | None = None) -> str:
 def _visibility_beside_wall() -> tuple[float, float]:
     """Visibility of the plain west (towards the sun) and east of the wall."""
     heights = np.zeros((CELLS, CELLS), np.float32)
-    heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_M
+    heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
     with MemoryFile(ext=".tif") as memory:
         with memory.open(
             driver="GTiff", width=CELLS, height=CELLS, count=1, dtype=heights.dtype, crs=CRS.from_epsg(32631),
-            transform=from_origin(left, top, CELL_M, CELL_M),
+            transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
         level = Level.model_validate(

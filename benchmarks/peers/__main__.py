@@ -26,10 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peers.figures import Answer, Comparison, Terrain, Told, Under
+from benchmarks.peers.figures import PeerComparison, SunShares, TestRaster, ToolRecord, ToolResult
 from benchmarks.peers.pages import page, short_table
 from benchmarks.peers.picture import picture
-from benchmarks.peers.tools import Job, Run, Tool, check_pole, tools_of, write_dem
+from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, tools_of, write_dem
 from benchmarks.sweep_accuracy import GridRays, GridTruth
 from benchmarks.sweep_speed import CELL_M, _processor, mountains
 from terrain.level.bundled import BUNDLED
@@ -61,7 +61,7 @@ def rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
     return {"Jacksboro": (np.ascontiguousarray(height_m[:side, :side]), cell_m), "fractal": (mountains(side), CELL_M)}
 
 
-def checked(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[Told]]:
+def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[ToolRecord]]:
     """The tools to be believed, with the least seconds of their process on the pole; the others and why; what tools tell."""
     start_s: dict[Tool, float] = {}
     left_out: dict[str, str] = {}
@@ -78,21 +78,21 @@ def checked(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str
             left_out[tool.name] = str(error)
             print(f"{tool.name}: left out: {error}", flush=True)
             continue
-        told.append(Told(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
+        told.append(ToolRecord(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
         print(f"{tool.name} {version}: the pole's shadow lies where it should", flush=True)
     return start_s, left_out, told
 
 
-def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[Terrain, list[GridTruth]]:
+def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
     """A raster's facts, and truth under each sun."""
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUNS]
     under = [
-        Under(*sun, float((~truth.lit & truth.decidable).sum() / truth.decidable.sum()), float((~truth.decidable).mean()))
+        SunShares(*sun, float((~truth.lit & truth.decidable).sum() / truth.decidable.sum()), float((~truth.decidable).mean()))
         for sun, truth in zip(SUNS, truths, strict=True)
     ]
     rows, cols = height_m.shape
-    return Terrain(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
+    return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
 
 
 def errors(lit: np.ndarray, truth: GridTruth) -> tuple[float, float]:
@@ -102,14 +102,14 @@ def errors(lit: np.ndarray, truth: GridTruth) -> tuple[float, float]:
     return float(false.sum() / count), float(missed.sum() / count)
 
 
-def measured(python: str, side: int, repeats: int) -> Comparison:
+def measured(python: str, side: int, repeats: int) -> PeerComparison:
     """Everything: the check of conventions, truth, and the tools in turns."""
     begin = time.perf_counter()
-    runs: dict[tuple[Tool, str, int], list[Run]] = {}
+    runs: dict[tuple[Tool, str, int], list[ToolRun]] = {}
     wrong: dict[tuple[Tool, str, int], tuple[float, float]] = {}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        tools, left_out, told = checked(python, folder)
+        tools, left_out, told = check_tools(python, folder)
         terrains, truths = [], {}
         for name, (height_m, cell_m) in rasters(side).items():
             terrain, truths[name] = terrain_of(name, height_m, cell_m)
@@ -119,7 +119,7 @@ def measured(python: str, side: int, repeats: int) -> Comparison:
         for repeat in range(repeats):
             for name in truths:
                 for k, sun in enumerate(SUNS):
-                    job = Job(folder / f"{name}.tif", *sun, folder / "mask.tif")
+                    job = ToolJob(folder / f"{name}.tif", *sun, folder / "mask.tif")
                     for tool in [*tools][:: -1 if repeat % 2 else 1]:
                         key = tool, name, k
                         if repeat and max(run.whole_s for run in runs[key]) > SLOW_S:
@@ -137,12 +137,12 @@ def measured(python: str, side: int, repeats: int) -> Comparison:
     answers = [_answer(*key[:2], SUNS[key[2]], taken, wrong.get(key)) for key, taken in runs.items() if key[0] in tools]
     told = [each for each in told if each.name not in left_out]
     where = f"{_processor()}, {os.cpu_count()} cores"
-    return Comparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, told, left_out, answers)
+    return PeerComparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, told, left_out, answers)
 
 
-def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[Run], wrong: tuple[float, float] | None) -> Answer:
+def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], wrong: tuple[float, float] | None) -> ToolResult:
     said = [run.compute_s for run in runs if run.compute_s is not None]
-    return Answer(
+    return ToolResult(
         tool=tool.name,
         terrain=name,
         azimuth_deg=sun[0],
@@ -171,7 +171,7 @@ def main() -> None:
     if not given.write_only:
         found = measured(given.python, given.side, given.repeats)
         given.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
-    found = Comparison.read(json.loads(given.json.read_text("utf-8")))
+    found = PeerComparison.read(json.loads(given.json.read_text("utf-8")))
     given.markdown.write_text(page(found, Path(os.path.relpath(given.picture, given.markdown.parent)).as_posix()), "utf-8")
     picture(found, given.picture)
     if given.readme:

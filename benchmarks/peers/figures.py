@@ -10,7 +10,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Under:
+class SunShares:
     """A raster under one sun: the shares of its decided cells in shadow, and of all cells that are not decided."""
 
     azimuth_deg: float
@@ -20,7 +20,7 @@ class Under:
 
 
 @dataclass(frozen=True)
-class Terrain:
+class TestRaster:
     """A raster: cells, their side, its lowest and highest height in metres, and what holds under each sun."""
 
     name: str
@@ -29,11 +29,11 @@ class Terrain:
     cell_m: float
     lowest_m: float
     highest_m: float
-    under: list[Under]
+    under: list[SunShares]
 
 
 @dataclass(frozen=True)
-class Told:
+class ToolRecord:
     """A tool that ran: ``start_s`` is what its process took for a raster of next to nothing, at least."""
 
     name: str
@@ -45,7 +45,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ToolResult:
     """A tool's answer for a raster under one sun: medians of seconds, most memory, shares of the decided cells."""
 
     tool: str
@@ -78,26 +78,26 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PeerComparison:
     """All that was measured. ``left_out`` are names of tools with the reason."""
 
     where: str
     repeats: int
     slow_s: float
     took_s: float
-    terrains: list[Terrain]
-    tools: list[Told]
+    terrains: list[TestRaster]
+    tools: list[ToolRecord]
     left_out: dict[str, str]
-    answers: list[Answer]
+    answers: list[ToolResult]
 
     @staticmethod
-    def read(values: dict[str, Any]) -> Comparison:
+    def read(values: dict[str, Any]) -> PeerComparison:
         """From what JSON holds."""
-        terrains = [Terrain(**{**each, "under": [Under(**sun) for sun in each["under"]]}) for each in values["terrains"]]
-        tools, answers = [Told(**each) for each in values["tools"]], [Answer(**each) for each in values["answers"]]
-        return Comparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
+        terrains = [TestRaster(**{**each, "under": [SunShares(**sun) for sun in each["under"]]}) for each in values["terrains"]]
+        tools, answers = [ToolRecord(**each) for each in values["tools"]], [ToolResult(**each) for each in values["answers"]]
+        return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
-    def of(self, tool: Told, terrain: str | None = None, on_axis: bool | None = None) -> list[Answer]:
+    def of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
         """Its answers; of one raster, and on or off the axes, where that is said."""
         return [
             answer
@@ -105,59 +105,59 @@ class Comparison:
             if answer.tool == tool.name and terrain in (None, answer.terrain) and on_axis in (None, answer.on_axis)
         ]
 
-    def compute_s(self, tool: Told, answer: Answer) -> float:
+    def compute_s(self, tool: ToolRecord, answer: ToolResult) -> float:
         """Seconds of computing: where the tool does not say, at most the whole less what its process takes for next to nothing."""
         return answer.compute_s if answer.compute_s is not None else max(answer.whole_s - tool.start_s, 0.0)
 
-    def bounded(self, tool: Told) -> bool:
+    def bounded(self, tool: ToolRecord) -> bool:
         """Whether its seconds of computing are a bound."""
         return any(answer.compute_s is None for answer in self.of(tool))
 
     @property
-    def largest(self) -> Terrain:
+    def largest(self) -> TestRaster:
         """The raster of the most cells."""
         return max(self.terrains, key=lambda terrain: terrain.rows * terrain.cols)
 
     @property
-    def casting(self) -> list[Told]:
+    def casting(self) -> list[ToolRecord]:
         """The tools that cast shadows."""
         return [tool for tool in self.tools if tool.casts]
 
 
-CLOCKS: dict[str, Callable[[Comparison, Told, Answer], float]] = {
+CLOCKS: dict[str, Callable[[PeerComparison, ToolRecord, ToolResult], float]] = {
     "computing": lambda found, tool, answer: found.compute_s(tool, answer),
     "whole process": lambda found, tool, answer: answer.whole_s,
 }
 
 
 @dataclass(frozen=True)
-class Place:
+class ToolStanding:
     """Where a tool stands in a case: seconds, and wrong cells as a share."""
 
-    tool: Told
+    tool: ToolRecord
     seconds: float
     wrong: float
 
-    def beats(self, other: Place) -> bool:
+    def beats(self, other: ToolStanding) -> bool:
         """Whether it is both faster and more accurate."""
         return self.seconds < other.seconds and self.wrong < other.wrong
 
 
-def cases(found: Comparison, clock: str) -> dict[str, list[Place]]:
+def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
     """Places of all tools: in each raster under each sun, and in the means over the suns off the axes."""
-    out: dict[str, list[Place]] = {}
+    out: dict[str, list[ToolStanding]] = {}
     for tool in found.casting:
         for answer in found.of(tool):
-            out.setdefault(answer.case, []).append(Place(tool, CLOCKS[clock](found, tool, answer), answer.wrong))
+            out.setdefault(answer.case, []).append(ToolStanding(tool, CLOCKS[clock](found, tool, answer), answer.wrong))
         for name in [terrain.name for terrain in found.terrains] + [None]:
             some = found.of(tool, name, on_axis=False)
             seconds = float(np.mean([CLOCKS[clock](found, tool, answer) for answer in some]))
             wrong = float(np.mean([answer.wrong for answer in some]))
-            out.setdefault(f"{name or 'all'}, mean off the axes", []).append(Place(tool, seconds, wrong))
+            out.setdefault(f"{name or 'all'}, mean off the axes", []).append(ToolStanding(tool, seconds, wrong))
     return out
 
 
-def beaten(found: Comparison, clock: str) -> list[tuple[str, str, str]]:
+def beaten(found: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
     """Skugga's row, the peer that is both faster and more accurate, and the case."""
     return [
         (own.tool.name, peer.tool.name, case)
@@ -168,7 +168,7 @@ def beaten(found: Comparison, clock: str) -> list[tuple[str, str, str]]:
     ]
 
 
-def unmatched(found: Comparison, clock: str) -> list[tuple[str, str]]:
+def unmatched(found: PeerComparison, clock: str) -> list[tuple[str, str]]:
     """Peers that beat every row of Skugga's in a case, and the case."""
     return [
         (peer.tool.name, case)

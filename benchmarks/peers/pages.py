@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from benchmarks.peers.figures import CLOCKS, Comparison, Place, Told, beaten, cases, unmatched
+from benchmarks.peers.figures import CLOCKS, PeerComparison, ToolRecord, ToolStanding, beaten, cases, unmatched
 from benchmarks.seeds.claims import table
 
 
@@ -30,17 +30,17 @@ def span(values: Iterable[float], written: Callable[[float], str]) -> str:
     return least if least == most else f"{least} to {most}"
 
 
-def bound(found: Comparison, tool: Told) -> str:
+def bound(found: PeerComparison, tool: ToolRecord) -> str:
     """What stands before seconds of computing that are a bound."""
     return "≤ " if found.bounded(tool) else ""
 
 
-def mean_wrong(found: Comparison, tool: Told, on_axis: bool) -> float:
+def mean_wrong(found: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
     """Mean share of wrong cells over rasters and suns."""
     return float(np.mean([answer.wrong for answer in found.of(tool, on_axis=on_axis)]))
 
 
-def time_table(found: Comparison) -> list[str]:
+def time_table(found: PeerComparison) -> list[str]:
     """A line for each tool: seconds as ranges over the suns, memory, wrong cells."""
     rows = []
     for tool in found.tools:
@@ -60,7 +60,7 @@ def time_table(found: Comparison) -> list[str]:
     return table(rows)
 
 
-def error_table(found: Comparison) -> list[str]:
+def error_table(found: PeerComparison) -> list[str]:
     """A line for each tool that casts shadows: false and missed shadow in every case."""
     return table([
         {"tool": tool.name}
@@ -69,7 +69,7 @@ def error_table(found: Comparison) -> list[str]:
     ])  # fmt: skip
 
 
-def short_table(found: Comparison) -> list[str]:
+def short_table(found: PeerComparison) -> list[str]:
     """A few lines for people in a hurry: the largest raster's seconds, means over the suns off the axes."""
     rows = []
     for tool in found.tools:
@@ -90,7 +90,7 @@ SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 """Skugga's rows in the short table."""
 
 
-def verdict(found: Comparison) -> str:
+def format_verdict(found: PeerComparison) -> str:
     """Whether Skugga lies on or beyond the Pareto front of the others, and where it does not."""
     peers = [tool for tool in found.casting if not tool.ours]
     if not peers:
@@ -103,7 +103,7 @@ def verdict(found: Comparison) -> str:
     return "\n\n".join([*parts, _beside(found)])
 
 
-def _front(found: Comparison, clock: str, peers: int) -> str:
+def _front(found: PeerComparison, clock: str, peers: int) -> str:
     """The verdict by one clock."""
     title, count = f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**", len(cases(found, clock))
     ours = sum(tool.ours for tool in found.casting)
@@ -122,7 +122,7 @@ def _front(found: Comparison, clock: str, peers: int) -> str:
     )
 
 
-def _beside(found: Comparison) -> str:
+def _beside(found: PeerComparison) -> str:
     """Off the axes: the fastest and the most accurate peer, beside Skugga's row of the same merit."""
     places = cases(found, "computing")["all, mean off the axes"]
     theirs, own = ([place for place in places if place.tool.ours == ours] for ours in (False, True))
@@ -138,7 +138,7 @@ def _beside(found: Comparison) -> str:
     return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."
 
 
-def _lines(place: Place) -> str:
+def _lines(place: ToolStanding) -> str:
     return place.tool.name.removeprefix("Skugga sweep, ")
 
 
@@ -146,7 +146,7 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def page(found: Comparison, image: str) -> str:
+def page(found: PeerComparison, image: str) -> str:
     """The page, in Markdown; ``image`` is the picture's address from there."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
@@ -155,7 +155,7 @@ def page(found: Comparison, image: str) -> str:
         "## The verdict",
         "Is there a peer that is both faster and more accurate? Asked for each of Skugga's rows, of each raster under each sun,\n"
         "and of the means over the suns off the axes.",
-        verdict(found),
+        format_verdict(found),
         "## How it was measured",
         _how(found),
         "## Time, memory, accuracy",
@@ -172,9 +172,9 @@ def page(found: Comparison, image: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _how(found: Comparison) -> str:
+def _how(found: PeerComparison) -> str:
     rasters = "; ".join(
-        f"{WORDS[terrain.name]}: {terrain.cols} x {terrain.rows} cells of {terrain.cell_m:g} m, {terrain.lowest_m:.0f} to "
+        f"{RASTER_TITLES[terrain.name]}: {terrain.cols} x {terrain.rows} cells of {terrain.cell_m:g} m, {terrain.lowest_m:.0f} to "
         f"{terrain.highest_m:.0f} m high"
         for terrain in found.terrains
     )
@@ -205,13 +205,13 @@ each other: {found.where}.
 to lie where it should."""
 
 
-WORDS = {
+RASTER_TITLES = {
     "Jacksboro": "*Jacksboro*, SRTM of the Jacksboro fault, warped bicubically to UTM 16N",
     "fractal": "*fractal*, mountains of spectral synthesis",
 }
 
 
-def _notes(found: Comparison) -> list[str]:
+def _notes(found: PeerComparison) -> list[str]:
     there = {tool.name for tool in found.tools}
     notes = [note for name, note in NOTES if name in there]
     if slower := [tool.name for tool in found.casting if _low_sun(found, tool) > LOW_SUN]:
@@ -229,7 +229,7 @@ def _notes(found: Comparison) -> list[str]:
 LOW_SUN = 2.0
 
 
-def _low_sun(found: Comparison, tool: Told) -> float:
+def _low_sun(found: PeerComparison, tool: ToolRecord) -> float:
     """How many times as long computing takes under the lowest suns as under the highest, on the largest raster."""
     answers = found.of(tool, found.largest.name)
     heights = [answer.altitude_deg for answer in answers]

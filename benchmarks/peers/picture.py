@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from benchmarks.peers.figures import Comparison, Place, Terrain, cases
+from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, cases
 
-OURS, THEIRS, INK, GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
+OURS, THEIRS, INK, SETTING_GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which all eyes tell apart; the shapes of the points differ, too."""
 
 LEAST_PERCENT = 1e-6
@@ -24,11 +24,11 @@ LEAST_PERCENT = 1e-6
 ROUND = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
 """Where a name may stand beside its point: offsets in points."""
 
-NEAR_PX = 14.0
+LABEL_MARGIN_PX = 14.0
 """What other names keep off a point, to either side."""
 
 
-def picture(found: Comparison, path: Path) -> None:
+def picture(found: PeerComparison, path: Path) -> None:
     """Write it, a panel for each raster, as WebP."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
         figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
@@ -47,18 +47,18 @@ def picture(found: Comparison, path: Path) -> None:
     Image.open(drawn).convert("RGB").save(path, quality=90, method=6)
 
 
-def _places(found: Comparison, terrain: Terrain) -> list[Place]:
+def _places(found: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
     return cases(found, "computing")[f"{terrain.name}, mean off the axes"]
 
 
-def _at(place: Place) -> tuple[float, float]:
+def _at(place: ToolStanding) -> tuple[float, float]:
     return max(place.seconds, 1e-3), max(100.0 * place.wrong, LEAST_PERCENT)
 
 
-def _panel(axes: Axes, found: Comparison, terrain: Terrain) -> None:
+def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
     axes.set(xscale="log", yscale="log", xlabel="seconds of computing, mean of three suns")
     axes.set_title(f"{terrain.name}, {terrain.rows * terrain.cols / 1e6:.1f} million cells", fontsize=11)
-    axes.grid(color=GRID)
+    axes.grid(color=SETTING_GRID)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     places = _places(found, terrain)
@@ -77,11 +77,13 @@ def _panel(axes: Axes, found: Comparison, terrain: Terrain) -> None:
     axes.legend(loc="lower right", frameon=False)
 
 
-def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[Place]) -> None:
+def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> None:
     """Each name on the side of its point where it is least in the way of points and other names."""
     renderer = canvas.get_renderer()
     points = axes.transData.transform([_at(place) for place in places])
-    taken = [Bbox.from_extents(x - NEAR_PX, y - NEAR_PX, x + NEAR_PX, y + NEAR_PX) for x, y in points]
+    taken = [
+        Bbox.from_extents(x - LABEL_MARGIN_PX, y - LABEL_MARGIN_PX, x + LABEL_MARGIN_PX, y + LABEL_MARGIN_PX) for x, y in points
+    ]
     taken.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
     inside = axes.get_window_extent(renderer)
     for place in places:

@@ -30,7 +30,7 @@ POLE_CLOSE = 2.0
 
 
 @dataclass(frozen=True)
-class Job:
+class ToolJob:
     """What is asked: a raster of heights, the sun (azimuth clockwise from north) in degrees, and the file that is to be written."""
 
     dem: Path
@@ -44,7 +44,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Run:
+class ToolRun:
     """What a process took. ``compute_s`` is what it says itself, ``None`` where it does not; cores are CPU time by wall time."""
 
     whole_s: float
@@ -61,8 +61,8 @@ class Tool:
     name: str
     algorithm: str
     version: list[str]
-    command: Callable[[Job], list[str]]
-    lit: Callable[[np.ndarray, Job], np.ndarray] | None
+    command: Callable[[ToolJob], list[str]]
+    lit: Callable[[np.ndarray, ToolJob], np.ndarray] | None
     ours: bool = False
 
     def found(self) -> str | None:
@@ -73,7 +73,7 @@ class Tool:
         number = re.search(r"\d+(\.\w+)+", told.stdout + told.stderr if told.returncode == 0 else "")
         return number[0] if number else None
 
-    def run(self, job: Job) -> Run:
+    def run(self, job: ToolJob) -> ToolRun:
         """Run it. Raises ``RuntimeError`` with the last line of what it said where it fails."""
         job.out.unlink(missing_ok=True)
         told = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *self.command(job)], capture_output=True, text=True)
@@ -82,9 +82,9 @@ class Tool:
         if usage.get("code", told.returncode) or not job.out.exists():
             raise RuntimeError(([line for line in said.splitlines() if line.strip()] or ["no answer"])[-1].strip())
         seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", said, re.MULTILINE)
-        return Run(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
+        return ToolRun(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
 
-    def mask(self, job: Job) -> np.ndarray:
+    def mask(self, job: ToolJob) -> np.ndarray:
         """Where it says that the sun is seen: bool (rows, cols)."""
         assert self.lit is not None
         with rasterio.open(job.out) as written:
@@ -180,7 +180,7 @@ def write_dem(path: Path, height_m: np.ndarray, cell_m: float) -> None:
         target.write(height_m, 1)
 
 
-def check_pole(tool: Tool, folder: Path) -> list[Run]:
+def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
     """A block on a flat floor throws its shadow away from the sun, as long as it should be: the runs that it took.
 
     Raises ``RuntimeError`` where a shadow leaves its place by more than ``POLE_CLOSE`` cells, or the tool fails.
@@ -192,7 +192,7 @@ def check_pole(tool: Tool, folder: Path) -> list[Run]:
     write_dem(dem, height_m, POLE_CELL_M)
     runs = []
     for azimuth_deg, altitude_deg in POLE_SUNS:
-        job = Job(dem, azimuth_deg, altitude_deg, folder / "pole_mask.tif")
+        job = ToolJob(dem, azimuth_deg, altitude_deg, folder / "pole_mask.tif")
         runs.append(tool.run(job))
         if tool.lit is not None:
             _check_shadow(tool.mask(job), azimuth_deg, altitude_deg)

@@ -74,18 +74,18 @@ def main() -> None:
     measured: dict[str, Figures] = json.loads(given.json.read_text("utf-8")) if given.json.exists() else {}
     for name in [] if given.write_only else given.experiments or EXPERIMENTS:
         start = time.perf_counter()
-        measured[name] = rounded({**EXPERIMENTS[name].measure(), "device": device().renderer})
+        measured[name] = round_figures({**EXPERIMENTS[name].measure(), "device": device().renderer})
         given.json.write_text(json.dumps(measured) + "\n", "utf-8")
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
     given.markdown.write_text(page(measured), "utf-8")
 
 
-def rounded(figures: Any) -> Any:
+def round_figures(figures: Any) -> Any:
     """Figures with no more digits than they have meaning."""
     if isinstance(figures, dict):
-        return {name: rounded(value) for name, value in figures.items()}
+        return {name: round_figures(value) for name, value in figures.items()}
     if isinstance(figures, list | tuple):
-        return [rounded(value) for value in figures]
+        return [round_figures(value) for value in figures]
     return float(f"{figures:.6g}") if isinstance(figures, float) else figures
 
 

@@ -22,12 +22,12 @@ from benchmarks.seeds.verdicts import (
     all_of,
     at_most,
     because,
-    listed,
+    listed_by_scene,
     named,
     percent,
     whole_percent,
 )
-from benchmarks.seeds.views import beside_truth, bundled
+from benchmarks.seeds.views import bundled, with_truth
 
 OUTDOOR_SIZE = (400, 320)
 OUTDOORS = (("jacksboro", "ridges"), ("spatialace", "main"))
@@ -62,7 +62,7 @@ def measure() -> Figures:
 def _errors_in(level: str, view: str, size: tuple[int, int], asked: tuple[str, ...] = FOUR) -> Figures:
     """Errors in a view of a bundled level."""
     scene = bundled(level)
-    return errors(beside_truth(scene, view_of(scene, view, size), "main"), asked)
+    return errors(with_truth(scene, view_of(scene, view, size), "main"), asked)
 
 
 def section(figures: Figures) -> Section:
@@ -112,7 +112,7 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "SM where the camera never gets near a shadow's edge",
-                f"`edge_p95`, pixels, from afar: {listed(edges['overview'])}; from close by: {listed(edges['close'])} (held if "
+                f"`edge_p95`, pixels, from afar: {listed_by_scene(edges['overview'])}; from close by: {listed_by_scene(edges['close'])} (held if "
                 "nowhere larger from afar)",
                 afar,
                 because(
@@ -125,7 +125,7 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "PSM for large outdoor scenes under the sun",
-                f"`wrong_cast` of PSM, of SM's: {listed(outdoors)} (held if under 1 in both)",
+                f"`wrong_cast` of PSM, of SM's: {listed_by_scene(outdoors)} (held if under 1 in both)",
                 outdoor,
                 because(
                     outdoor,
@@ -138,7 +138,7 @@ def section(figures: Figures) -> Section:
                 f"{THESIS}, 8.1 and 8.2",
                 "in many cases PSM is worse than SM at the same size",
                 f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MANY} on); `wrong_cast` of PSM, of "
-                f"SM's: {listed(gained)}, and those above",
+                f"SM's: {listed_by_scene(gained)}, and those above",
                 often_worse,
                 because(
                     often_worse,
@@ -151,14 +151,14 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "SV where polygons are few: Street is its best scene",
-                f"time of SV, of SM's: {listed(few)} (held if least in Street under either light)",
+                f"time of SV, of SM's: {listed_by_scene(few)} (held if least in Street under either light)",
                 few_pay,
                 because(few_pay, "few faces to draw", "not polygons but how often volumes cover a pixel is what SV costs"),
             ),
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
                 "SV gets considerably faster where light and objects rest",
-                f"time with volumes kept, of that with all redrawn: {listed(kept)} (held if at most {CONSIDERABLY} everywhere)",
+                f"time with volumes kept, of that with all redrawn: {listed_by_scene(kept)} (held if at most {CONSIDERABLY} everywhere)",
                 still,
                 because(
                     still,
@@ -179,7 +179,7 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "the hybrid where shadows are complex and the camera comes close: BoxGrid",
-                f"time of the hybrid, of SV's: {listed(close)} (held if the median is under 1 and none over {SAME})",
+                f"time of the hybrid, of SV's: {listed_by_scene(close)} (held if the median is under 1 and none over {SAME})",
                 complex_,
                 because(
                     complex_,
@@ -191,7 +191,7 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "the hybrid where light comes through a complex ceiling: Room",
-                f"time of the hybrid, of SV's: {listed(ceiling)} (held if under 1 under either light)",
+                f"time of the hybrid, of SV's: {listed_by_scene(ceiling)} (held if under 1 under either light)",
                 room,
                 because(
                     room,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, because, factor, listed, opposite, percent
-from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of
+from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, because, factor, listed_by_scene, opposite, percent
+from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
 from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import sun_maps
 from shadows.passes import PassLog
@@ -46,7 +46,7 @@ BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled 
 def measure() -> Figures:
     figures: Figures = {}
     for scene, (level, name) in LEVELS.items():
-        look = held(bundled(level), name, SIZE)
+        look = view_with_truth(bundled(level), name, SIZE)
         rows: dict[str, Asked] = {
             f"{bias}, {taps}": {"bias": bias, "filter": taps} for bias in ("receiver_plane", "polygon_offset") for taps in TAPS
         }
@@ -63,7 +63,7 @@ def measure() -> Figures:
     return figures
 
 
-def _biased(look: Held, asked: Asked) -> dict[str, float]:
+def _biased(look: ViewWithTruth, asked: Asked) -> dict[str, float]:
     """Errors; of the points that face the sun the share whose visibility is neither 0 nor 1, and by how much it is off."""
     seen, known = look.visibility(look.plan(asked)), look.truth.decidable & look.receivers
     partial = (seen > 0.0) & (seen < 1.0) & look.receivers
@@ -81,7 +81,7 @@ def _biased(look: Held, asked: Asked) -> dict[str, float]:
     }
 
 
-def _by_formulas(look: Held, size: int) -> dict[str, Any]:
+def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
     """``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point: b itself,
     b tan(acos(n.l)), and that held under the report's bound.
     """
@@ -106,7 +106,7 @@ def _by_formulas(look: Held, size: int) -> dict[str, Any]:
     return {**wrong, "texel": float(max(drawn.uniforms["texel_m"]) / drawn.uniforms["window_m"][2])}
 
 
-def _wrong_cast(look: Held, dark: np.ndarray) -> float:
+def _wrong_cast(look: ViewWithTruth, dark: np.ndarray) -> float:
     """``shadows.truth.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
     truth = look.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
@@ -115,7 +115,7 @@ def _wrong_cast(look: Held, dark: np.ndarray) -> float:
 
 def section(figures: Figures) -> Section:
     def shares(values: dict[str, float]) -> str:
-        return listed(values, percent)
+        return listed_by_scene(values, percent)
 
     def of(row: str, figure: str, scenes: tuple[str, ...] = tuple(LEVELS)) -> dict[str, float]:
         return {scene: figures[scene]["rows"][row][figure] for scene in scenes}

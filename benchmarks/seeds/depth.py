@@ -12,7 +12,7 @@ import trimesh
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.spatialace import ENOUGH
 from benchmarks.seeds.verdicts import SPATIALACE, at_most, because, percent, whole_percent
-from benchmarks.seeds.views import Held, held, one_map, scene_of, settings_of, shallow
+from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, settings_of, shallow, view_with_truth
 from shadows.maps.settings import ShadowMapSettings
 from shadows.maps.windows import sun_maps
 from shadows.truth.metrics import boundary
@@ -61,12 +61,12 @@ def measure() -> Figures:
         for altitude, sun in SUNS.items():
             scene = whole.with_sun(sun)
             for name in ("map", "perspective"):
-                look = held(scene, name, SIZE)
+                look = view_with_truth(scene, name, SIZE)
                 figures[f"{name}, {altitude} degrees"] = {bias: _by_bits(look, bias, altitude) for bias in STEPS_OFF}
     return figures
 
 
-def _by_bits(look: Held, bias: str, altitude_deg: float) -> dict[str, Any]:
+def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, Any]:
     """Errors by bits; how many pixels change their class against 32 bits, as a share of the cast shadow, and how many may."""
     plans = {bits: look.plan(one_map(MAP, bias=bias, depth_bits=bits)) for bits in BITS}
     dark = {bits: np.nan_to_num(look.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
@@ -91,7 +91,7 @@ def _by_bits(look: Held, bias: str, altitude_deg: float) -> dict[str, Any]:
     return found
 
 
-def _pixel_m(look: Held) -> np.ndarray:
+def _pixel_m(look: ViewWithTruth) -> np.ndarray:
     """A pixel's side (rows, cols) on what faces the viewer, metres."""
     if isinstance(look.view, MapView):
         return np.full(look.buffer.there.shape, look.descriptor.pixel_m)

@@ -33,7 +33,7 @@ from benchmarks.seeds.verdicts import (
     percent,
     whole_percent,
 )
-from benchmarks.seeds.views import Held, beside_truth, bundled
+from benchmarks.seeds.views import ViewWithTruth, bundled, with_truth
 from terrain.describe import describe
 from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
@@ -58,7 +58,7 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 """The thesis's grades, 1 to 5, in speed, quality and robustness (table 2)."""
 
 
-def errors(look: Held, asked: tuple[str, ...] = FOUR) -> Figures:
+def errors(look: ViewWithTruth, asked: tuple[str, ...] = FOUR) -> Figures:
     """Errors of what is asked for; of what is wrong the share that lies on foliage, and how many pixels a texel covers there
     (median).
     """
@@ -82,7 +82,7 @@ def along_path(level: str) -> list[Figures]:
     assert isinstance(view, PerspectiveView)
     aside_m = describe(scene, view, "main").pixel_m / view.pixel * view.earth_from_camera[:, 0]
     moved = [replace(view, eye_earth_m=view.eye_earth_m + move * aside_m) for move in MOVES]
-    return [errors(beside_truth(scene, each, "main")) for each in moved]
+    return [errors(with_truth(scene, each, "main")) for each in moved]
 
 
 def measure() -> Figures:
@@ -110,7 +110,7 @@ def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
     }
 
 
-COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
+GRADE_COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
 """What is measured -> the grade that it is held against."""
 
 
@@ -151,7 +151,7 @@ WHYS: dict[str, dict[str, str]] = {
 
 def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
     """Spearman's rank correlation of a column's grades and what was measured: 1 where the better grade has the lesser figure."""
-    grades = [GRADES[key][scene][COLUMNS[column]] for scene, key in measured]
+    grades = [GRADES[key][scene][GRADE_COLUMNS[column]] for scene, key in measured]
     return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
 
 
@@ -160,8 +160,8 @@ def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[
     out: dict[str, list[str]] = {}
     for scene in SCENES:
         for one, other in permutations(FOUR, 2):
-            better = GRADES[one][scene][COLUMNS[column]] > GRADES[other][scene][COLUMNS[column]]
-            if better and measured[scene, one] > measured[scene, other] * SAME + (0.0 if COLUMNS[column] == 0 else RIGHT):
+            better = GRADES[one][scene][GRADE_COLUMNS[column]] > GRADES[other][scene][GRADE_COLUMNS[column]]
+            if better and measured[scene, one] > measured[scene, other] * SAME + (0.0 if GRADE_COLUMNS[column] == 0 else RIGHT):
                 out.setdefault(scene, []).append(f"{SHORT[one]} before {SHORT[other]}")
     return out
 

@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
 from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
-from benchmarks.seeds.views import Held, Variant, found, held, level_of, scene_of
-from shadows.maps.windows import BORDER_TEXELS
+from benchmarks.seeds.views import Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
+from shadows.maps.windows import MAP_BORDER_TEXELS
 from shadows.truth.metrics import boundary
 
 FRAME = (1280, 1024)
@@ -28,13 +28,13 @@ FINE = 2048
 WIDE_DEG = 58.0
 """The cut-off angle of the thesis's water tower, by its own listing."""
 
-SHARP_PX = 1.0
+SHARP_EDGE_PX = 1.0
 """A shadow whose edges are off by at most this, at the 95th percentile, counts as sharp: the least that is more than none."""
 
 PREDICTED_WITHIN = 1.35
 """By this factor a measured mean displacement may differ from the predicted one, where texels are larger than pixels."""
 
-CROP: Box = (440, 520, 200, 160)
+CROP: CropBox = (440, 520, 200, 160)
 
 
 def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, float]:
@@ -52,7 +52,7 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
     return axis, float(np.degrees(np.arccos((ways @ axis).min())))
 
 
-def texels_at_edges_px(look: Held, map_size: int) -> np.ndarray:
+def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
     """How many pixels a texel of a spot's map covers at the pixels (n,) of truth's shadow edges.
 
     d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s from there and r_i to
@@ -65,7 +65,7 @@ def texels_at_edges_px(look: Held, map_size: int) -> np.ndarray:
     source, axis, _ = lamp.in_frame(buffer.frame)
     to_light, to_eye = source - points, look.perspective.in_frame(buffer.frame)[0] - points
     cosines = [np.abs((way * normals).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (to_eye, to_light)]
-    texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * BORDER_TEXELS)
+    texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * MAP_BORDER_TEXELS)
     return texel * -(to_light @ axis) / (look.ahead_m[edge] * look.perspective.pixel) * cosines[0] / cosines[1]
 
 
@@ -82,13 +82,13 @@ def measure() -> Figures:
         lamp["target"] = (apex_m + 0.9 * apex_m[2] / -axis[2] * axis).tolist()
         for cutoff_deg in (1.001 * least_deg, WIDE_DEG):
             lamp["cutoff"] = cutoff_deg
-            look = held(scene_of(level, folder), "close", FRAME)
+            look = view_with_truth(scene_of(level, folder), "close", FRAME)
             for map_size in MAP_SIZES:
                 variant = Variant({"algorithm": "shadow_map", "map_size": map_size, "filter": 1})
-                figures, m = found(look, variant).figures, texels_at_edges_px(look, map_size)
+                figures, m = draw_variant(look, variant).figures, texels_at_edges_px(look, map_size)
                 rows.append({"cutoff_deg": cutoff_deg, "map_size": map_size, "texel_px": float(m.mean()), **figures})
                 words = f"{map_size}, {cutoff_deg:.1f}°: {percent(figures['wrong_cast'])} wrong"
-                cells.append(Cell(drawn(look, variant, CROP), words))
+                cells.append(CaptionedPicture(drawn(look, variant, CROP), words))
     write_sheet("seeds-map-size.webp", cells, len(MAP_SIZES))
     return {"rows": rows}
 
@@ -103,10 +103,10 @@ def section(figures: Figures) -> Section:
     falls = all_of(
         at_least(a["wrong_cast"], b["wrong_cast"]) for part in (small, wide) for a, b in zip(part, part[1:], strict=False)
     )
-    sharp = fine["edge_p95"] <= SHARP_PX  # both are whole pixels, or near them: no draws
+    sharp = fine["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or near them: no draws
     nice = all_of((falls, sharp))
     worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(small, wide, strict=True))
-    jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_PX))
+    jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_EDGE_PX))
     predicts = at_most(max(*ratios, *(1.0 / ratio for ratio in ratios)), PREDICTED_WITHIN)
     displaced = f"95 % of the edges are off by at most {fine['edge_p95']:.1f} px"
     claims = [
@@ -114,7 +114,7 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, figure 52",
             f"jaggedness falls with the map's size, to very nice edges at {FINE} under the smallest cut-off",
             f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine['wrong_cast'])} at {FINE}, "
-            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most {SHARP_PX:g} px there)",
+            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most {SHARP_EDGE_PX:g} px there)",
             nice,
             because(
                 nice,
@@ -129,7 +129,7 @@ def section(figures: Figures) -> Section:
             f"a larger cut-off is worse at every size, and not even {FINE} removes its stairs",
             f"{percent(fine_wide['wrong_cast'])} wrong at {FINE} under {wide_deg:.0f}°, beside {percent(fine['wrong_cast'])} "
             f"under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse at every size, and over "
-            f"{SHARP_PX:g} px)",
+            f"{SHARP_EDGE_PX:g} px)",
             jagged,
             because(
                 jagged,

@@ -17,9 +17,9 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
 from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, factor, percent
-from benchmarks.seeds.views import Found, Held, Variant, found, held, level_of, scene_of
+from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
 from shadows.maps import perspective_shadow_map, post_perspective
 from shadows.maps.post_perspective import PostPerspective
 from terrain.scene import Scene
@@ -50,12 +50,12 @@ NEAR_CUTOFF_DEG = 75.0
 SHOWN = NEAR_PLACES[0][0], NEARER[-1]
 """Direction and distance of what the sheet of figure 55 shows."""
 
-DIRECTION_CROP: Box = (80, 330, 400, 270)
-BAD_CROP: Box = (240, 230, 480, 360)
+DIRECTION_CROP: CropBox = (80, 330, 400, 270)
+BAD_CROP: CropBox = (240, 230, 480, 360)
 
 UNIFORM, OURS = "shadow_map", "perspective_shadow_map"
 FITTED, BARE, ALWAYS = "fitted, no perspective", "perspective, no slide-back", "perspective, best slide-back"
-MAPS = (UNIFORM, FITTED, BARE, ALWAYS, OURS)
+MAP_VARIANTS = (UNIFORM, FITTED, BARE, ALWAYS, OURS)
 
 RIGHT, WIDE, FRONT, NEAR = "spot at the right", "wide spot at the right", "spot in front", "spot in front, near"
 BEHIND, EYE = "spot behind", "spot at the eye"
@@ -120,7 +120,7 @@ def variants() -> dict[str, Variant]:
     }
 
 
-def thirds(look: Held, dark: np.ndarray) -> dict[str, float]:
+def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     """Wrong pixels in the nearest and in the farthest third of what is truly in cast shadow, as shares of that third."""
     truth, ahead_m = look.truth, look.ahead_m
     cast = truth.decidable & ~truth.lit & look.receivers
@@ -130,7 +130,7 @@ def thirds(look: Held, dark: np.ndarray) -> dict[str, float]:
     return {name: float((wrong & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
 
 
-def rocks(folder: Path, view: str, turn_deg: float, away_m: float | None, up: float, **lamp: Any) -> Scene:
+def stone_circles(folder: Path, view: str, turn_deg: float, away_m: float | None, up: float, **lamp: Any) -> Scene:
     """The stone circles under a light ``turn_deg`` clockwise of where a view looks: a spot so far from what is looked at and so
     high, metres; the sun, ``up`` degrees high, where there is no distance.
     """
@@ -146,8 +146,8 @@ def rocks(folder: Path, view: str, turn_deg: float, away_m: float | None, up: fl
     return scene_of(level, folder)
 
 
-def _row(look: Held, name: str, variant: Variant, place: dict[str, Any]) -> tuple[Found, dict[str, Any]]:
-    each = found(look, variant)
+def _row(look: ViewWithTruth, name: str, variant: Variant, place: dict[str, Any]) -> tuple[DrawnVariant, dict[str, Any]]:
+    each = draw_variant(look, variant)
     return each, {**place, "map": name, **each.figures, "note": each.note}
 
 
@@ -156,14 +156,14 @@ def measure_light_direction() -> Figures:
     rows, cells = [], []
     with TemporaryDirectory() as folder:
         for light, (turn_deg, away_m, up, lamp) in LIGHTS.items():
-            look = held(rocks(Path(folder), "main", turn_deg, away_m, up, **lamp), "main", SIZE)
+            look = view_with_truth(stone_circles(Path(folder), "main", turn_deg, away_m, up, **lamp), "main", SIZE)
             farthest_m = float(look.ahead_m[look.receivers].max())
             for name, variant in variants().items():
                 each, row = _row(look, name, variant, {"light": light, "farthest_m": farthest_m})
                 rows.append({**row, **thirds(look, each.dark)})
                 if light in (RIGHT, FRONT, EYE) and name in (UNIFORM, OURS):
                     text = f"{light}, {name}: {percent(row['wrong_cast'])} wrong"
-                    cells.append(Cell(wrong_in(look, each, DIRECTION_CROP), text))
+                    cells.append(CaptionedPicture(wrong_in(look, each, DIRECTION_CROP), text))
     write_sheet("seeds-light-direction.webp", cells, 2)
     return {"rows": rows}
 
@@ -176,13 +176,15 @@ def measure_bad_case() -> Figures:
         for turn_deg, high_deg in NEAR_PLACES:
             for share in NEARER:
                 flat, up = share * away_m * np.cos(np.radians(high_deg)), share * away_m * np.sin(np.radians(high_deg))
-                scene = rocks(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
-                look = held(scene, "overview", SIZE)
+                scene = stone_circles(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
+                look = view_with_truth(scene, "overview", SIZE)
                 for name, variant in variants().items():
                     each, row = _row(look, name, variant, {"turn_deg": turn_deg, "high_deg": high_deg, "share": share})
                     rows.append(row)
                     if (turn_deg, share) == SHOWN and name != BARE:
-                        cells.append(Cell(wrong_in(look, each, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong"))
+                        cells.append(
+                            CaptionedPicture(wrong_in(look, each, BAD_CROP), f"{name}: {percent(row['wrong_cast'])} wrong")
+                        )
     write_sheet("seeds-bad-case.webp", cells, 2)
     return {"rows": rows}
 
@@ -269,7 +271,7 @@ def section_light_direction(figures: Figures) -> Section:
     ]
     table = [
         {"light": light}
-        | {name: " / ".join(percent(at[light, name][key]) for key in ("wrong_cast", "near", "far")) for name in MAPS}
+        | {name: " / ".join(percent(at[light, name][key]) for key in ("wrong_cast", "near", "far")) for name in MAP_VARIANTS}
         for light in LIGHTS
     ]
     return Section(
@@ -298,7 +300,7 @@ def section_bad_case(figures: Figures) -> Section:
     def times_uniform(name: str) -> list[float]:
         return [at[*place, name]["wrong_cast"] / max(at[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
 
-    worst = {name: max(times_uniform(name)) for name in MAPS}
+    worst = {name: max(times_uniform(name)) for name in MAP_VARIANTS}
     bad = at_least(worst[OURS], MUCH_WORSE)
     stretched = all_of((at_least(worst[BARE], MUCH_WORSE), at_most(worst[FITTED], MUCH_WORSE)))
     fallen_back = sum(at[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
@@ -332,7 +334,7 @@ def section_bad_case(figures: Figures) -> Section:
     ]
     table = [
         {"spot": f"{turn:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
-        | {name: percent(at[turn, high, share, name]["wrong_cast"]) for name in MAPS}
+        | {name: percent(at[turn, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
         for turn, high, share in places
     ]
     return Section(

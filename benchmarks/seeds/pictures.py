@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, encoded
-from benchmarks.seeds.views import Found, Held, Variant
-from selector.measure.compare import Row, false_colours
+from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, sheet_bytes
+from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth
+from selector.measure.compare import ComparisonRow, false_colours
 from shadows.render import render_frame
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
@@ -22,46 +22,46 @@ MOST_KB = 200
 IN_SHADOW = 0.45
 """Share of its light that a pixel in shadow keeps in pictures of errors."""
 
-Box = tuple[int, int, int, int]
+CropBox = tuple[int, int, int, int]
 """Left, top, width and height of a crop, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
+class CaptionedPicture:
     """A picture with its caption."""
 
     picture: Image.Image
     text: str
 
 
-def drawn(look: Held, variant: Variant, box: Box, shrink: int = 1) -> Image.Image:
+def drawn(look: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
     """A part of a view as it is rendered, ``shrink`` times smaller: of what does not go by the view's extent alone."""
     with variant.without():
         color = render_frame(look.scene, _part(look.perspective, box), look.plan(variant.asked)).color
-    forget("light")
+    clear_caches("light")
     return Image.fromarray(color).convert("RGB").reduce(shrink)
 
 
-def wrong_in(look: Held, each: Found, box: Box) -> Image.Image:
+def wrong_in(look: ViewWithTruth, each: DrawnVariant, box: CropBox) -> Image.Image:
     """A part of what was found in gray, false shadow red and missed shadow blue."""
     left, top, width, height = box
     here = slice(top, top + height), slice(left, left + width)
     gray = render_frame(look.scene, _part(look.perspective, box), look.plan({"algorithm": "none"})).color.mean(axis=2)
     dark, lit, known = each.dark[here], look.truth.lit[here], look.truth.decidable[here]
     shade = np.where(dark & look.receivers[here], IN_SHADOW * gray, gray)
-    row = Row(
+    row = ComparisonRow(
         figures={}, visibility=np.where(dark, np.uint8(0), np.uint8(255)), false_shadow=known & dark & lit,
         missed_shadow=known & ~dark & ~lit,
     )  # fmt: skip
     return Image.fromarray(false_colours(shade, row))
 
 
-def _part(view: PerspectiveView, box: Box) -> PerspectiveView:
+def _part(view: PerspectiveView, box: CropBox) -> PerspectiveView:
     left, top, width, height = box
     return view.part(top, left, height, width)
 
 
-def write_sheet(name: str, cells: Sequence[Cell], columns: int) -> None:
+def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
     """Cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
     width, height = cells[0].picture.size
     step_x, step_y = width + GAP_PX, height + 2 * TEXT_PX + GAP_PX
@@ -71,4 +71,4 @@ def write_sheet(name: str, cells: Sequence[Cell], columns: int) -> None:
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
         page.paste(cell.picture, (x, y))
         draw.text((x, y + height + TEXT_PX), cell.text, INK, font, anchor="lm")
-    (IMAGES / name).write_bytes(encoded(page, ".webp", 1000 * MOST_KB))
+    (IMAGES / name).write_bytes(sheet_bytes(page, ".webp", 1000 * MOST_KB))

@@ -10,16 +10,28 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import in_turns
-from benchmarks.seeds.verdicts import REPORT, all_of, any_of, at_least, at_most, because, factor, listed, percent, titled, up_to
-from benchmarks.seeds.views import Held, bundled, held
+from benchmarks.seeds.times import interleaved_times
+from benchmarks.seeds.verdicts import (
+    REPORT,
+    all_of,
+    any_of,
+    at_least,
+    at_most,
+    because,
+    factor,
+    listed_by_scene,
+    percent,
+    titled,
+    up_to,
+)
+from benchmarks.seeds.views import ViewWithTruth, bundled, view_with_truth
 from shadows.passes import PassRecord
 from shadows.volumes.drawing import count
 from shadows.volumes.edges import Edges, closed_parts, edges_of
 from shadows.volumes.layers import batches
 from shadows.volumes.settings import VolumeSettings
-from shadows.volumes.silhouettes import ALL, FACING, Silhouette, facing, silhouette, turns_of
-from shadows.volumes.volumes import MOST_LAYERS, Volumes, light_in_frame, volumes_of
+from shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, silhouette, turns_of
+from shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, light_in_frame, volumes_of
 from terrain.casters.casting import caster_solids
 from terrain.compiled import compiled
 from terrain.level.level import SUN
@@ -30,13 +42,13 @@ REPEATS = 7
 INSIDE = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
 
-ALIKE = 1e-4
+SAME_PICTURE_SHARE = 1e-4
 """Pictures are the same where no larger share of their pixels differs."""
 
 INSIDE_WRONG = 0.001
 """So much of the cast shadow may be wrong where counting is right."""
 
-Counting = Literal["auto", "z_fail"]
+CountingSetting = Literal["auto", "z_fail"]
 
 
 def measure() -> Figures:
@@ -48,13 +60,13 @@ def _volumes_of(level: str) -> dict[str, float]:
     """Volumes over the very same casting triangles, counted by z-fail, once with the edges that neighbours share and once with each
     side an edge; and those of the engine, counted by z-fail, as it does by itself, and so without their caps.
     """
-    look = held(bundled(level), "main", SIZE)
+    look = view_with_truth(bundled(level), "main", SIZE)
     light = light_in_frame(look.buffer, look.scene, SUN)
     vertices, triangles = caster_solids(look.scene.population, look.buffer.frame)
     shared, apart = edges_of(vertices, triangles), unshared(triangles)
-    rule = np.where(closed_parts(shared), np.int8(FACING), np.int8(ALL))
+    rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
     turns = turns_of(facing(vertices, triangles, light), rule)
-    groups = batches(vertices, triangles, shared, turns, light, MOST_LAYERS)
+    groups = batches(vertices, triangles, shared, turns, light, MAX_VOLUME_LAYERS)
 
     def built(edges: Edges) -> list[Volumes]:
         turns_of(facing(vertices, triangles, light), rule)  # what each new sun has to ask
@@ -62,7 +74,7 @@ def _volumes_of(level: str) -> dict[str, float]:
 
     silhouettes, polygons, own = built(shared), built(apart), _engines(look, light)
     sides = [replace(each, faces=each.faces[: each.first_cap], part=each.part[: each.first_cap], casting=0) for each in own]
-    ways: dict[str, tuple[list[Volumes], Counting]] = {
+    ways: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "silhouettes": (silhouettes, "z_fail"), "polygons": (polygons, "z_fail"),
         "auto": (own, "auto"), "z_fail": (own, "z_fail"), "sides": (sides, "auto"),
     }  # fmt: skip
@@ -79,7 +91,7 @@ def _volumes_of(level: str) -> dict[str, float]:
     search_ms = 1000.0 * (time.perf_counter() - start)
     there, first = look.buffer.there.sum(), counts["auto"][0]
     return {
-        **{f"{name}_ms": float(np.median([ms for ms, _ in taken])) for name, taken in in_turns(tasks, REPEATS).items()},
+        **{f"{name}_ms": float(np.median([ms for ms, _ in taken])) for name, taken in interleaved_times(tasks, REPEATS).items()},
         "search_ms": search_ms,
         "triangles": len(triangles), "casting": int((turns != 0).sum()),
         "sides": sum(each.first_cap for each in silhouettes), "sides_polygons": sum(each.first_cap for each in polygons),
@@ -88,12 +100,12 @@ def _volumes_of(level: str) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _engines(look: Held, light: np.ndarray) -> list[Volumes]:
+def _engines(look: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
     """The volumes that the engine makes of a view's meshes."""
     return volumes_of(look.buffer, look.scene, light, ("meshes",), look.casters, PassRecord(""))
 
 
-def _counted(look: Held, light: np.ndarray, volumes: list[Volumes], counting: Counting) -> tuple[np.ndarray, int]:
+def _counted(look: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting) -> tuple[np.ndarray, int]:
     """How many volumes hold each point that faces the sun (rows, cols), and how many faces were drawn for that."""
     record = PassRecord("")
     wanted = look.receivers
@@ -142,12 +154,12 @@ def neighbours_by_search(ends):
 def _inside() -> dict[str, float]:
     """With the eye in the shadow: wrong shares of the cast shadow for z-pass alone, for z-fail, and as casters ask for it."""
     level, name = INSIDE
-    look = held(bundled(level), name, SIZE)
+    look = view_with_truth(bundled(level), name, SIZE)
     light = light_in_frame(look.buffer, look.scene, SUN)
     own = _engines(look, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: all is counted by z-pass
     by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]
-    ways: dict[str, tuple[list[Volumes], Counting]] = {
+    ways: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (by_pass, "auto"),
         "z_fail": (own, "z_fail"),
         "auto": (own, "auto"),
@@ -164,7 +176,7 @@ def section(figures: Figures) -> Section:
     rows = scenes.values()
 
     def span(of: Callable[[dict[str, float]], float]) -> str:
-        return listed({name: of(row) for name, row in scenes.items()})
+        return listed_by_scene({name: of(row) for name, row in scenes.items()})
 
     def alone(row: dict[str, float]) -> float:
         return row["build_polygons_ms"] + row["fill_polygons_ms"]
@@ -173,7 +185,7 @@ def section(figures: Figures) -> Section:
         return (row[f"{structure}_ms"] + row["build_silhouettes_ms"] + row["fill_silhouettes_ms"]) / alone(row)
 
     apart, bare = (max(row[f"differs_{name}"] for row in rows) for name in ("polygons", "sides"))
-    fewer = all_of([*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(apart, ALIKE)])
+    fewer = all_of([*(at_most(row["sides"], row["sides_polygons"]) for row in rows), at_most(apart, SAME_PICTURE_SHARE)])
     slower = any_of(at_least(joined(row, "search"), 1.0) for row in rows)
     faster = all_of(at_most(joined(row, "structure"), 1.0) for row in rows)
     fewer_faces = all_of(at_most(row["faces_sides"], row["faces_z_fail"]) for row in rows)
@@ -184,7 +196,7 @@ def section(figures: Figures) -> Section:
             REPORT,
             "silhouettes need fewer volumes than one for each polygon (11 instead of 24), for the same shadow",
             f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
-            f"the pixels {up_to(apart)} differ (held if fewer everywhere, and at most {percent(ALIKE)} differ)",
+            f"the pixels {up_to(apart)} differ (held if fewer everywhere, and at most {percent(SAME_PICTURE_SHARE)} differ)",
             fewer,
             because(
                 fewer,
@@ -201,7 +213,7 @@ def section(figures: Figures) -> Section:
             because(
                 slower,
                 "the search grows with the square of the triangles "
-                f"({listed({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves grows with their number",
+                f"({listed_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves grows with their number",
                 "at so few triangles the search is cheaper than the filling that it saves",
             ),
         ),
@@ -225,7 +237,7 @@ def section(figures: Figures) -> Section:
             f"faces without caps over those of z-fail: {span(lambda row: row['faces_sides'] / row['faces_z_fail'])} (held if "
             f"under 1 everywhere); of the pixels {up_to(bare)} differ without caps",
             fewer_faces,
-            ("a cap lies on a surface that is drawn, and is never before what is seen. " if bare <= ALIKE else "")
+            ("a cap lies on a surface that is drawn, and is never before what is seen. " if bare <= SAME_PICTURE_SHARE else "")
             + "The engine draws caps for z-pass too, and leaves out faces wholly on the side of the points that does not count "
             "either way, so that which way draws more of them is up to the view: by default "
             f"{span(lambda row: row['faces_auto'] / row['faces_z_fail'])} of z-fail's",

@@ -10,15 +10,15 @@ import numpy as np
 
 from benchmarks.algorithms import frames_of_sizes
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import in_turns
+from benchmarks.seeds.times import interleaved_times
 from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
-from benchmarks.seeds.views import Asked, Held, bundled, held, one_map, settings_of, shallow
+from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
 from shadows.maps.settings import ShadowMapSettings
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import block_shares, coverage_error
 from shadows.truth.truth import coverage_truth
-from terrain.cache import forget
+from terrain.cache import clear_caches
 
 REPEATS = 11
 FRAME = (800, 600)
@@ -36,7 +36,7 @@ BLOCK_PX = 16
 HIDDEN_TEXELS = 2.0
 """So near to where a surface turns towards the sun, in texels of the map, a place counts as its edge."""
 
-STEEP, FLAT, TWICE = 1.5, 1.1, 2.0
+STEEP, FLAT_SCENE, TWICE = 1.5, 1.1, 2.0
 """A cost grows steeply from the smallest map to the largest from the first on, hardly up to the second; a gain is large from the
 third on.
 """
@@ -52,7 +52,7 @@ LEAST_LEAK = 0.01
 
 
 def measure() -> Figures:
-    look = held(bundled("spatialace"), "main", FRAME)
+    look = view_with_truth(bundled("spatialace"), "main", FRAME)
     rows = frames_of_sizes(REPEATS, SIZES, depth_bits=16)
     true_shares = coverage_truth(look.buffer, look.scene, look.casters, BLOCK_PX)
 
@@ -74,11 +74,11 @@ def measure() -> Figures:
     }
 
 
-def _passes_ms(look: Held, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
+def _passes_ms(look: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
     """Median milliseconds of drawing a map and of looking it up, by the map's size; sizes take turns."""
 
     def drawn(plan: Plan) -> PassLog:
-        forget("light")
+        clear_caches("light")
         log = PassLog()
         look.visibility(plan, log)
         return log
@@ -86,14 +86,14 @@ def _passes_ms(look: Held, plans: dict[int, Plan]) -> dict[str, dict[str, float]
     def pass_ms(log: PassLog, name: str) -> float:
         return sum(record.ms for record in log.records.values() if record.name.endswith(name))
 
-    taken = in_turns({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
+    taken = interleaved_times({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
     return {
         size: {name: float(np.median([pass_ms(log, name) for _, log in turns])) for name in ("depth map", "visibility")}
         for size, turns in taken.items()
     }
 
 
-def _hidden(look: Held, plan: Plan) -> dict[str, float]:
+def _hidden(look: ViewWithTruth, plan: Plan) -> dict[str, float]:
     """What a map alone, biased as maps were, says of surfaces turned away from the sun: the share that it leaves lit, and how much
     of that, and of all that is turned away, lies within ``HIDDEN_TEXELS``, along the rays, of what the sun meets first.
 
@@ -126,7 +126,7 @@ def section(figures: Figures) -> Section:
     place = SIZES.index(int(CHOSEN))
     their_gain = THEIR_FPS["kept"][place] / THEIR_FPS["redrawn"][place]
     map_share = {size: its["depth map"] / (its["depth map"] + its["visibility"]) for size, its in ms.items()}
-    steep, flat, pays = at_least(growth["redrawn"], STEEP), at_most(growth["kept"], FLAT), at_least(redrawn / kept, TWICE)
+    steep, flat, pays = at_least(growth["redrawn"], STEEP), at_most(growth["kept"], FLAT_SCENE), at_least(redrawn / kept, TWICE)
     coverage, without = quality[CHOSEN]["coverage"], figures["without"]["coverage"]
     deeper = max(abs(its["coverage"] - figures["deeper"][size]["coverage"]) for size, its in quality.items())
     suffices = all_of(
@@ -156,7 +156,7 @@ def section(figures: Figures) -> Section:
             SPATIALACE,
             f"while nothing moves a kept map costs hardly more the larger it is: {factor(theirs['kept'])} times as much at {last} "
             f"as at {first}",
-            f"{factor(growth['kept'])} times as much (held up to {FLAT:g})",
+            f"{factor(growth['kept'])} times as much (held up to {FLAT_SCENE:g})",
             flat,
             because(
                 flat,

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.algorithms import RIVALS, plans_of, shot
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, in_turns, medians, ratio, timed
+from benchmarks.seeds.times import LIGHTS, REPEATS, SIZE, STAGE_NAMES, interleaved_times, medians, ratio, timed
 from benchmarks.seeds.verdicts import (
     DRAW,
     FOUR,
@@ -22,23 +22,23 @@ from benchmarks.seeds.verdicts import (
     SM,
     SV,
     THESIS,
-    Verdict,
+    ClaimVerdict,
     all_of,
     at_least,
     at_most,
     because,
     factor,
-    listed,
+    listed_by_scene,
     named,
     percent,
     titled,
     whole_percent,
 )
 from benchmarks.seeds.views import bundled
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
 from shadows.render import render_frame
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.describe import describe
 
 HALF_SIZE = 640, 512
@@ -80,13 +80,13 @@ def whole_frames(level: str) -> Figures:
     view = scene.view("main", size=SIZE)
     descriptor = describe(scene, view, "main")
     asked = {"none": {"algorithm": "none"}} | {str(size): RIVALS[SM] | {"map_size": size} for size in MAP_SIZES}
-    plans = {key: choose(descriptor, scene.loaded.level, overrides) for key, overrides in asked.items()}
+    plans = {key: make_plan(descriptor, scene.loaded.level, overrides) for key, overrides in asked.items()}
 
     def drawn(plan: Plan) -> float:
-        forget("light")
+        clear_caches("light")
         return sum(record.ms for record in render_frame(scene, view, plan).passes if record.name.endswith("depth map"))
 
-    taken = in_turns({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
+    taken = interleaved_times({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
     medians_ms = {key: np.median(np.array(some), axis=0) for key, some in taken.items()}
     return {key: {"ms": float(whole_ms), "map": float(map_ms / whole_ms)} for key, (whole_ms, map_ms) in medians_ms.items()}
 
@@ -142,7 +142,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     def median_share(key: str, stage: str) -> str:
         return whole_percent(float(np.median([stage_ms(at, key, stage) / at[key]["redrawn"]["ms"] for at in views.values()])))
 
-    def claim(says: str, found: str, verdict: Verdict, why: str) -> Claim:
+    def claim(says: str, found: str, verdict: ClaimVerdict, why: str) -> Claim:
         return Claim(f"{THESIS}, 7.1, {light}", says, found, verdict, why)
 
     least = {scene: min(ratio(at, key, SM) for key in FOUR[1:]) for scene, at in views.items()}
@@ -177,19 +177,19 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
     return [
         claim(
             "SM is the fastest everywhere",
-            f"time of the fastest other, of SM's: {listed(least)} (held if over 1 everywhere)",
+            f"time of the fastest other, of SM's: {listed_by_scene(least)} (held if over 1 everywhere)",
             fastest,
             because(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "PSM is a little behind SM in all scenes",
-            f"time of PSM, of SM's: {listed(behind)} (held if over 1 and at most {LITTLE:g} everywhere)",
+            f"time of PSM, of SM's: {listed_by_scene(behind)} (held if over 1 and at most {LITTLE:g} everywhere)",
             near,
             because(near, stages, stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "SV beats PSM in Street, and only there",
-            f"time of SV, of PSM's: {listed(beaten)} (held if under 1 in Street, over 1 elsewhere)",
+            f"time of SV, of PSM's: {listed_by_scene(beaten)} (held if under 1 in Street, over 1 elsewhere)",
             street,
             because(
                 street,
@@ -202,7 +202,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "SV beats the hybrid in all scenes but BoxGrid",
-            f"time of the hybrid, of SV's: {listed(hybrid)} (held if under 1 in BoxGrid, over 1 elsewhere)",
+            f"time of the hybrid, of SV's: {listed_by_scene(hybrid)} (held if under 1 in BoxGrid, over 1 elsewhere)",
             boxgrid,
             because(
                 boxgrid,
@@ -213,7 +213,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
-            f"time of the hybrid's volumes and counting, of SV's: {listed(volume)} (held if under 1 in these two, and within a "
+            f"time of the hybrid's volumes and counting, of SV's: {listed_by_scene(volume)} (held if under 1 in these two, and within a "
             f"factor of {1.0 / MUCH_THE_SAME:g} elsewhere)",
             cheaper,
             because(
@@ -225,7 +225,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "where the hybrid is slower, it is for its map and its search for silhouette pixels",
-            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed(bare)} (held if under 1 everywhere)"
+            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed_by_scene(bare)} (held if under 1 everywhere)"
             if loses
             else "it is slower nowhere",
             for_map,
@@ -238,7 +238,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "the hybrid is the slowest of the four where shadows are plain (Rocks, Street)",
-            f"time of the hybrid, of the slowest other's: {listed(lead)} (held if over 1 in these two); slowest: "
+            f"time of the hybrid, of the slowest other's: {listed_by_scene(lead)} (held if over 1 in these two); slowest: "
             f"{', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in last.items())}",
             slowest,
             because(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import Box, Cell, write_sheet, wrong_in
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
 from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, percent
-from benchmarks.seeds.views import Variant, bundled, found, held
+from benchmarks.seeds.views import Variant, bundled, draw_variant, view_with_truth
 
 FRAME = (1280, 1024)
 """The thesis's own frames."""
@@ -17,20 +17,20 @@ MASKS = ("original", "conservative")
 MOST_WRONG = 0.001
 """Share of cast shadow that an exact algorithm may get wrong: what lies within the rasteriser's 1/256 pixel of an edge."""
 
-CROP: Box = (180, 500, 480, 300)
+CROP: CropBox = (180, 500, 480, 300)
 
 
 def measure() -> Figures:
     """The water tower's ladder and braces by the hybrids, by map size."""
     rows, cells = [], []
-    look = held(bundled("thesis_water_tower"), "close", FRAME)
+    look = view_with_truth(bundled("thesis_water_tower"), "close", FRAME)
     for mask in MASKS:
         for map_size in MAP_SIZES:
-            each = found(look, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
+            each = draw_variant(look, Variant({"algorithm": "hybrid", "mask": mask, "map_size": map_size}))
             rows.append({"mask": mask, "map_size": map_size, **each.figures})
             if map_size in SHOWN:
                 words = f"{mask}, map of {map_size}: {percent(each.figures['wrong_cast'])} wrong"
-                cells.append(Cell(wrong_in(look, each, CROP), words))
+                cells.append(CaptionedPicture(wrong_in(look, each, CROP), words))
     write_sheet("seeds-thin.webp", cells, 2)
     return {"rows": rows}
 

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.algorithms import RIVALS, WAYS, Shot, plans_of, shot, turns
+from benchmarks.algorithms import COUNTING_VARIANTS, RIVALS, Shot, plans_of, shot, turns
 from benchmarks.seeds.claims import Figures
 from benchmarks.seeds.verdicts import FOUR
 from shadows.plan import Plan
@@ -24,19 +24,19 @@ LIGHTS = {"": "the spot", "_sun": "the sun"}
 SIZE = 1280, 1024
 REPEATS = 3
 
-STAGES = {
+PASS_STAGES = {
     "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
 }  # fmt: skip
 """Passes of the algorithms -> the stages that the thesis tells apart; what is left lies between the passes."""
 BETWEEN = "between"
-STAGE_NAMES = (*dict.fromkeys(STAGES.values()), BETWEEN)
+STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
 
 
 @cache
 def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
     """Times of what is asked for in a view."""
     its = shot(level, view, SIZE)
-    every = {**RIVALS, **WAYS}
+    every = {**RIVALS, **COUNTING_VARIANTS}
     return medians({key: (its, plan) for key, plan in plans_of(its, {key: every[key] for key in asked}).items()}, repeats)
 
 
@@ -48,7 +48,7 @@ def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
         stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
         for all_ms, passes_ms in zip(taken, found.passes_ms[key, how], strict=True):
             for name in STAGE_NAMES[:-1]:
-                stages[name].append(sum(ms for each, ms in passes_ms.items() if STAGES[each] == name))
+                stages[name].append(sum(ms for each, ms in passes_ms.items() if PASS_STAGES[each] == name))
             stages[BETWEEN].append(all_ms - sum(passes_ms.values()))
         medians_ms = {name: float(np.median(some)) for name, some in stages.items()}
         out.setdefault(key, {})[how] = {"ms": float(np.median(taken)), "stages": medians_ms}
@@ -62,7 +62,7 @@ def ratio(at: Figures, one: str, other: str, how: str = "redrawn") -> float:
     return at[one][how]["ms"] / at[other][how]["ms"]
 
 
-def in_turns(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:
+def interleaved_times(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:
     """Milliseconds of tasks and what they give, task by task; they take turns, forwards and backwards by turns, and the first turn,
     which compiles and allocates, is left out.
     """

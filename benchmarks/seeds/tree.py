@@ -12,10 +12,10 @@ import numpy as np
 import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.pictures import Box, Cell, drawn, write_sheet
+from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
 from benchmarks.seeds.thin import MOST_WRONG
 from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
-from benchmarks.seeds.views import Level, Variant, found, held, scene_of
+from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, scene_of, view_with_truth
 from shadows.truth.metrics import MOST_INTERIOR
 from shadows.volumes import volumes
 from shadows.volumes.edges import Edges, signed_sums
@@ -23,8 +23,8 @@ from shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE = (960, 768)
 TEXELS = 1024
-WHOLE: Box = (0, 0, *SIZE)
-BARK, LEAF = (96, 74, 54, 255), (78, 118, 52, 255)
+WHOLE: CropBox = (0, 0, *SIZE)
+BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
 
 
 @contextmanager
@@ -72,7 +72,7 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
             parts.append((corners, faces if rng.random() < 0.5 else faces[:, ::-1]))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
     faces = np.concatenate([its + start for (_, its), start in zip(parts, first, strict=True)])
-    colors += [LEAF] * (len(faces) - len(colors))
+    colors += [LEAF_GREEN] * (len(faces) - len(colors))
     return trimesh.Trimesh(np.concatenate([vertices for vertices, _ in parts]), faces, face_colors=colors, process=False)
 
 
@@ -94,7 +94,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-TREE_LIGHTS: dict[str, Level] = {
+TREE_LIGHTS: dict[str, LevelDocument] = {
     "spot": {"sun": "none", "lights": {"lamp": {"kind": "spot", "position": [-14, -9, 19], "target": [0, 0, 4], "cutoff": 24}}},
     "sun": {"sun": {"azimuth": 237, "altitude": 42}},
 }
@@ -118,13 +118,13 @@ def measure() -> Figures:
         folder = Path(name)
         tree.export(folder / "tree.ply")
         for light, keys in TREE_LIGHTS.items():
-            look = held(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
+            look = view_with_truth(scene_of({**floor, **keys, "views": {"main": eye}}, folder), "main", SIZE)
             for algorithm, variant in TREE_ROWS.items():
-                figures = found(look, variant).figures
+                figures = draw_variant(look, variant).figures
                 rows.append({"light": light, "algorithm": algorithm, **figures})
                 if light == "sun" and algorithm != PSM:
                     words = f"{algorithm}: {percent(figures['wrong_cast'])} wrong"
-                    cells.append(Cell(drawn(look, variant, WHOLE, shrink=2), words))
+                    cells.append(CaptionedPicture(drawn(look, variant, WHOLE, shrink=2), words))
     write_sheet("seeds-tree.webp", cells, 2)
     return {"rows": rows, "triangles": len(tree.faces), "open_edges": int((sides == 1).sum()), "edges": len(sides)}
 

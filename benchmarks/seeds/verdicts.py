@@ -18,23 +18,23 @@ FOUR = SM, PSM, SV, HYBRID
 SHORT = {SM: "SM", PSM: "PSM", SV: "SV", HYBRID: "hybrid"}
 SCENES = {"boxgrid": "BoxGrid", "rocks": "Rocks", "street": "Street", "room": "Room", "water_tower": "Water Tower"}
 
-Verdict = bool | None
+ClaimVerdict = bool | None
 """Whether a claim holds; ``None`` where that is a draw."""
 
 
-def at_most(value: float, limit: float) -> Verdict:
+def at_most(value: float, limit: float) -> ClaimVerdict:
     """Whether a figure is at most a limit."""
     if value * SAME <= limit:
         return True
     return False if value > limit * SAME else None
 
 
-def at_least(value: float, limit: float) -> Verdict:
+def at_least(value: float, limit: float) -> ClaimVerdict:
     """Whether a figure is at least a limit."""
     return at_most(limit, value)
 
 
-def all_of(verdicts: Iterable[Verdict]) -> Verdict:
+def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
     """Whether all hold: not if one does not; a draw if none fails and one is a draw."""
     found = [*verdicts]
     if any(one is False for one in found):
@@ -42,16 +42,16 @@ def all_of(verdicts: Iterable[Verdict]) -> Verdict:
     return None if None in found else True
 
 
-def any_of(verdicts: Iterable[Verdict]) -> Verdict:
+def any_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
     """Whether one holds: a draw if none does and one is a draw."""
     return opposite(all_of(opposite(one) for one in verdicts))
 
 
-def opposite(verdict: Verdict) -> Verdict:
+def opposite(verdict: ClaimVerdict) -> ClaimVerdict:
     return None if verdict is None else not verdict
 
 
-def because(verdict: Verdict, held: str, fails: str, draw: str = DRAW) -> str:
+def because(verdict: ClaimVerdict, held: str, fails: str, draw: str = DRAW) -> str:
     """The reason that goes with a verdict."""
     return draw if verdict is None else held if verdict else fails
 
@@ -84,7 +84,7 @@ def titled(name: str) -> str:
     return f"{SCENES.get(scene, '')}{rest.replace('_sun', ' (sun)')}"
 
 
-def listed(values: dict[str, float], told: Callable[[float], str] = factor) -> str:
+def listed_by_scene(values: dict[str, float], told: Callable[[float], str] = factor) -> str:
     """Values by the names of their scenes."""
     return ", ".join(f"{titled(name)} {told(value)}" for name, value in values.items())
 

@@ -15,8 +15,8 @@ from ruamel.yaml import YAML
 
 from api.catalogue import find_level
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import choose
-from shadows.algorithm import Settings
+from selector.planner.planner import make_plan
+from shadows.algorithm import AlgorithmSettings
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
@@ -24,7 +24,7 @@ from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import edge_distances, errors_of
 from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
 from shadows.visibility import fill_steps
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -39,11 +39,11 @@ SAMPLES = 4
 """Sub-samples a pixel by which truth tells what is decidable."""
 
 Asked = dict[str, Any]
-Level = dict[str, Any]
+LevelDocument = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class ViewWithTruth:
     """A view of a scene with its first light: what it shows, what casts, and the truth that pictures are held against."""
 
     scene: Scene
@@ -79,7 +79,7 @@ class Held:
         """A plan; ``bias_scale`` is no key of a level: it goes into the settings themselves."""
         asked = dict(asked)
         scale = asked.pop("bias_scale", None)
-        plan = choose(self.descriptor, self.scene.loaded.level, asked)
+        plan = make_plan(self.descriptor, self.scene.loaded.level, asked)
         if scale is None:
             return plan
         scaled = {kind: its.model_copy(update={"bias_scale": scale}) for kind, its in plan.settings[self.light].items()}
@@ -106,17 +106,17 @@ class Held:
         return asdict(errors_of(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 
-def held(scene: Scene, name: str, size: tuple[int, int]) -> Held:
+def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithTruth:
     """A view of a scene, by name, in pixels (cols, rows), with its truth."""
-    return beside_truth(scene, scene.view(name, size=size), name)
+    return with_truth(scene, scene.view(name, size=size), name)
 
 
-def beside_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> Held:
+def with_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> ViewWithTruth:
     """Any view with its truth; ``name`` is the level's view whose settings it shares."""
     buffer, light = geometry_of(scene, view), scene.light_names[0]
     casters = casters_of(scene, buffer)
     truth = cached_truth(buffer, scene, casters, SAMPLES, light)
-    return Held(scene, view, light, describe(scene, view, name), buffer, casters, truth)
+    return ViewWithTruth(scene, view, light, describe(scene, view, name), buffer, casters, truth)
 
 
 def bundled(name: str) -> Scene:
@@ -124,12 +124,12 @@ def bundled(name: str) -> Scene:
     return build_scene(load_level(find_level(name)))
 
 
-def level_of(name: str) -> Level:
+def level_of(name: str) -> LevelDocument:
     """A bundled level as it stands in its file."""
     return YAML(typ="safe").load(find_level(name))
 
 
-def scene_of(level: Level, folder: Path) -> Scene:
+def scene_of(level: LevelDocument, folder: Path) -> Scene:
     """The scene of a level that is written to a folder, beside the files that it names."""
     path = folder / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
@@ -141,7 +141,7 @@ def one_map(size: int, **asked: Any) -> Asked:
     return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **asked}
 
 
-def settings_of(look: Held, plan: Plan) -> Settings:
+def settings_of(look: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
     """Settings that all casters share."""
     return next(iter(plan.settings[look.light].values()))
 
@@ -155,7 +155,7 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DrawnVariant:
     """What an algorithm made of a view: where it is dark (rows, cols), figures, and what its passes remark."""
 
     dark: np.ndarray
@@ -163,16 +163,16 @@ class Found:
     note: str
 
 
-def found(look: Held, variant: Variant) -> Found:
+def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
     """What an algorithm makes of a view, everything drawn anew: errors, ``cast_edge_mean``, the mean displacement of the edges of
     cast shadow alone, pixels, and ``marked``, the share of the surface's pixels that a hybrid leaves to its volumes.
     """
     log = PassLog()
-    forget("light")
+    clear_caches("light")
     with variant.without():
         plan = look.plan(variant.asked)
         visibility, texels_px = look.visibility(plan, log), look.texels_px(plan)
-    forget("light")
+    clear_caches("light")
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5
     edges_px = edge_distances(dark & look.receivers, ~look.truth.lit & look.receivers, look.receivers)
     records = log.records.values()
@@ -180,10 +180,10 @@ def found(look: Held, variant: Variant) -> Found:
         "cast_edge_mean": float(edges_px.mean()) if edges_px.size else 0.0,
         "marked": sum(record.marked for record in records) / max(int(look.buffer.there.sum()), 1),
     }
-    return Found(dark, figures, " ".join(record.note for record in records if record.note))
+    return DrawnVariant(dark, figures, " ".join(record.note for record in records if record.note))
 
 
-def shallow(look: Held, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
+def shallow(look: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
     """Where points see the sun once they are moved so far towards it: less than that behind the first thing that the sun meets."""
     assert look.scene.sun is not None
     to_sun = look.scene.sun.in_frame(buffer.frame)

@@ -19,15 +19,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.selection.fit import cases_of, fitted
-from benchmarks.selection.measure import chosen, described, measured, timed
+from benchmarks.selection.fit import cases_of, fit_model
+from benchmarks.selection.measure import chosen, measured, redescribed, timed
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
-from benchmarks.selection.views import Instance, instances
+from benchmarks.selection.views import ViewInstance, instances
 from selector.cost.device_profile import load_profile
 from terrain.gl.device import device
 
-STEPS = {"measure": "rows", "time": "anew", "choose": "measured", "describe": "plan_ms"}
+WORK_STEPS = {"measure": "rows", "time": "anew", "choose": "measured", "describe": "plan_ms"}
 """What is done view by view, and the key of a record that says that it was."""
 
 PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
@@ -42,7 +42,7 @@ def _rounded(value: Any) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="what", required=True)
-    for name, _ in STEPS.items():
+    for name, _ in WORK_STEPS.items():
         command = commands.add_parser(name)
         command.add_argument("data", type=Path)
         command.add_argument("--folder", type=Path, default=Path("build/selection"))
@@ -52,7 +52,7 @@ def main() -> None:
     commands.add_parser("fit")
     commands.add_parser("judge").add_argument("--write", action="store_true")
     given = parser.parse_args()
-    if given.what in STEPS:
+    if given.what in WORK_STEPS:
         _go_on(given.what, given.data, given.folder, given.only, given.again)
     elif given.what == "keep":
         profile = load_profile(device().renderer, device().version)
@@ -61,7 +61,7 @@ def main() -> None:
         write_table([record for one in instances() if (record := _read(given.folder, one)) is not None], profile)
     elif given.what == "fit":
         views, _ = read_table()
-        model = fitted([case for view in views for case in cases_of(view)])
+        model = fit_model([case for view in views for case in cases_of(view)])
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
         MODEL.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
     else:
@@ -78,23 +78,23 @@ def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) ->
         record = _read(folder, instance)
         if (only and not any(word in instance.name for word in only)) or (record is None) != (what == "measure"):
             continue
-        if record is not None and STEPS[what] in record and not again:
+        if record is not None and WORK_STEPS[what] in record and not again:
             continue
         start = time.perf_counter()
         made = (
             measured(instance, data)
             if record is None
-            else {"time": timed, "choose": chosen, "describe": described}[what](instance, data, record)
+            else {"time": timed, "choose": chosen, "describe": redescribed}[what](instance, data, record)
         )
         _path(folder, instance).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)
 
 
-def _path(folder: Path, instance: Instance) -> Path:
+def _path(folder: Path, instance: ViewInstance) -> Path:
     return folder / ("".join(c if c.isalnum() else "_" for c in instance.name) + ".json")
 
 
-def _read(folder: Path, instance: Instance) -> dict[str, Any] | None:
+def _read(folder: Path, instance: ViewInstance) -> dict[str, Any] | None:
     path = _path(folder, instance)
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from selector.choices import Asked
+from selector.choices import StandaloneRequest
 from selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
-    Counted,
     ErrorModel,
-    Errors,
+    ExpectedErrors,
+    HillCurve,
     error_group_of,
     error_groups,
     expected_errors,
     kinds_of_step,
-    pooled,
+    smoothed_ladder,
     texel_px_of,
 )
 from selector.planner.planner import planner_of
@@ -36,7 +36,7 @@ from terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
 
-MAPS = ("shadow_map", "perspective_shadow_map")
+MAP_ALGORITHMS = ("shadow_map", "perspective_shadow_map")
 EXACT = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
@@ -58,7 +58,7 @@ LADDER = np.log2(TEXEL_LADDER_PX)
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class FitCase:
     """A measured row: the view it belongs to, the steps it took, and what it got wrong."""
 
     view: Figures
@@ -82,32 +82,32 @@ class Case:
     def error_groups(self) -> frozenset[str]:
         return frozenset(error_group_of(self.descriptor, step) for step in self.steps)
 
-    def expected(self, model: ErrorModel) -> Errors:
+    def expected(self, model: ErrorModel) -> ExpectedErrors:
         return expected_errors(self.descriptor, self.light, self.steps, model)
 
 
-def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Asked:
+def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
     """Wishes for a descriptor that comes without a level."""
-    return Asked(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
+    return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 
-def cases_of(view: Figures) -> list[Case]:
+def cases_of(view: Figures) -> list[FitCase]:
     """The rows of a view's picks, each once; none where nothing lies in cast shadow, of which the errors would be a share."""
     if view["error"] == "wrong":
         return []
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
     planner = planner_of(descriptor, asked_of(descriptor))
-    found: dict[str, Case] = {}
+    found: dict[str, FitCase] = {}
     for pick in portfolio(descriptor, light, planner.casting(light)):
         name = view["picks"].get(pick.name)
         if name in view["rows"] and name not in found:
-            found[name] = Case(view, descriptor, planner.steps(light, pick), view["rows"][name])
+            found[name] = FitCase(view, descriptor, planner.steps(light, pick), view["rows"][name])
     return list(found.values())
 
 
-def fitted(cases: Sequence[Case]) -> ErrorModel:
+def fit_model(cases: Sequence[FitCase]) -> ErrorModel:
     """The constants that fit measured rows."""
-    mapped = [case for case in cases if case.algorithms & set(MAPS) and not case.error_groups & {"planar", DECIMATED}]
+    mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
@@ -135,10 +135,10 @@ class _Terms:
     step.
     """
 
-    def __init__(self, cases: Sequence[Case]) -> None:
+    def __init__(self, cases: Sequence[FitCase]) -> None:
         rows: list[tuple[float, ...]] = []
         differs: list[tuple[float, ...]] = []
-        self._maps = np.array([[float(name in case.algorithms) for name in MAPS] for case in cases])
+        self._maps = np.array([[float(name in case.algorithms) for name in MAP_ALGORITHMS] for case in cases])
         self._count = len(cases)
         for number, case in enumerate(cases):
             cast = max(case.descriptor.lights[case.light].cast_share, HALF_A_HIT)
@@ -151,7 +151,7 @@ class _Terms:
                             rows.append(
                                 (number, KINDS.index(kind), band.share / cast, fixed, narrow / NARROW if follows else np.inf)
                             )
-                            differs.append(pooled(band.differs))
+                            differs.append(smoothed_ladder(band.differs))
         self._of, self._kind, self._share, self._most, self._each = (np.array(column) for column in zip(*rows, strict=True))
         self._of, self._kind, self._differs = self._of.astype(int), self._kind.astype(int), np.array(differs)
 
@@ -171,8 +171,8 @@ class _Terms:
 
 def _model(x: np.ndarray) -> ErrorModel:
     values = np.reshape(x[:-3], (len(KINDS), 3)).tolist()
-    counted = {kind: Counted(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
-    floor = {name: x[-2 + MAPS.index(name)] if name in MAPS else 0.0 for name in error_groups()}
+    counted = {kind: HillCurve(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
+    floor = {name: x[-2 + MAP_ALGORITHMS.index(name)] if name in MAP_ALGORITHMS else 0.0 for name in error_groups()}
     zeros = dict.fromkeys(error_groups(), 0.0)
     return ErrorModel(counted=counted, perspective=x[-3], floor=floor, interior=zeros, spread=zeros, interior_spread=zeros)  # type: ignore[arg-type]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from shadows.truth.metrics import MOST_INTERIOR
 
-MISSED = 10.0
+PAR_FACTOR = 10.0
 """What a missed target costs, in times the worst that meets it."""
 
 WITHIN = 0.10
@@ -44,7 +44,7 @@ GOALS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Instance:
+class GoalInstance:
     """A measured view (``view``: its record) with a goal. ``max_ms`` is in milliseconds; rows are named by what they do."""
 
     view: Figures
@@ -68,11 +68,11 @@ class Instance:
         """The loss of every row, as a multiple of the least."""
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
-            found = {name: met.get(name, MISSED * max(met.values())) for name in self.rows}
+            found = {name: met.get(name, PAR_FACTOR * max(met.values())) for name in self.rows}
         else:
             over = {name: self._overshoot(name) for name in self.rows}
             timely = {name: over[name] for name, row in self.rows.items() if self.max_ms is None or row["ms"] <= self.max_ms}
-            found = {name: timely.get(name, MISSED * max(timely.values())) for name in self.rows} if timely else over
+            found = {name: timely.get(name, PAR_FACTOR * max(timely.values())) for name in self.rows} if timely else over
         least = max(min(found.values()), 1e-12)
         return {name: value / least for name, value in found.items()}
 
@@ -87,19 +87,19 @@ class Instance:
         return max(self.error(name) / self.goal.max_error, row["interior"] / MOST_INTERIOR, late, 1e-3)
 
 
-def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[Instance]:
+def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
     """Every view with every goal; those with fewer than two rows leave nothing to choose."""
     made = []
     for view in views:
         ms = [row["ms"] for row in view["rows"].values()]
         for goal in goals if len(ms) > 1 else ():
             limit = None if goal.within is None else float(f"{min(ms) ** (1 - goal.within) * max(ms) ** goal.within:.3g}")
-            made.append(Instance(view, goal, limit))
+            made.append(GoalInstance(view, goal, limit))
     return made
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PolicyScore:
     """A policy on some instances: means over them, as the page of figures has them."""
 
     instances: int
@@ -123,11 +123,11 @@ class Verdict:
 
 
 def judged(
-    instances: Sequence[Instance],
+    instances: Sequence[GoalInstance],
     taken: Mapping[tuple[str, str], str],
     single: Mapping[tuple[str, str], str],
     own_ms: Callable[[Figures], float] = lambda view: 0.0,
-) -> Verdict:
+) -> PolicyScore:
     """The verdict on the rows ``taken`` by (view, goal), against those of the single best; ``own_ms`` is what a choice itself takes
     in a view.
     """
@@ -142,7 +142,7 @@ def judged(
     dirty = [able and one.rows[taken[key]]["interior"] > MOST_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
     regret, gap = own - 1.0, float(best.mean() - 1.0)
     worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
-    return Verdict(
+    return PolicyScore(
         len(instances), _mean(met[can]), _mean(regret), float(np.quantile(regret, 0.95)), _mean(regret[met]),
         float(np.quantile(regret[met], 0.95)) if met.any() else 0.0, float(np.mean(dirty)), _mean(own), _mean(best),
         _mean(single_met[can]), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
@@ -170,19 +170,19 @@ def stand_in(pick: str, view: Figures) -> str | None:
     return None
 
 
-def single_best(training: Sequence[Instance]) -> str:
+def single_best(training: Sequence[GoalInstance]) -> str:
     """The one pick with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed."""
     names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 
     def mean(pick: str) -> float:
         rows = [(stand_in(pick, one.view), loss) for one, loss in losses]
-        return float(np.mean([MISSED * max(loss.values()) if row is None else loss[row] for row, loss in rows]))
+        return float(np.mean([PAR_FACTOR * max(loss.values()) if row is None else loss[row] for row, loss in rows]))
 
     return min(names, key=mean)
 
 
-def marginal(instances: Sequence[Instance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
+def marginal(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
     """What each algorithm adds: how much larger the virtual best's mean loss is without it, and the share of instances whose best
     row has it.
     """
@@ -192,7 +192,7 @@ def marginal(instances: Sequence[Instance], algorithms: Sequence[str]) -> dict[s
         for one in instances:
             losses = one.losses()
             rest = [loss for name, loss in losses.items() if algorithm not in one.rows[name]["algorithms"]]
-            without.append(min(rest, default=MISSED * max(losses.values())))
+            without.append(min(rest, default=PAR_FACTOR * max(losses.values())))
             best.append(algorithm in one.rows[min(losses, key=losses.__getitem__)]["algorithms"])
         found[algorithm] = float(np.mean(without) - 1.0), float(np.mean(best))
     return found

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.judge import GOALS, instances_of
-from benchmarks.selection.views import Instance
+from benchmarks.selection.views import ViewInstance
 from selector.candidates import name_of
 from selector.cost.device_profile import load_profile
 from selector.measure.compare import NO_CAST, compare, drawn_on, run_light
-from selector.measure.measuring import Wanted, confirmed, measured_rows, winners
-from selector.planner.planner import choose, planner_of
+from selector.measure.measuring import TargetBounds, confirm_winners, measured_rows, winners
+from selector.planner.planner import make_plan, planner_of
 from selector.portfolio import portfolio
 from selector.select import select
 from shadows.plan import Plan, Step
@@ -40,7 +40,7 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     planner = planner_of(descriptor, level)
     picks = portfolio(descriptor, light, planner.casting(light))
     plans = {pick.name: planner.plan({light: pick}, {}) for pick in picks}
-    return plans | {f"rules {goal.max_error:g}": choose(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
+    return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
 
 def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
@@ -59,7 +59,7 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     return names
 
 
-def measured(instance: Instance, data: Path) -> Figures:
+def measured(instance: ViewInstance, data: Path) -> Figures:
     """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row.
 
     ``error`` is the figure that targets go by: ``wrong`` where nothing lies in cast shadow, since of nothing there is no share.
@@ -82,7 +82,7 @@ def measured(instance: Instance, data: Path) -> Figures:
         return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
 
 
-def timed(instance: Instance, data: Path, record: Figures) -> Figures:
+def timed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """The record with its rows timed anew."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
@@ -91,15 +91,15 @@ def timed(instance: Instance, data: Path, record: Figures) -> Figures:
         return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
 
 
-def chosen(instance: Instance, data: Path, record: Figures) -> Figures:
+def chosen(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """The record with what the policy ``measure`` takes for each goal, by row; what was drawn for one of them serves the others."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light, taken = record["light"], {}
         rows = measured_rows(scene, view, instance.view)
         for one in instances_of([record]):
-            wanted = Wanted(one.goal.max_error, one.max_ms)
-            rows = confirmed(rows, wanted)
+            wanted = TargetBounds(one.goal.max_error, one.max_ms)
+            rows = confirm_winners(rows, wanted)
             winner = winners(rows, wanted)[light].winner
             plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
             taken[one.goal.name] = name_of(plan, light)
@@ -126,7 +126,7 @@ def _row(figures: Figures, light: str) -> Figures:
     return {"algorithms": algorithms, **shares, "bytes": figures["bytes"]}
 
 
-def described(instance: Instance, data: Path, record: Figures) -> Figures:
+def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """The record with its descriptor made anew, and the milliseconds that describing the warm scene and choosing take."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))

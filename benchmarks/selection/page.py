@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.fit import cases_of
-from benchmarks.selection.judge import GOALS, Instance, Verdict, instances_of, marginal
-from benchmarks.selection.policies import Split, errors_of_time, lateness, splits, verdict
+from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, marginal
+from benchmarks.selection.policies import Split, errors_of_time, lateness, policy_score, splits
 from selector.cost.device_profile import DeviceProfile
-from selector.formatting import percent
+from selector.formatting import format_percent
 from shadows.registry import chosen_from
 
 Figures = dict[str, Any]
@@ -24,7 +24,7 @@ TARGETS = {
     "measure": {"met": "98 %", "gap": "0.90 / 0.90", "mean": "0.05", "p95": "0.15", "unclean": "none"},
 }  # fmt: skip
 
-WORDS = {each.name: each.plural for each in chosen_from()}
+ALGORITHM_TITLES = {each.name: each.plural for each in chosen_from()}
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:
@@ -64,7 +64,7 @@ def _what(views: Sequence[Figures]) -> str:
     )
     late = lateness(views)
     if late.size:
-        kept, most = percent(float(np.mean(late <= 1.0))), percent(max(float(late.max()) - 1.0, 0.0))
+        kept, most = format_percent(float(np.mean(late <= 1.0))), format_percent(max(float(late.max()) - 1.0, 0.0))
         text += (
             " `measure` is judged without the limit of time: it chose in another hour than that in\n"
             "which the plans were timed, and the machine's speed is not the same in every hour. By the plans' times what it took\n"
@@ -75,8 +75,8 @@ def _what(views: Sequence[Figures]) -> str:
 
 
 def _policies(views: Sequence[Figures], made: Split) -> str:
-    found = {policy: verdict(views, made, policy) for policy in made.taken}
-    planned = {policy: verdict(views, made, policy, with_plans=True) for policy in made.taken if policy != "measure"}
+    found = {policy: policy_score(views, made, policy) for policy in made.taken}
+    planned = {policy: policy_score(views, made, policy, with_plans=True) for policy in made.taken if policy != "measure"}
     first = next(iter(found.values()))
     best = max(made.best, key=made.best.__getitem__)
     heads = ["quantity", "single best", *found, "target: predict", "target: measure"]
@@ -89,13 +89,13 @@ def _policies(views: Sequence[Figures], made: Split) -> str:
         return f"{value:.2f}"
 
     rows = [
-        row("target met", "met", lambda its: percent(its.met), percent(first.single_met)),
+        row("target met", "met", lambda its: format_percent(its.met), format_percent(first.single_met)),
         row("gap closed", "gap", _gap),
         row("relative regret, mean", "mean", lambda its: ratio(its.regret), ratio(first.single - 1.0)),
         row("relative regret, p95", "p95", lambda its: ratio(its.regret_p95)),
         row("of the picks that met their target: mean", "", lambda its: ratio(its.regret_met)),
         row("p95", "", lambda its: ratio(its.regret_met_p95)),
-        row("interior error though a clean row met the target", "unclean", lambda its: percent(its.unclean)),
+        row("interior error though a clean row met the target", "unclean", lambda its: format_percent(its.unclean)),
     ]
     own = [ratio(planned[policy].regret) if policy in planned else "" for policy in found]
     rows.append(["relative regret with the time of planning, mean", "", *own, "", ""])
@@ -111,7 +111,7 @@ def _parts(views: Sequence[Figures], made: Split) -> str:
         if one.max_ms is None:
             parts.setdefault(one.view["family"], []).append(one)
 
-    def met(policy: str, part: Sequence[Instance]) -> str:
+    def met(policy: str, part: Sequence[GoalInstance]) -> str:
         its = made.taken[policy]
         rows = [(one, its[key]) for one in part if (key := (one.view["name"], one.goal.name)) in its]
         return f"{sum(one.meets(row) for one, row in rows)} of {len(rows)}" if rows else ""
@@ -121,7 +121,7 @@ def _parts(views: Sequence[Figures], made: Split) -> str:
     return text + _table(["target or family", *made.taken], rows)
 
 
-def _gap(its: Verdict) -> str:
+def _gap(its: PolicyScore) -> str:
     return "no gap to speak of" if its.gap_closed is None else f"{its.gap_closed:.2f}"
 
 
@@ -129,7 +129,7 @@ def _worst(views: Sequence[Figures], made: Sequence[Split]) -> str:
     rows = [
         [policy, view, goal, f"`{taken}`", f"{regret:.1f}"]
         for policy in made[0].taken
-        for view, goal, taken, regret in verdict(views, made[0], policy).worst
+        for view, goal, taken, regret in policy_score(views, made[0], policy).worst
     ]
     return "\nThe worst picks (held-out views):\n\n" + _table(["policy", "view", "target", "taken", "relative regret"], rows)
 
@@ -137,10 +137,10 @@ def _worst(views: Sequence[Figures], made: Sequence[Split]) -> str:
 def _marginal(views: Sequence[Figures]) -> str:
     instances = instances_of(views)
     rows = []
-    for name, (gain, share) in marginal(instances, list(WORDS)).items():
+    for name, (gain, share) in marginal(instances, list(ALGORITHM_TITLES)).items():
         wins = [one for one in instances if name in one.rows[min(one.losses(), key=one.losses().__getitem__)]["algorithms"]]
         where = f"{wins[0].view['name']}, {wins[0].goal.name}" if wins else "nowhere"
-        rows.append([WORDS[name], f"{gain:.3f}", percent(share), where])
+        rows.append([ALGORITHM_TITLES[name], f"{gain:.3f}", format_percent(share), where])
     return "\nWhat each algorithm adds to the virtual best:\n\n" + _table(
         ["algorithm", "mean loss more without it", "takes part in the best", "for example"], rows
     )
@@ -148,11 +148,13 @@ def _marginal(views: Sequence[Figures]) -> str:
 
 def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
     cases, rows = [case for view in views for case in cases_of(view)], []
-    for name in WORDS:
+    for name in ALGORITHM_TITLES:
         off = errors_of_time(cases, device, lambda case, name=name: name in case.algorithms)
-        rows.append([WORDS[name], len(off), percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"])
+        rows.append(
+            [ALGORITHM_TITLES[name], len(off), format_percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"]
+        )
     off = errors_of_time(cases, device)
-    rows.append(["all", len(off), percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"])
+    rows.append(["all", len(off), format_percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"])
     plan_ms = [view["plan_ms"] for view in views]
     text = "\nExpected times against those measured; none of these scenes is among those that the device is calibrated with:\n\n"
     text += _table(["plans with", "number", "median error", "median bias"], rows)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.selection.fit import Case, asked_of, cases_of, fitted
-from benchmarks.selection.judge import Instance, Verdict, instances_of, judged, single_best, stand_in
+from benchmarks.selection.fit import FitCase, asked_of, cases_of, fit_model
+from benchmarks.selection.judge import GoalInstance, PolicyScore, instances_of, judged, single_best, stand_in
 from selector.candidates import name_of
 from selector.cost.cost_model import predicted_ms
 from selector.cost.device_profile import DeviceProfile
@@ -61,7 +61,7 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
     bests: dict[str, int] = {}
     for number, part in enumerate(parts):
         others = [view for other, views in enumerate(parts) if other != number for view in views]
-        model = fitted([case for view in others for case in cases[view["name"]]])
+        model = fit_model([case for view in others for case in cases[view["name"]]])
         best = single_best(instances_of(others))
         bests[best] = bests.get(best, 0) + 1
         for one in instances_of(part):
@@ -80,7 +80,7 @@ def lateness(views: Sequence[Figures]) -> np.ndarray:
     return np.array([one.rows[one.view["measured"][one.goal.name]]["ms"] / (one.max_ms or np.inf) for one in limited])
 
 
-def predicted(one: Instance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
+def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
     """The row that ``predict`` takes, told nothing but the descriptor (without the view's name) and the target."""
     descriptor = Descriptor.model_validate({**one.view["descriptor"], "view": "view"})
     shadows = Shadows(max_error=one.goal.max_error, max_ms=one.max_ms)
@@ -93,7 +93,7 @@ def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
     return [split(name, its, device) for name, its in parts.items()]
 
 
-def verdict(views: Sequence[Figures], made: Split, policy: str, with_plans: bool = False) -> Verdict:
+def policy_score(views: Sequence[Figures], made: Split, policy: str, with_plans: bool = False) -> PolicyScore:
     """What a policy's choices are worth; ``with_plans`` counts what it takes to plan a frame of a perspective view, too.
 
     Tiles share a plan, and one that was measured is made beforehand.
@@ -106,7 +106,9 @@ def verdict(views: Sequence[Figures], made: Split, policy: str, with_plans: bool
     return judged([one for one in instances_of(views) if (one.view["name"], one.goal.name) in its], its, made.single, own_ms)
 
 
-def errors_of_time(cases: Iterable[Case], device: DeviceProfile, which: Callable[[Case], bool] = lambda case: True) -> np.ndarray:
+def errors_of_time(
+    cases: Iterable[FitCase], device: DeviceProfile, which: Callable[[FitCase], bool] = lambda case: True
+) -> np.ndarray:
     """By how much the expected times of rows are off, as shares of those measured."""
     off = []
     for case in filter(which, cases):

@@ -12,7 +12,7 @@ from terrain.facts.descriptor import Descriptor
 
 TABLE = Path(__file__).with_name("selection.jsonl")
 
-COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage", "bytes")
+ROW_COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage", "bytes")
 """What a row is a list of, in the table."""
 
 DIGITS = 8
@@ -41,7 +41,7 @@ def _packed(view: Figures) -> Figures:
     descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
     return view | {
         "descriptor": _rounded(descriptor),
-        "rows": {name: [row[column] for column in COLUMNS] for name, row in view["rows"].items()},
+        "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
         "picks": {pick: names.index(row) for pick, row in view["picks"].items() if row in names},
     }
 
@@ -49,7 +49,7 @@ def _packed(view: Figures) -> Figures:
 def _unpacked(line: Figures) -> Figures:
     names = list(line["rows"])
     return line | {
-        "rows": {name: dict(zip(COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
+        "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
         "picks": {pick: names[number] for pick, number in line["picks"].items()},
     }
 

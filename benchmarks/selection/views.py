@@ -19,7 +19,7 @@ Family = Literal["thesis, spot", "thesis, sun", "relief, map", "relief, perspect
 
 PERSPECTIVE_PX, MAP_PX = (640, 512), (512, 512)
 
-Sun = tuple[float, float]
+SunAngles = tuple[float, float]
 
 FAULT = (740_000.0, 4_052_800.0, 746_400.0, 4_059_200.0)
 """West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
@@ -30,7 +30,7 @@ CITY = "urban/goteborg_1m"
 
 
 @dataclass(frozen=True)
-class Instance:
+class ViewInstance:
     """A view of a scene under a light. ``terrain`` is the ground it stands on: what is left out together.
 
     ``level`` is a bundled level's name, or the keys of one whose files lie in the folder of sample data; ``view`` is a view's
@@ -42,7 +42,7 @@ class Instance:
     terrain: str
     level: str | dict[str, Any]
     view: str
-    sun: Sun | None = None
+    sun: SunAngles | None = None
     bounds: tuple[float, float, float, float] | None = None
     look: tuple[float, float, float, float, float] | None = None
     """Of a perspective view that no level names: the eye's and the target's shares of the ground's extent from west and south
@@ -118,53 +118,58 @@ RASTERS: dict[str, dict[str, Any]] = {
 }
 
 
-def _thesis() -> Iterator[Instance]:
-    suns: dict[str, Sun | None] = {"main": None, "close": (225.0, 12.0), "overview": (140.0, 55.0), "map": (75.0, 25.0)}
+def _thesis() -> Iterator[ViewInstance]:
+    suns: dict[str, SunAngles | None] = {"main": None, "close": (225.0, 12.0), "overview": (140.0, 55.0), "map": (75.0, 25.0)}
     for scene in ("boxgrid", "rocks", "street", "room", "water_tower"):
         for view in ("main", "close", "overview"):
-            yield Instance(f"{scene}, spot, {view}", "thesis, spot", scene, f"thesis_{scene}", view)
+            yield ViewInstance(f"{scene}, spot, {view}", "thesis, spot", scene, f"thesis_{scene}", view)
         for view, sun in suns.items():
-            yield Instance(f"{scene}, sun, {view}", "thesis, sun", scene, f"thesis_{scene}_sun", view, sun)
+            yield ViewInstance(f"{scene}, sun, {view}", "thesis, sun", scene, f"thesis_{scene}_sun", view, sun)
 
 
-def _relief() -> Iterator[Instance]:
+def _relief() -> Iterator[ViewInstance]:
     for sun in ((237.0, 4.0), (120.0, 15.0), (200.0, 40.0), (180.0, 68.0)):
-        yield Instance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT)
-    maps: tuple[tuple[str, tuple[Sun, ...]], ...] = (
+        yield ViewInstance(f"jacksboro, map, {sun[1]:g}", "relief, map", "jacksboro", "jacksboro", "map", sun, FAULT)
+    maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
         ("bigtujunga", ((301.0, 7.0), (150.0, 33.0))), ("zion", ((263.0, 20.0),)), ("grenoble", ((112.0, 9.0),)),
         ("sierra", ((203.0, 24.0),)), ("himalaya", ((95.0, 2.0), (170.0, 12.0))), ("vinschgau", ((211.0, 16.0),)),
         ("essen", ((248.0, 14.0), (160.0, 45.0))), ("slovenia", ((292.0, 6.0),)),
     )  # fmt: skip
     for name, suns in maps:
         for sun in suns:
-            yield Instance(f"{name}, map, {sun[1]:g}", "relief, map", name, RASTERS[name], "map", sun)
-    looks: tuple[tuple[str, tuple[float, float, float, float, float], Sun], ...] = (
+            yield ViewInstance(f"{name}, map, {sun[1]:g}", "relief, map", name, RASTERS[name], "map", sun)
+    looks: tuple[tuple[str, tuple[float, float, float, float, float], SunAngles], ...] = (
         ("bigtujunga", (0.42, 0.30, 0.55, 0.60, 350.0), (290.0, 18.0)), ("zion", (0.45, 0.35, 0.52, 0.55, 220.0), (110.0, 28.0)),
         ("grenoble", (0.60, 0.30, 0.68, 0.45, 900.0), (245.0, 11.0)), ("sierra", (0.30, 0.40, 0.40, 0.60, 400.0), (170.0, 38.0)),
         ("vinschgau", (0.45, 0.25, 0.50, 0.60, 1500.0), (300.0, 8.0)), ("essen", (0.45, 0.30, 0.50, 0.50, 45.0), (200.0, 30.0)),
     )  # fmt: skip
     for name, look, sun in looks:
-        yield Instance(f"{name}, eye, {sun[1]:g}", "relief, perspective", name, RASTERS[name], "eye", sun, look=look)
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "relief, perspective", name, RASTERS[name], "eye", sun, look=look)
     ridges = (0.7558, 0.1876, 0.6367, 0.3271, 120.0)
     for sun in ((237.0, 10.0), (120.0, 35.0)):
         jacksboro = {"terrain": {"source": "jacksboro"}}
-        yield Instance(f"jacksboro, ridges, {sun[1]:g}", "relief, perspective", "jacksboro", jacksboro, "eye", sun, look=ridges)
+        yield ViewInstance(f"jacksboro, ridges, {sun[1]:g}", "relief, perspective", "jacksboro", jacksboro, "eye", sun, look=ridges)
 
 
-def _wooded() -> Iterator[Instance]:
+def _wooded() -> Iterator[ViewInstance]:
     for sun in ((255.0, 9.0), (160.0, 42.0)):
-        yield Instance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE)
-    views: tuple[tuple[str, Sun | None], ...] = (("village", None), ("village", (245.0, 12.0)), ("edge", None), ("valley", None))
+        yield ViewInstance(f"village, map, {sun[1]:g}", "wooded, map", "jacksboro", "jacksboro_wooded", "map", sun, VILLAGE)
+    views: tuple[tuple[str, SunAngles | None], ...] = (
+        ("village", None),
+        ("village", (245.0, 12.0)),
+        ("edge", None),
+        ("valley", None),
+    )
     for view, sun in views:
         altitude = "own" if sun is None else f"{sun[1]:g}"
         name = f"jacksboro wooded, {view}, {altitude}"
-        yield Instance(name, "wooded, perspective", "jacksboro", "jacksboro_wooded", view, sun)
+        yield ViewInstance(name, "wooded, perspective", "jacksboro", "jacksboro_wooded", view, sun)
     for view, sun in (("main", None), ("overview", (130.0, 12.0)), ("close", (200.0, 50.0))):
-        yield Instance(f"spatialace, {view}", "wooded, perspective", "spatialace", "spatialace", view, sun)
-    yield Instance("spatialace, map", "wooded, map", "spatialace", "spatialace", "map", (70.0, 30.0))
+        yield ViewInstance(f"spatialace, {view}", "wooded, perspective", "spatialace", "spatialace", view, sun)
+    yield ViewInstance("spatialace, map", "wooded, map", "spatialace", "spatialace", "map", (70.0, 30.0))
     for name, sun in (("goteborg", (150.0, 35.0)), ("goteborg, houses", (230.0, 11.0)), ("quebec", (200.0, 25.0))):
-        yield Instance(f"{name}, map, {sun[1]:g}", "wooded, map", name.split(",")[0], RASTERS[name], "map", sun)
-    looks: tuple[tuple[str, tuple[float, float, float, float, float], Sun], ...] = (
+        yield ViewInstance(f"{name}, map, {sun[1]:g}", "wooded, map", name.split(",")[0], RASTERS[name], "map", sun)
+    looks: tuple[tuple[str, tuple[float, float, float, float, float], SunAngles], ...] = (
         ("goteborg", (0.30, 0.25, 0.55, 0.55, 40.0), (240.0, 22.0)), ("goteborg", (0.5, 0.1, 0.5, 0.6, 90.0), (140.0, 48.0)),
         ("goteborg, houses", (0.25, 0.3, 0.6, 0.5, 30.0), (120.0, 16.0)),
         ("goteborg, houses", (0.5, 0.05, 0.5, 0.5, 110.0), (200.0, 38.0)),
@@ -172,9 +177,9 @@ def _wooded() -> Iterator[Instance]:
     )  # fmt: skip
     for name, look, sun in looks:
         terrain = name.split(",")[0]
-        yield Instance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, look=look)
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, look=look)
 
 
-def instances() -> list[Instance]:
+def instances() -> list[ViewInstance]:
     """All of them, in order."""
     return [*_thesis(), *_relief(), *_wooded()]

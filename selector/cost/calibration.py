@@ -14,24 +14,24 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from selector.cost.calibration_scenes import Stage, stages
-from selector.cost.cost_model import MS_PER_NS, part_ms, work_of
+from selector.cost.calibration_scenes import CalibrationView, calibration_views
+from selector.cost.cost_model import MS_PER_NS, counts_to_ms, work_of
 from selector.cost.device_profile import DeviceProfile, Residual
 from shadows.passes import PassLog
 from shadows.plan import Step
-from shadows.registry import ALGORITHMS, serves
+from shadows.registry import ALGORITHMS, can_serve
 from shadows.visibility import fill_steps
 from shadows.work import Counts
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.antialias import picture_of
+from terrain.gbuffer.antialias import picture_buffer
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device
 from terrain.scene import Scene
 
-TURNS = 3
+TIMING_ROUNDS = 3
 """Everything is measured so often, in turns, so that what else the machine does meets all alike. The least time counts: the first
 pays for compiling, too.
 """
@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class CalibrationJob:
     """A step to be measured on a stage's geometry, with its work by part, and the least times of these, milliseconds."""
 
     scene: Scene
@@ -65,44 +65,46 @@ def calibrate(on_step: Progress | None = None) -> DeviceProfile:
     return DeviceProfile(
         renderer=gl.renderer, version=gl.version, cpus=os.cpu_count() or 1, engine=version("skugga"),
         measured=datetime.now(UTC).replace(microsecond=0), took_s=round(time.perf_counter() - start, 1), rates_ns=rates,
-        residuals=residuals(rates, jobs),
+        residuals=fit_residuals(rates, jobs),
     )  # fmt: skip
 
 
-def _measured(start_s: float, on_step: Progress) -> list[Job]:
+def _measured(start_s: float, on_step: Progress) -> list[CalibrationJob]:
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
-        jobs = [job for stage in stages(Path(folder)) for job in jobs_of(stage)]
-        for turn in range(TURNS):
+        jobs = [job for stage in calibration_views(Path(folder)) for job in calibration_jobs(stage)]
+        for turn in range(TIMING_ROUNDS):
             for number, job in enumerate(jobs, start=turn * len(jobs) + 1):
                 if turn <= 1 or time.perf_counter() - start_s < LIMIT_S:
                     _run(job)
-                on_step(number, TURNS * len(jobs))
+                on_step(number, TIMING_ROUNDS * len(jobs))
     return jobs
 
 
-def jobs_of(stage: Stage) -> list[Job]:
+def calibration_jobs(stage: CalibrationView) -> list[CalibrationJob]:
     """What is measured on a stage."""
     descriptor = describe(stage.scene, stage.view, stage.name)
-    picture = picture_of(stage.scene, stage.view)
+    picture = picture_buffer(stage.scene, stage.view)
     casters = casters_of(stage.scene, picture.own)
     return [
-        Job(stage.scene, picture.buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings))
+        CalibrationJob(
+            stage.scene, picture.buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings)
+        )
         for step in _steps(descriptor, stage)
     ]
 
 
-def _steps(descriptor: Descriptor, stage: Stage) -> Iterator[Step]:
+def _steps(descriptor: Descriptor, stage: CalibrationView) -> Iterator[Step]:
     """What is tried on a stage: the settings of each algorithm that its record names, past the casters that it serves."""
     for algorithm in ALGORITHMS.values():
-        kinds = tuple(kind for kind in stage.kinds if serves(algorithm.name, descriptor, stage.light, kind))
+        kinds = tuple(kind for kind in stage.kinds if can_serve(algorithm.name, descriptor, stage.light, kind))
         if algorithm.passes and kinds:
             for settings in algorithm.calibrated(descriptor, stage.light, stage.grid):
                 yield Step(stage.light, kinds, algorithm.name, settings)
 
 
-def _run(job: Job) -> None:
+def _run(job: CalibrationJob) -> None:
     """Run a job once, and note the times of its parts."""
-    forget("light")
+    clear_caches("light")
     step, log, start = job.step, PassLog(), time.perf_counter()
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
     left_ms = (time.perf_counter() - start) * 1000.0
@@ -135,12 +137,12 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
     return found
 
 
-def residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[Job]) -> dict[str, Residual]:
+def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
     """How far rates are off the times of whole steps, by algorithm."""
     errors: dict[str, list[float]] = {}
     for job in jobs:
         real_ms = sum(job.least_ms.values())
-        expected_ms = sum(part_ms(rates_ns[part], counts) for part, counts in job.work.items())
+        expected_ms = sum(counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items())
         errors.setdefault(job.step.algorithm, []).append(abs(expected_ms / real_ms - 1.0))
     return {
         name: Residual(rows=len(its), median=float(np.median(its)), p90=float(np.quantile(its, 0.9)))

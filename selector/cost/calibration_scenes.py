@@ -25,7 +25,7 @@ BALL_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class CalibrationView:
     """A view of a made scene, the light to be measured there, and the kinds of casters that take part.
 
     ``grid`` says how much is tried on it: everything (``full``), less (``some``), or only what needs the scene (``few``).
@@ -39,16 +39,18 @@ class Stage:
     grid: str
 
 
-def stages(folder: Path) -> Iterator[Stage]:
+def calibration_views(folder: Path) -> Iterator[CalibrationView]:
     """The stages one after the other; their files are written to a folder."""
-    for name, level, view, size, light, kinds, grid in described(folder):
+    for name, level, view, size, light, kinds, grid in calibration_levels(folder):
         path = folder / f"{name}.yaml"
         path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
         scene = build_scene(load_level(path))
-        yield Stage(name, scene, scene.view(view, size=size), light, kinds, grid)
+        yield CalibrationView(name, scene, scene.view(view, size=size), light, kinds, grid)
 
 
-def described(folder: Path) -> Iterator[tuple[str, dict[str, Any], str, tuple[int, int], str, tuple[CasterKind, ...], str]]:
+def calibration_levels(
+    folder: Path,
+) -> Iterator[tuple[str, dict[str, Any], str, tuple[int, int], str, tuple[CasterKind, ...], str]]:
     """Name, level, view, its width and height, light, casters and grid of each stage; what levels read is written to a folder."""
     few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])

@@ -9,9 +9,9 @@ from collections.abc import Collection, Mapping
 
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.unmeasured import NO_RATES, UnmeasuredError
-from shadows.algorithm import Settings
+from shadows.algorithm import AlgorithmSettings
 from shadows.registry import ALGORITHMS
-from shadows.work import Counts, Task, Work
+from shadows.work import Counts, Work, Workload
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind
@@ -20,10 +20,10 @@ MS_PER_NS = 1e-6
 
 
 def work_of(
-    descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: Settings | None
+    descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: AlgorithmSettings | None
 ) -> Work:
     """What a step does, by part; nothing for the algorithm ``none``."""
-    return ALGORITHMS[algorithm].work(Task(descriptor, light, kinds), settings)
+    return ALGORITHMS[algorithm].work(Workload(descriptor, light, kinds), settings)
 
 
 def predicted_ms(
@@ -32,7 +32,7 @@ def predicted_ms(
     light: str,
     kinds: Collection[CasterKind],
     algorithm: AlgorithmName,
-    settings: Settings | None,
+    settings: AlgorithmSettings | None,
 ) -> float:
     """Expected wall-clock milliseconds of a step's shadow work in a redrawn frame; of a map view those of one block.
 
@@ -47,16 +47,16 @@ def predicted_parts_ms(
     light: str,
     kinds: Collection[CasterKind],
     algorithm: AlgorithmName,
-    settings: Settings | None,
+    settings: AlgorithmSettings | None,
 ) -> dict[str, float]:
     """The same by part of the work (``shadows.work``). Raises ``UnmeasuredError`` for a part of which the profile has no rates."""
     work = work_of(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:
             raise UnmeasuredError(algorithm, NO_RATES.format(part=part))
-    return {part: part_ms(profile.rates_ns[part], counts) for part, counts in work.items()}
+    return {part: counts_to_ms(profile.rates_ns[part], counts) for part, counts in work.items()}
 
 
-def part_ms(rates_ns: Mapping[str, float], counts: Counts) -> float:
+def counts_to_ms(rates_ns: Mapping[str, float], counts: Counts) -> float:
     """Milliseconds of counts at rates in nanoseconds; what has no rate costs nothing."""
     return MS_PER_NS * sum(count * rates_ns.get(name, 0.0) for name, count in counts.items())

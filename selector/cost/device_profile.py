@@ -81,12 +81,12 @@ def save_profile(profile: DeviceProfile) -> Path:
 
 
 def load_profile(renderer: str, version: str) -> DeviceProfile | None:
-    """The profile of a device; ``None`` where there is none that can be used, for the reason that ``why_none`` gives."""
+    """The profile of a device; ``None`` where there is none that can be used, for the reason that ``missing_profile_reason`` gives."""
     found = _read(renderer, version)
     return found if isinstance(found, DeviceProfile) else None
 
 
-def why_none(renderer: str, version: str) -> str | None:
+def missing_profile_reason(renderer: str, version: str) -> str | None:
     """Why there is no profile of a device, as a sentence; ``None`` where there is one."""
     found = _read(renderer, version)
     return found if isinstance(found, str) else None

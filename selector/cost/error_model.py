@@ -32,13 +32,13 @@ from shadows.algorithm import ErrorConstants
 from shadows.plan import Step
 from shadows.registry import ALGORITHMS
 from shadows.truth.metrics import MOST_INTERIOR
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
 from terrain.facts.probes import PROBES
 from terrain.level.level import CasterKind
 
-UNKNOWN = Casting(
+UNKNOWN_CASTING = Casting(
     share=0.1,
     bands=(
         CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_LADDER_PX)),
@@ -66,7 +66,7 @@ def error_groups() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Errors:
+class ExpectedErrors:
     """Expected shares, as ``shadows.truth.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
     ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
     """
@@ -90,7 +90,7 @@ def _chance_over(ratio: float, scale: float) -> float:
     return 1.0 / (1.0 + exp(-max(min(log(ratio) / scale, 50.0), -50.0)))
 
 
-class Counted(BaseModel):
+class HillCurve(BaseModel):
     """The part of what differs that is wrong: ``most / (1 + (half_px / texel_px) ** steepness)``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -113,7 +113,7 @@ class ErrorModel(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    counted: dict[CasterKind, Counted]
+    counted: dict[CasterKind, HillCurve]
     perspective: float = Field(gt=0)
     floor: dict[str, float]
     interior: dict[str, float]
@@ -126,15 +126,15 @@ class ErrorModel(BaseModel):
         return None if any(group not in table for table in tables) else ErrorConstants(*(table[group] for table in tables))
 
 
-@kept("process", MIB)
-def fitted() -> ErrorModel:
+@cached("process", MIB)
+def packaged_model() -> ErrorModel:
     """The constants that come with the package."""
     return ErrorModel.model_validate_json(files("selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
 
 
-def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> Errors:
+def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> ExpectedErrors:
     """What the steps of a light are expected to get wrong together."""
-    model = model or fitted()
+    model = model or packaged_model()
     return errors_together(descriptor, light, [(step, wrong_of_step(descriptor, light, step, model)) for step in steps], model)
 
 
@@ -155,7 +155,9 @@ def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorMo
     return floor + sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
 
 
-def errors_together(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel) -> Errors:
+def errors_together(
+    descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel
+) -> ExpectedErrors:
     """The errors of steps, each with the share that it gets wrong. Raises ``UnmeasuredError`` for one without constants."""
     wrong = interior = spread = interior_spread = 0.0
     for step, its in wrong_of:
@@ -163,7 +165,7 @@ def errors_together(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple
         inside = its * constants.interior
         wrong, spread = wrong + its, spread + its * constants.spread
         interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
-    return Errors(
+    return ExpectedErrors(
         min(wrong, 1.0), min(wrong / _cast(descriptor, light), 1.0), min(interior, 1.0),
         spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
     )  # fmt: skip
@@ -179,13 +181,13 @@ def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorCo
 def _cast(descriptor: Descriptor, light: str) -> float:
     """The share of what is seen that is taken to lie in cast shadow."""
     facts = descriptor.lights.get(light)
-    return max(UNKNOWN.share if facts is None else facts.cast_share, HALF_A_HIT)
+    return max(UNKNOWN_CASTING.share if facts is None else facts.cast_share, HALF_A_HIT)
 
 
 def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
-    """What a step's kinds of casters throw on what is seen; ``UNKNOWN`` where the descriptor says nothing of the light."""
+    """What a step's kinds of casters throw on what is seen; ``UNKNOWN_CASTING`` where the descriptor says nothing of the light."""
     casts = descriptor.lights[light].casts if light in descriptor.lights else {}
-    return [(kind, casts.get(kind, UNKNOWN)) for kind in step.kinds if not casts or kind in casts]
+    return [(kind, casts.get(kind, UNKNOWN_CASTING)) for kind in step.kinds if not casts or kind in casts]
 
 
 def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
@@ -209,8 +211,8 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
     return 0.0 if texel_px is None else texel_px(descriptor, light, step.settings, band, perspective)
 
 
-@kept("process", MIB)
-def pooled(differs: tuple[float, ...]) -> tuple[float, ...]:
+@cached("process", MIB)
+def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
     """``differs`` with less chance in it: what differs grows about as a texel's side does, so each texel's is told by the next
     ``POOLED`` together, of which the larger ones count most of what was seen.
     """
@@ -221,7 +223,7 @@ def pooled(differs: tuple[float, ...]) -> tuple[float, ...]:
 
 def _differs(band: CastBand, texel_px: float) -> float:
     """``differs`` between the texels of the ladder; below the least in proportion."""
-    differs = pooled(band.differs)
+    differs = smoothed_ladder(band.differs)
     if texel_px <= TEXEL_LADDER_PX[0]:
         return differs[0] * texel_px / TEXEL_LADDER_PX[0]
     above = bisect(TEXEL_LADDER_PX, texel_px)

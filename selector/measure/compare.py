@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from selector.candidates import candidates, name_of
-from selector.measure.view_truth import SAMPLES, ErrorName, View, ViewTruth, truth_of_view
+from selector.measure.view_truth import TRUTH_SAMPLES, ErrorName, View, ViewTruth, truth_of_view
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import bands_of
 from shadows.truth import truth as truth_module
 from shadows.truth.metrics import errors_of
-from shadows.visibility import fill_steps, under_sky
-from terrain.cache import forget
+from shadows.visibility import fill_steps, with_apparent_sun
+from terrain.cache import clear_caches
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
 from terrain.errors import InputError
-from terrain.gbuffer.antialias import Sampled, picture_of
+from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import MapView, blocks_of
 from terrain.level.level import SUN
@@ -29,7 +29,7 @@ from terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
-REPEATS = 5
+ROW_REPEATS = 5
 """A row is timed so often, if time allows."""
 
 TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
@@ -42,7 +42,7 @@ NO_CAST = "nothing lies in cast shadow: only false shadow can be measured"
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class ComparisonRow:
     """One candidate: its figures as ``compare --json`` prints them, and what it drew.
 
     ``visibility`` is (rows, cols) uint8, 0 dark to 255 lit, 255 off the surface; ``false_shadow`` and ``missed_shadow`` are bool
@@ -66,7 +66,7 @@ class Comparison:
 
     view: View
     light: str
-    rows: list[Row]
+    rows: list[ComparisonRow]
     there: np.ndarray
     error: ErrorName
     boundary: float
@@ -78,12 +78,12 @@ class Comparison:
 Times = tuple[float, dict[str, float]]
 """Milliseconds of a run, in all and by stage."""
 
-Drawn = tuple[Sampled, Casters]
+DrawnBlock = tuple[MultisampledBuffer, Casters]
 """What is drawn of a view's block, and what casts shadows there."""
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TimedRun:
     """One execution of a plan's steps: its times, the blocks' visibilities (rows, cols), the log of its passes."""
 
     times: Times
@@ -92,11 +92,11 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class TimedPlan:
     """A plan while it is measured: the row that is made of it, and the times of the first run and of later ones."""
 
     plan: Plan
-    row: Row
+    row: ComparisonRow
     first: Times
     later: list[Times] = field(default_factory=list)
 
@@ -123,11 +123,11 @@ def compare(
     light = _light(scene, light)
     all_of_them = plans is not None
     plans = candidates(scene, view, name, light) if plans is None else plans
-    total = len(plans) + REPEATS + 2
+    total = len(plans) + ROW_REPEATS + 2
     step = on_step or (lambda done, of: None)
     effects = frozenset().union(*(plan.runs for plan in plans))
-    scene = under_sky(scene, effects)
-    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES, effects)
+    scene = with_apparent_sun(scene, effects)
+    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
     pictures = drawn_on(scene, view)
     step(1, total)
     first = real.grounds[0]
@@ -135,7 +135,7 @@ def compare(
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
-    trials: list[Trial] = []
+    trials: list[TimedPlan] = []
     left_out: list[str] = []
     took_s: dict[str, float] = {}
     for done, plan in enumerate(plans, start=3):
@@ -148,7 +148,7 @@ def compare(
             its_s = time.perf_counter() - start - began_s
             took_s |= {each: min(its_s, took_s.get(each, its_s)) for each in names}
         step(done, total)
-    for turn in range(REPEATS):
+    for turn in range(ROW_REPEATS):
         for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 trial.later.append(run_light(scene, pictures, trial.plan, light).times)
@@ -161,17 +161,19 @@ def compare(
     return Comparison(view, light, rows, real.whole.there, real.error, real.whole.boundary, surface, floor, remarks)
 
 
-def measure(scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0) -> Row:
+def measure_plan(
+    scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0
+) -> ComparisonRow:
     """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
-    scene, light = under_sky(scene, plan.runs), _light(scene, light)
-    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else SAMPLES, plan.runs)
+    scene, light = with_apparent_sun(scene, plan.runs), _light(scene, light)
+    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
     pictures = drawn_on(scene, view)
     trial = _trial(scene, real, pictures, plan, describe(scene, view, plan.view).pixel_m)
     trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
     return _timed(trial)
 
 
-def false_colours(base: np.ndarray, row: Row) -> np.ndarray:
+def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
     """An error picture (rows, cols, 3) uint8 over a gray one (rows, cols): false shadow red, missed shadow blue."""
     out = np.repeat((120 + base.astype(float) * 0.5)[..., None], 3, axis=2)
     out[row.false_shadow] = (214, 30, 30)
@@ -194,16 +196,16 @@ def _noise_floor(scene: Scene, real: ViewTruth) -> float:
     for ground in real.grounds:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
         count = np.zeros(ground.buffer.there.shape, np.float32)
-        for its_view in truth_module.sub_views(ground.buffer.view, SAMPLES, seed=1):
+        for its_view in truth_module.sub_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
             sample = geometry_of(scene, its_view, ground.buffer.frame)
             count += truth_module.lit_from(sample, scene, light, rays)
-        votes.append(np.where(ground.buffer.there, count / SAMPLES, np.nan))
+        votes.append(np.where(ground.buffer.there, count / TRUTH_SAMPLES, np.nan))
     if real.error == "coverage":
         return real.coverage(votes)
     return errors_of(real.pasted(votes, np.nan), real.whole, 1.0).wrong_cast
 
 
-def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[Drawn], plan: Plan, pixel_m: float) -> Trial:
+def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
     """A plan's first run, and its figures but for the times."""
     light, truth = real.grounds[0].light, real.whole
     run = run_light(scene, pictures, plan, light)
@@ -225,22 +227,22 @@ def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[Drawn], plan: Plan,
         "notes": [record.note for record in records if record.note],
     }
     levels = np.rint(255.0 * seen).astype(np.uint8)
-    row = Row(figures, levels, truth.decidable & dark & ~true_dark, truth.decidable & ~dark & true_dark)
-    return Trial(plan, row, run.times)
+    row = ComparisonRow(figures, levels, truth.decidable & dark & ~true_dark, truth.decidable & ~dark & true_dark)
+    return TimedPlan(plan, row, run.times)
 
 
-def drawn_on(scene: Scene, view: View) -> list[Drawn]:
+def drawn_on(scene: Scene, view: View) -> list[DrawnBlock]:
     """What is drawn of a view block by block, or band by band, as ``render_frame`` does: with samples where something ends."""
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    pictures = [picture_of(scene, part) for part, _, _ in parts]
+    pictures = [picture_buffer(scene, part) for part, _, _ in parts]
     return [(picture, casters_of(scene, picture.own)) for picture in pictures]
 
 
-def run_light(scene: Scene, pictures: Sequence[Drawn], plan: Plan, light: str) -> Run:
+def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: str) -> TimedRun:
     """Execute a plan's steps of a light on what is drawn of a view, nothing kept from before. Samples take time as in any picture;
     the visibilities are those of the picture's own pixels.
     """
-    forget("light")  # every cost that a moving sun has is to be paid
+    clear_caches("light")  # every cost that a moving sun has is to be paid
     steps = plan.steps_under(light)
     log, start = PassLog(), time.perf_counter()
     parts = []
@@ -251,10 +253,10 @@ def run_light(scene: Scene, pictures: Sequence[Drawn], plan: Plan, light: str) -
     for name, record in log.records.items():
         stage = name.split(": ", 1)[1]
         stages[stage] = stages.get(stage, 0.0) + record.ms
-    return Run((ms, stages), parts, log)
+    return TimedRun((ms, stages), parts, log)
 
 
-def _timed(trial: Trial) -> Row:
+def _timed(trial: TimedPlan) -> ComparisonRow:
     """The row with its times: of the first run only where there is no other, for that pays for compiling and allocating too."""
     runs = sorted(trial.later or [trial.first], key=lambda run: run[0])
     times_ms = [ms for ms, _ in runs]
@@ -269,7 +271,7 @@ def _timed(trial: Trial) -> Row:
     return trial.row
 
 
-def _mark_pareto(rows: list[Row], error: str) -> None:
+def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
     """A row is on the front if no other is at least as good in both time and error and better in one."""
     keys = [(row.figures["ms_median"], row.figures[error]) for row in rows]
     for row, key in zip(rows, keys, strict=True):
@@ -277,7 +279,7 @@ def _mark_pareto(rows: list[Row], error: str) -> None:
         row.figures["pareto"] = not beaten
 
 
-def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[Row]) -> list[str]:
+def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:
     real, remarks = view_truth.whole, []
     if not real.there.any():
         remarks.append("the view shows no surface: there is nothing to compare")

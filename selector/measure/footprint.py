@@ -6,7 +6,7 @@ import numpy as np
 
 from shadows.plan import Step
 from shadows.registry import ALGORITHMS
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
@@ -22,7 +22,7 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
 
 
-@kept("scene", 512 * MIB)
+@cached("scene", 512 * MIB)
 def _pixel_at_points_m(buffer: GeometryBuffer) -> np.ndarray:
     """The side of a perspective view's pixel at the depths of its points (rows, cols), metres."""
     view = buffer.view

@@ -12,53 +12,53 @@ from typing import Any
 
 import numpy as np
 
-from selector.choices import Pick, Wishes
-from selector.formatting import duration, percent
-from selector.measure.trials import Candidate, Probe, Trial, part_of, probe_of
+from selector.choices import Choice, PlanRequest
+from selector.formatting import format_duration, format_percent
+from selector.measure.trials import Candidate, Trial, TrialView, part_of, trial_view_of
 from selector.measure.view_truth import View
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from selector.portfolio import portfolio
-from selector.ranking import Figures, Verdict, best, overshoot
+from selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan, Predicted
-from shadows.registry import NOTHING
+from shadows.registry import NO_SHADOWS
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind, Shadows, override
 from terrain.scene import Scene
 
-UNSURE = 1.5
+EXTRAPOLATION_FACTOR = 1.5
 """Times that are drawn out from thinned views are right to this factor, mostly, and so is the share that is wrong inside."""
 
-CLOSE = 1.25
+RETIME_RATIO = 1.25
 """Who comes as close as this to the winner's time is timed again."""
 
-RUNS = 2
+RETIMED_RUNS = 2
 """So many times."""
 
-LEAST_MS = 1e-3
+MIN_BUDGET_MS = 1e-3
 """What a light is left of the time at least."""
 
 
 @dataclass(frozen=True)
-class Measured:
+class LightTrials:
     """What was measured for a light: on what, the trials, and the candidates that were not tried."""
 
-    probe: Probe
+    probe: TrialView
     trials: tuple[Trial, ...]
     not_tried: tuple[Candidate, ...] = ()
 
 
 @dataclass(frozen=True)
-class Wanted:
+class TargetBounds:
     """A target; ``max_ms`` is for the lights together."""
 
     max_error: float
     max_ms: float | None = None
 
     @classmethod
-    def of(cls, asked: Shadows) -> Wanted:
+    def of(cls, asked: Shadows) -> TargetBounds:
         return cls(asked.max_error, asked.max_ms)
 
 
@@ -68,7 +68,7 @@ def measured_plan(
     name: str = "map",
     overrides: dict[str, Any] | None = None,
     *,
-    wishes: Wishes | None = None,
+    wishes: PlanRequest | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """The plan of a scene's view whose algorithms and settings won on the view itself; ``on_step(done, total)`` is called as the
@@ -78,14 +78,14 @@ def measured_plan(
     ``UnsupportedError`` as ``selector.planner.planner.choose`` does, ``RenderError`` where a candidate fails.
     """
     wishes = wishes or scene.loaded.level
-    wanted = Wanted.of(override(wishes.shadows, overrides or {}))
+    wanted = TargetBounds.of(override(wishes.shadows, overrides or {}))
     descriptor = describe(scene, view, name)
     measured = measured_rows(scene, view, name, overrides, wishes=wishes, wanted=wanted, on_step=on_step)
-    measured = confirmed(measured, wanted)
+    measured = confirm_winners(measured, wanted)
     verdicts = winners(measured, wanted)
     won = {light: _trial_of(measured[light], verdict.winner.name) for light, verdict in verdicts.items()}
     picks = {light: _reasoned(measured[light], trial, verdicts[light].met, wanted) for light, trial in won.items()}
-    plan = choose(descriptor, wishes, overrides, picks, _rejected(measured, wanted))
+    plan = make_plan(descriptor, wishes, overrides, picks, _rejected(measured, wanted))
     missed = [f"{light}: {verdict.missed_by}" for light, verdict in verdicts.items() if verdict.missed_by]
     reasons = [Reasoned(name="target missed", reason="; ".join(missed))] if missed else []
     reasons += [*plan.reasons, *(Reasoned(name=f"{light}: measured", reason=_said(view, its)) for light, its in measured.items())]
@@ -104,10 +104,10 @@ def measured_rows(
     name: str = "map",
     overrides: dict[str, Any] | None = None,
     *,
-    wishes: Wishes | None = None,
-    wanted: Wanted | None = None,
+    wishes: PlanRequest | None = None,
+    wanted: TargetBounds | None = None,
     on_step: Callable[[int, int], None] | None = None,
-) -> dict[str, Measured]:
+) -> dict[str, LightTrials]:
     """The candidates of each light that casts shadows, measured on the view with fewer pixels: all of them, or with a target
     (``wanted``) those that could win. One measurement serves any number of targets (``winners``).
     """
@@ -117,7 +117,7 @@ def measured_rows(
     total, done = sum(map(len, found.values())), 0
     rows = {}
     for light, its in found.items():
-        probe = probe_of(scene, view, light, its[0].plan, descriptor.pixel_m)
+        probe = trial_view_of(scene, view, light, its[0].plan, descriptor.pixel_m)
         trials: list[Trial] = []
         for ladder in _ladders(its):
             for candidate in ladder:
@@ -126,7 +126,7 @@ def measured_rows(
                     trials.append(probe.trial(candidate))
                 if on_step is not None:
                     on_step(done, total)
-        rows[light] = Measured(probe, tuple(trials), _without(its, trials))
+        rows[light] = LightTrials(probe, tuple(trials), _without(its, trials))
     return rows
 
 
@@ -136,34 +136,36 @@ def _without(candidates: Sequence[Candidate], trials: Sequence[Trial]) -> tuple[
     return tuple(one for one in candidates if one.pick.name not in tried)
 
 
-def candidates_of(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None) -> dict[str, list[Candidate]]:
+def candidates_of(
+    descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None
+) -> dict[str, list[Candidate]]:
     """By light, what is to be measured: the portfolio as far as it is free, no two that come to the same plan."""
-    plain = choose(descriptor, wishes, overrides, picks={})
+    plain = make_plan(descriptor, wishes, overrides, picks={})
     out: dict[str, list[Candidate]] = {}
     for light, per_kind in plain.algorithm.items():
-        casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NOTHING}
+        casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NO_SHADOWS}
         unlike: dict[str, Candidate] = {}
         for pick in portfolio(descriptor, light, casting) if casting else []:
-            plan = choose(descriptor, wishes, overrides, picks={light: pick})
+            plan = make_plan(descriptor, wishes, overrides, picks={light: pick})
             unlike.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, pick, plan))
         out[light] = list(unlike.values())
     return out
 
 
-def winners(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Verdict]:
+def winners(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[str, RankingResult]:
     """Who wins for each light. Of the time for all lights each one, the first first, may take what the others can do without."""
-    verdicts: dict[str, Verdict] = {}
+    verdicts: dict[str, RankingResult] = {}
     for light, rows in measured.items():
         verdicts[light] = _winner(rows.trials, wanted, _left_ms(measured, wanted, verdicts))
     return verdicts
 
 
-def confirmed(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Measured]:
+def confirm_winners(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[str, LightTrials]:
     """The same rows, those that lead drawn on all pixels until one of them leads on; who comes near to it is timed again.
 
     What a light turns out to need changes what is left for the others, so that they are gone through until nobody new leads.
     """
-    out, verdicts, drawn = dict(measured), dict[str, Verdict](), True
+    out, verdicts, drawn = dict(measured), dict[str, RankingResult](), True
     while drawn:
         verdicts, drawn = {}, False
         for light in measured:
@@ -174,17 +176,17 @@ def confirmed(measured: Mapping[str, Measured], wanted: Wanted) -> dict[str, Mea
             verdicts[light] = _winner(out[light].trials, wanted, max_ms)
     for light, verdict in verdicts.items():
         for trial in out[light].trials:
-            if trial.on_all and verdict.winner.ms / CLOSE <= trial.figures.ms <= CLOSE * verdict.winner.ms:
-                out[light] = _with(out[light], out[light].probe.timed(trial, RUNS))
+            if trial.on_all and verdict.winner.ms / RETIME_RATIO <= trial.figures.ms <= RETIME_RATIO * verdict.winner.ms:
+                out[light] = _with(out[light], out[light].probe.timed(trial, RETIMED_RUNS))
     return out
 
 
-def _with(rows: Measured, new: Trial) -> Measured:
+def _with(rows: LightTrials, new: Trial) -> LightTrials:
     """Rows with a trial in the place of what was known of its candidate."""
     return replace(rows, trials=tuple(new if old.figures.name == new.figures.name else old for old in rows.trials))
 
 
-def _tried_further(rows: Measured, wanted: Wanted) -> Measured:
+def _tried_further(rows: LightTrials, wanted: TargetBounds) -> LightTrials:
     """Rows with trials of what had been left out because of a smaller map that turned out to be worse than it had seemed."""
     trials = list(rows.trials)
     for candidate in sorted(rows.not_tried, key=_map_size):
@@ -193,30 +195,35 @@ def _tried_further(rows: Measured, wanted: Wanted) -> Measured:
     return replace(rows, trials=tuple(trials), not_tried=_without(rows.not_tried, trials))
 
 
-def _winner(trials: Sequence[Trial], wanted: Wanted, max_ms: float | None) -> Verdict:
+def _winner(trials: Sequence[Trial], wanted: TargetBounds, max_ms: float | None) -> RankingResult:
     """Who wins; of those that were drawn on all pixels, if any were."""
     return best([one.figures for one in trials if one.on_all] or [one.figures for one in trials], wanted.max_error, max_ms)
 
 
-def _leader(rows: Measured, wanted: Wanted, max_ms: float | None) -> Trial:
+def _leader(rows: LightTrials, wanted: TargetBounds, max_ms: float | None) -> Trial:
     """Who would win, if those that were drawn on few pixels turned out as good as they may."""
     name = best([one.figures if one.on_all else _hoped(one) for one in rows.trials], wanted.max_error, max_ms).winner.name
     return _trial_of(rows, name)
 
 
-def _hoped(trial: Trial) -> Figures:
+def _hoped(trial: Trial) -> CandidateFigures:
     its = trial.figures
-    return replace(its, ms=its.ms / UNSURE, error=max(its.error - trial.spread, 0.0), interior=its.interior / UNSURE)
+    return replace(
+        its,
+        ms=its.ms / EXTRAPOLATION_FACTOR,
+        error=max(its.error - trial.spread, 0.0),
+        interior=its.interior / EXTRAPOLATION_FACTOR,
+    )
 
 
-def _left_ms(measured: Mapping[str, Measured], wanted: Wanted, verdicts: Mapping[str, Verdict]) -> float | None:
+def _left_ms(measured: Mapping[str, LightTrials], wanted: TargetBounds, verdicts: Mapping[str, RankingResult]) -> float | None:
     """The time that is left for the next light, when those with a verdict have theirs and those after it the least they need."""
     if wanted.max_ms is None:
         return None
     later = list(measured.values())[len(verdicts) + 1 :]
     taken_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     taken_ms += sum(min(trial.figures.ms for trial in rows.trials) for rows in later)
-    return max(wanted.max_ms - taken_ms, LEAST_MS)
+    return max(wanted.max_ms - taken_ms, MIN_BUDGET_MS)
 
 
 def _ladders(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
@@ -231,33 +238,33 @@ def _map_size(candidate: Candidate) -> int:
     return candidate.pick.settings.get("map_size", 0)
 
 
-def _at_most(trial: Trial) -> Figures:
+def _at_most(trial: Trial) -> CandidateFigures:
     return replace(trial.figures, error=trial.figures.error + trial.spread)
 
 
-def _decided(candidate: Candidate, trials: Sequence[Trial], wanted: Wanted) -> bool:
+def _decided(candidate: Candidate, trials: Sequence[Trial], wanted: TargetBounds) -> bool:
     """Whether smaller maps of the same kind show that a candidate cannot win: errors fall with the size, and times grow."""
     smaller = [trial.figures for trial in trials if trial.candidate.ladder == candidate.ladder]
-    accurate = [one.figures for one in trials if overshoot(_at_most(one), wanted.max_error) <= 0.0]
+    accurate = [one.figures for one in trials if relative_overshoot(_at_most(one), wanted.max_error) <= 0.0]
     in_time = [one for one in accurate if wanted.max_ms is None or one.ms <= wanted.max_ms]
     least_ms = min((one.ms for one in in_time), default=np.inf)
-    return any(one in accurate or one.ms > UNSURE * least_ms for one in smaller)
+    return any(one in accurate or one.ms > EXTRAPOLATION_FACTOR * least_ms for one in smaller)
 
 
-def _trial_of(rows: Measured, name: str) -> Trial:
+def _trial_of(rows: LightTrials, name: str) -> Trial:
     return next(trial for trial in rows.trials if trial.figures.name == name)
 
 
-def _reasoned(rows: Measured, trial: Trial, met: bool, wanted: Wanted) -> Pick:
+def _reasoned(rows: LightTrials, trial: Trial, met: bool, wanted: TargetBounds) -> Choice:
     """The winner's pick, with what was measured of it as the reason."""
-    pick, limit = trial.candidate.pick, percent(wanted.max_error)
+    pick, limit = trial.candidate.pick, format_percent(wanted.max_error)
     limit += "" if wanted.max_ms is None else f" within {wanted.max_ms:g} ms"
     verdict = f"the cheapest that keeps to {limit}" if met else f"the nearest to {limit}"
     why = f"measured: {_words(rows, trial.figures)}, {verdict}"
     return replace(pick, why=dict.fromkeys([*pick.algorithm, *pick.settings], why))
 
 
-def _rejected(measured: Mapping[str, Measured], wanted: Wanted) -> dict[AlgorithmName, str]:
+def _rejected(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[AlgorithmName, str]:
     """What the best trial of each algorithm under the first light came to."""
     its: dict[AlgorithmName, list[Trial]] = {}
     rows = next(iter(measured.values()), None)
@@ -268,12 +275,12 @@ def _rejected(measured: Mapping[str, Measured], wanted: Wanted) -> dict[Algorith
     return {name: f"measured: {_words(rows, one)} ({one.name})" for name, one in bests.items() if rows}
 
 
-def _words(rows: Measured, figures: Figures) -> str:
+def _words(rows: LightTrials, figures: CandidateFigures) -> str:
     what = "wrong of the cast shadow" if rows.probe.error == "wrong_cast" else "of coverage wrong"
-    return f"{percent(figures.error)} {what} in {duration(figures.ms)}"
+    return f"{format_percent(figures.error)} {what} in {format_duration(figures.ms)}"
 
 
-def _said(view: View, rows: Measured) -> str:
+def _said(view: View, rows: LightTrials) -> str:
     part = part_of(view)
     on_all = sum(trial.on_all for trial in rows.trials)
     said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels"

@@ -26,7 +26,7 @@ from terrain.scene import Scene
 
 
 @dataclass(frozen=True)
-class Shares:
+class EstimatedErrors:
     """Figures of ``shadows.truth.metrics.Errors``; ``spread`` is the standard error of ``wrong_cast``."""
 
     wrong: float
@@ -36,7 +36,7 @@ class Shares:
 
 
 @dataclass(frozen=True, eq=False)
-class ThinTruth:
+class SubsampledTruth:
     """Truth in every ``every``-th pixel of a view. ``edge_px`` is how far the nearest edge of shadow is, pixels of the full view
     (rows, cols).
     """
@@ -47,7 +47,7 @@ class ThinTruth:
     truth: Truth
     edge_px: np.ndarray
 
-    def errors(self, visibility: np.ndarray, steps: Sequence[Step], pixel_m: float) -> Shares:
+    def errors(self, visibility: np.ndarray, steps: Sequence[Step], pixel_m: float) -> EstimatedErrors:
         """The full view's figures, estimated from a thinned view's visibility (rows, cols) that a plan's steps filled.
 
         ``pixel_m`` is a pixel's side in the full view.
@@ -63,10 +63,10 @@ class ThinTruth:
         share, spread = _share(wrong & cast, cast), 0.0
         if self.every > 1:
             spread = float(np.sqrt(share * (1.0 - share) / max(int(np.count_nonzero(cast)), 1)))
-        return Shares(_share(wrong, real.decidable), share, _share(inside, real.decidable), spread)
+        return EstimatedErrors(_share(wrong, real.decidable), share, _share(inside, real.decidable), spread)
 
 
-def thinned(view: View, every: int) -> View:
+def subsampled_view(view: View, every: int) -> View:
     """Every n-th pixel of a view along rows and columns, from the first one on."""
     rows, cols = -(-view.rows // every), -(-view.cols // every)
     if isinstance(view, MapView):
@@ -74,12 +74,12 @@ def thinned(view: View, every: int) -> View:
     return replace(view, step=view.step * every, rows=rows, cols=cols)
 
 
-def thin_truth(real: ViewTruth, every: int) -> ThinTruth:
+def subsampled_truth(real: ViewTruth, every: int) -> SubsampledTruth:
     """The truth of every ``every``-th pixel of a view (of a block, if it is a map): what it is in the full view."""
     whole, scene = real.whole, real.grounds[0].scene
     edge_px = from_edges_px(~whole.lit & whole.there, whole.there)
     truth = Truth(*(of[::every, ::every] for of in (whole.lit, whole.attached, whole.decidable, whole.there)))
-    return ThinTruth(scene, geometry_of(scene, thinned(real.view, every)), every, truth, edge_px[::every, ::every])
+    return SubsampledTruth(scene, geometry_of(scene, subsampled_view(real.view, every)), every, truth, edge_px[::every, ::every])
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> float:

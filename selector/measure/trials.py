@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from selector.choices import Pick
-from selector.measure.subsampled import ThinTruth, thin_truth, thinned
+from selector.choices import Choice
+from selector.measure.subsampled import SubsampledTruth, subsampled_truth, subsampled_view
 from selector.measure.view_truth import ErrorName, View, ViewTruth, truth_of_parts, truth_of_view
-from selector.ranking import Figures
+from selector.ranking import CandidateFigures
 from shadows.plan import Plan, Step
 from shadows.render import Frame, bands_of, render_frame
-from shadows.visibility import under_sky
-from terrain.cache import forget
+from shadows.visibility import with_apparent_sun
+from terrain.cache import clear_caches
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
 from terrain.scene import Scene
 
-PIXELS = 80_000
+TRIAL_PIXELS = 80_000
 """Pixels that candidates are drawn on, about."""
 
 DRAWN, LONG_MS = 2, 1000.0
@@ -32,7 +32,7 @@ class Candidate:
     """A pick for a light, and the plan that it leads to."""
 
     light: str
-    pick: Pick
+    pick: Choice
     plan: Plan
 
     @property
@@ -55,7 +55,7 @@ class Trial:
     """
 
     candidate: Candidate
-    figures: Figures
+    figures: CandidateFigures
     wrong: float
     spread: float = 0.0
     times_ms: tuple[float, ...] = ()
@@ -87,13 +87,13 @@ def shadow_ms(frame: Frame, light: str) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
+class TrialView:
     """What a light's candidates are drawn on and held against: a view with its truth, and thinned where it has many pixels."""
 
     scene: Scene
     real: ViewTruth
     pixel_m: float
-    thin: ThinTruth | None = None
+    thin: SubsampledTruth | None = None
 
     @property
     def error(self) -> ErrorName:
@@ -110,14 +110,16 @@ class Probe:
         if self.thin is None:
             return self.drawn_on_all(candidate)
         view = self.real.view
-        few, fewer = (thinned(view, times * self.thin.every) for times in (1, 2))
+        few, fewer = (subsampled_view(view, times * self.thin.every) for times in (1, 2))
         frame, ms = _quickest(self.scene, few, candidate)
         _, less_ms = _quickest(self.scene, fewer, candidate)
         pixels, least, most = map(_pixels, (few, fewer, view))
         pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
         found = self.thin.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
         full_ms = float(ms + pixel_ms * (most - pixels))
-        return Trial(candidate, Figures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread)
+        return Trial(
+            candidate, CandidateFigures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread
+        )
 
     def drawn_on_all(self, candidate: Candidate) -> Trial:
         """A candidate on all pixels."""
@@ -125,7 +127,7 @@ class Probe:
         parts = self.real.cut(frame.visibilities[candidate.light])
         found = self.real.errors(parts, candidate.steps, self.pixel_m)
         error = self.real.coverage(parts) if self.error == "coverage" else found.wrong_cast
-        return Trial(candidate, Figures(candidate.pick.name, ms, error, found.interior), found.wrong, times_ms=(ms,))
+        return Trial(candidate, CandidateFigures(candidate.pick.name, ms, error, found.interior), found.wrong, times_ms=(ms,))
 
     def timed(self, trial: Trial, runs: int) -> Trial:
         """A trial on all pixels with so many times more: the median counts."""
@@ -135,20 +137,20 @@ class Probe:
         return replace(trial, times_ms=times_ms, figures=replace(trial.figures, ms=float(np.median(times_ms))))
 
 
-def probe_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -> Probe:
+def trial_view_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: float) -> TrialView:
     """What the candidates of a light are held against: truth under the sky that ``plan`` shows, as far as its haze lets one see."""
-    part, sky = part_of(view), under_sky(scene, plan.runs)
-    every = max(round((part.rows * part.cols / PIXELS) ** 0.5), 1)
+    part, sky = part_of(view), with_apparent_sun(scene, plan.runs)
+    every = max(round((part.rows * part.cols / TRIAL_PIXELS) ** 0.5), 1)
     if every > 1:
         parts = [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part)
         real = truth_of_parts(sky, part, parts, light, effects=plan.runs)
         if real.error == "wrong_cast":
-            return Probe(scene, real, pixel_m, thin_truth(real, every))
-    return Probe(scene, truth_of_view(sky, part, light, effects=plan.runs), pixel_m)
+            return TrialView(scene, real, pixel_m, subsampled_truth(real, every))
+    return TrialView(scene, truth_of_view(sky, part, light, effects=plan.runs), pixel_m)
 
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:
-    forget("light")  # every cost that a moving sun has is to be paid
+    clear_caches("light")  # every cost that a moving sun has is to be paid
     return render_frame(scene, view, candidate.plan)
 
 

@@ -13,10 +13,10 @@ from shadows.attached import attached
 from shadows.plan import Step
 from shadows.render import bands_of
 from shadows.truth.cache import cached_truth
-from shadows.truth.metrics import BLOCK_PX as COVERAGE_PX
+from shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
 from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
 from shadows.truth.truth import Truth, coverage_truth
-from shadows.visibility import looked_for
+from shadows.visibility import without_hidden_points
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
@@ -28,7 +28,7 @@ View = MapView | PerspectiveView
 
 ErrorName = Literal["wrong_cast", "coverage"]
 
-SAMPLES = 4
+TRUTH_SAMPLES = 4
 """Sub-samples of a pixel that truth's classes must agree at."""
 
 FOGGY = 0.5
@@ -36,7 +36,7 @@ FOGGY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class TruthBlock:
     """One block's part of a view: its geometry, its casters, its truth, where no light can fall, and where it lies in the view."""
 
     scene: Scene
@@ -57,7 +57,7 @@ class ViewTruth:
     """
 
     view: View
-    grounds: list[Ground]
+    grounds: list[TruthBlock]
     whole: Truth
     true_shares: Sequence[np.ndarray] = ()
 
@@ -93,7 +93,7 @@ class ViewTruth:
 
 
 def truth_of_view(
-    scene: Scene, view: View, light: str, samples: int = SAMPLES, effects: Collection[str] = frozenset()
+    scene: Scene, view: View, light: str, samples: int = TRUTH_SAMPLES, effects: Collection[str] = frozenset()
 ) -> ViewTruth:
     """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel.
 
@@ -110,7 +110,7 @@ def truth_of_parts(
     view: View,
     parts: Sequence[tuple[View, int, int]],
     light: str,
-    samples: int = SAMPLES,
+    samples: int = TRUTH_SAMPLES,
     effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
     """The truth of a view from that of parts of it, each with its first row and column in the view; without what coverage takes."""
@@ -118,28 +118,28 @@ def truth_of_parts(
     return ViewTruth(view, grounds, _joined_truth(view, grounds))
 
 
-def _joined_truth(view: View, grounds: Sequence[Ground]) -> Truth:
+def _joined_truth(view: View, grounds: Sequence[TruthBlock]) -> Truth:
     """A view's truth in one piece."""
     fields = ("lit", "attached", "decidable", "there")
     return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
 
 
-def texels_px(ground: Ground, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
+def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
     """The largest texels of any of a plan's steps at a block's points, pixels (rows, cols)."""
     drawing: Sequence[Step | None] = steps or [None]
     return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in drawing], axis=0)
 
 
-def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> Ground:
+def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> TruthBlock:
     whole = geometry_of(scene, block)
     casters = casters_of(scene, whole)
-    real, buffer = cached_truth(whole, scene, casters, samples, light), looked_for(whole, scene, light, effects)
+    real, buffer = cached_truth(whole, scene, casters, samples, light), without_hidden_points(whole, scene, light, effects)
     if buffer is not whole:
         real = replace(real, decidable=real.decidable & buffer.there, there=real.there & buffer.there)
-    return Ground(scene, buffer, light, casters, real, attached(buffer, scene, light), row, col)
+    return TruthBlock(scene, buffer, light, casters, real, attached(buffer, scene, light), row, col)
 
 
-def _paste(view: View, grounds: Sequence[Ground], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+def _paste(view: View, grounds: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
     whole = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
     for ground, part in zip(grounds, parts, strict=True):
         rows, cols = part.shape

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from selector.choices import Pick
-from selector.planner.advice_rules import RULES, Case
-from shadows.registry import FALLBACK, serves
+from selector.choices import Choice
+from selector.planner.advice_rules import RULES, RuleInput
+from shadows.registry import FALLBACK, can_serve
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import Shadows
@@ -12,20 +12,20 @@ from terrain.level.level import Shadows
 NO_RULE = "no rule speaks for another, and a map serves every view, light and kind of casters"
 
 
-def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Pick]:
+def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Choice]:
     """What the rules take for each light, with the first rule that applies as the reason, and its source."""
     picks = {}
     for light in descriptor.light_kinds:
-        taken = {kind: _first(Case(descriptor, light, kind, asked)) for kind in descriptor.casters}
-        picks[light] = Pick(
+        taken = {kind: _first(RuleInput(descriptor, light, kind, asked)) for kind in descriptor.casters}
+        picks[light] = Choice(
             "rules", {kind: name for kind, (name, _) in taken.items()}, why={kind: why for kind, (_, why) in taken.items()}
         )
     return picks
 
 
-def _first(case: Case) -> tuple[AlgorithmName, str]:
+def _first(case: RuleInput) -> tuple[AlgorithmName, str]:
     """The algorithm of the first rule that applies and whose algorithm can serve the case, and the reason."""
     for rule in RULES:
-        if serves(rule.takes, case.descriptor, case.light, case.kind) and (why := rule.applies(case)) is not None:
+        if can_serve(rule.takes, case.descriptor, case.light, case.kind) and (why := rule.applies(case)) is not None:
             return rule.takes, f"{why} ({rule.source})"
     return FALLBACK, NO_RULE

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.extent import SWEPT_M, swept_m
 from shadows.maps.settings import ShadowMapSettings
+from shadows.sweep.extent import SWEPT_M, swept_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
 from terrain.level.algorithm_names import AlgorithmName
@@ -35,10 +35,10 @@ CLOSED_SHARE = 0.5
 USUAL_TEXELS = 1024
 """Texels a side of the map that the advice speaks of: the thesis's."""
 
-SHARP_PX = 2.0
+SHARP_TEXEL_PX = 2.0
 """Where a texel covers no more pixels than this, 95 % of the edges are off by at most one (``docs/seeds.md``, figure 52)."""
 
-NEAR_PX = 4.0
+COARSE_TEXEL_PX = 4.0
 """Where it covers more than this, some edges are off by more than two pixels, and the camera is near (figure 52). In the thesis's
 scenes it is 1.4 to 3 pixels in overviews, 6 to 30 from close by.
 """
@@ -67,7 +67,7 @@ LEAST_GAIN = 4.0
 
 
 @dataclass(frozen=True)
-class Case:
+class RuleInput:
     """What a rule is asked about: a kind of casters under a light, and what is asked of the shadows."""
 
     descriptor: Descriptor
@@ -97,11 +97,11 @@ class Rule:
 
     name: str
     takes: AlgorithmName
-    applies: Callable[[Case], str | None]
+    applies: Callable[[RuleInput], str | None]
     source: str
 
 
-def _settings_of_maps(case: Case) -> str | None:
+def _settings_of_maps(case: RuleInput) -> str | None:
     taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
     others = {"filter": ("auto", *taps)}
     keys = [key for key in MAP_SETTINGS if getattr(case.asked, key) not in others.get(key, ("auto",))]
@@ -110,20 +110,20 @@ def _settings_of_maps(case: Case) -> str | None:
     return f"what is asked for is a map's: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
 
 
-def _heightfield(case: Case) -> str | None:
+def _heightfield(case: RuleInput) -> str | None:
     across_m = swept_m(case.descriptor)
     if case.light != SUN or case.kind != "relief" or across_m is None or across_m > SWEPT_M:
         return None
     return "ground is a heightfield: lines along the sun's azimuth find its shadows, without texels"
 
 
-def _perfect(case: Case) -> str | None:
+def _perfect(case: RuleInput) -> str | None:
     if case.asked.max_error >= MAPS_ERROR:
         return None
     return f"an error of {case.asked.max_error:.2g} is asked for, which maps rarely keep to: volumes are exact to the pixel"
 
 
-def _leaves(case: Case) -> str | None:
+def _leaves(case: RuleInput) -> str | None:
     if case.kind == "forest":
         return "leaves are cut out by their texture, which maps alone can do; on trees a perspective map is no finer"
     if "forest" in case.descriptor.casters:
@@ -131,50 +131,50 @@ def _leaves(case: Case) -> str | None:
     return None
 
 
-def _few_polygons(case: Case) -> str | None:
+def _few_polygons(case: RuleInput) -> str | None:
     casters = case.casters
     if casters is None or not 0 < casters.triangles <= FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
         return None
     return f"polygons are few, {casters.triangles} triangles: volumes are cheap, and exact to the pixel"
 
 
-def _narrow(case: Case) -> str | None:
+def _narrow(case: RuleInput) -> str | None:
     if case.lamp is None or case.lamp.kind != "spot":
         return None
     across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
     texel_px = across_m / USUAL_TEXELS / case.descriptor.pixel_m
-    if texel_px > SHARP_PX:
+    if texel_px > SHARP_TEXEL_PX:
         return None
     return f"the light is narrow: a map's texel covers {texel_px:.2g} pixels where it is aimed"
 
 
-def _small_shadow(case: Case) -> str | None:
+def _small_shadow(case: RuleInput) -> str | None:
     casting = case.seen.casts.get(case.kind) if case.seen else None
     if casting is None or casting.share > SMALL_SHADOW:
         return None
     return f"the shadowed area is small, {100.0 * casting.share:.1f} % of what is seen"
 
 
-def _behind(case: Case) -> str | None:
+def _behind(case: RuleInput) -> str | None:
     if case.seen is None or case.seen.to_view_deg is None or case.seen.to_view_deg < BEHIND_DEG:
         return None
     return "the light comes from where the camera looks from: most shadows hide behind what casts them"
 
 
-def _map_view(case: Case) -> str | None:
+def _map_view(case: RuleInput) -> str | None:
     return "a map shows every edge from equally far" if case.descriptor.view_kind == "map" else None
 
 
-def _afar(case: Case) -> str | None:
+def _afar(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
-    if texel_px is None or texel_px > NEAR_PX:
+    if texel_px is None or texel_px > COARSE_TEXEL_PX:
         return None
     return f"the camera is near no edge of a shadow: at the nearest a map's texel covers {texel_px:.2g} pixels"
 
 
-def _complex(case: Case) -> str | None:
+def _complex(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
-    if texel_px is None or texel_px <= NEAR_PX or case.seen is None or case.seen.volume_layers < COMPLEX_LAYERS:
+    if texel_px is None or texel_px <= COARSE_TEXEL_PX or case.seen is None or case.seen.volume_layers < COMPLEX_LAYERS:
         return None
     return (
         f"shadows are complex, about {case.seen.volume_layers:.2g} faces of volumes over a pixel, and the camera is near: "
@@ -182,7 +182,7 @@ def _complex(case: Case) -> str | None:
     )
 
 
-def _little_seen(case: Case) -> str | None:
+def _little_seen(case: RuleInput) -> str | None:
     bands, seen = case.descriptor.bands, case.seen
     if not bands or seen is None or seen.area_share > LITTLE_SEEN:
         return None
@@ -194,7 +194,7 @@ def _little_seen(case: Case) -> str | None:
     return f"of all that the light covers {100.0 * seen.area_share:.1f} % is seen: texels go where the camera looks"
 
 
-def _near_texel_px(case: Case) -> float | None:
+def _near_texel_px(case: RuleInput) -> float | None:
     """Pixels that a usual map's texel covers at the nearest shadow edge of a perspective view, if that is known."""
     descriptor, seen, lamp = case.descriptor, case.seen, case.lamp
     if descriptor.pixel is None or seen is None or seen.nearest_edge_m is None:
@@ -209,20 +209,25 @@ def _near_texel_px(case: Case) -> float | None:
     return across_m / USUAL_TEXELS / (descriptor.pixel * max(seen.nearest_edge_m, 1e-3))
 
 
-THESIS = "Sindholt 2005, 8.2"
+THESIS_SECTION = "Sindholt 2005, 8.2"
 
 RULES: tuple[Rule, ...] = (
     Rule("settings of a map", "shadow_map", _settings_of_maps, "docs/algorithms.md"),
     Rule("a heightfield is swept", "sweep", _heightfield, "docs/sweep-accuracy.md: 0.01 % wrong"),
-    Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS}; docs/seeds.md: 0.01 % wrong at most"),
+    Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
     Rule("leaves go by a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
-    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS}; docs/seeds.md: cheapest there"),
-    Rule("narrow light", "shadow_map", _narrow, f"{THESIS}; docs/seeds.md, figures 52 and 53"),
-    Rule("small shadowed area", "shadow_map", _small_shadow, THESIS),
-    Rule("light near the camera", "shadow_map", _behind, f"{THESIS}; docs/seeds.md, figure 54, for a lamp"),
+    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: cheapest there"),
+    Rule("narrow light", "shadow_map", _narrow, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
+    Rule("small shadowed area", "shadow_map", _small_shadow, THESIS_SECTION),
+    Rule("light near the camera", "shadow_map", _behind, f"{THESIS_SECTION}; docs/seeds.md, figure 54, for a lamp"),
     Rule("a map has no near", "shadow_map", _map_view, "docs/how-it-works.md: a map view is no camera"),
-    Rule("far from every edge", "shadow_map", _afar, f"{THESIS}; docs/seeds.md: no larger errors from afar"),
-    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS}; docs/seeds.md: cheaper than volumes in some of them"),
-    Rule("little is seen of much", "perspective_shadow_map", _little_seen, f"{THESIS}; docs/seeds.md: half the errors of a map"),
+    Rule("far from every edge", "shadow_map", _afar, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
+    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS_SECTION}; docs/seeds.md: cheaper than volumes in some of them"),
+    Rule(
+        "little is seen of much",
+        "perspective_shadow_map",
+        _little_seen,
+        f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
+    ),
 )
 """First that applies wins, for each light and kind of casters."""

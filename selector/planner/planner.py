@@ -11,29 +11,29 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from selector.choices import Pick, Wishes
+from selector.choices import Choice, PlanRequest
 from selector.planner.advice import advised
-from shadows.algorithm import Part, Reasoned, Settings, SettingsRequest, parts_of
+from shadows.algorithm import AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
 from shadows.passes import PassLog
-from shadows.plan import Plan, Step, Target, steps_of
-from shadows.registry import ALGORITHMS, FALLBACK, NOTHING, able
+from shadows.plan import Plan, Step, Target, plan_steps
+from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
 from shadows.render import passes_of
 from terrain.effects import EFFECTS
-from terrain.effects.cast_shadows import kind_of_sun, of_sun
+from terrain.effects.cast_shadows import sun_kind_verdict, sun_verdict
 from terrain.errors import InputError, UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, CasterKind, Choice, EffectName, Shadows, algorithm_choice, override, spelt
+from terrain.level.level import SUN, AlgorithmOverride, CasterKind, EffectName, Shadows, expand_override, override, spelt
 
-SETTINGS = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
+SETTING_NAMES = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
 """What can be asked for besides an algorithm and a target."""
 
 
-def choose(
+def make_plan(
     descriptor: Descriptor,
-    wishes: Wishes,
+    wishes: PlanRequest,
     overrides: dict[str, Any] | None = None,
-    picks: Mapping[str, Pick] | None = None,
+    picks: Mapping[str, Choice] | None = None,
     rejected: Mapping[AlgorithmName, str] | None = None,
 ) -> Plan:
     """The plan of a view. ``overrides`` (fields of ``Shadows``) go before what is wished (a level's own ``shadows``), and that goes
@@ -46,13 +46,13 @@ def choose(
     return planner.plan(advised(descriptor, planner.asked) if picks is None else picks, rejected or {})
 
 
-def planner_of(descriptor: Descriptor, wishes: Wishes, overrides: dict[str, Any] | None = None) -> Planner:
-    """What plans of a descriptor go by whatever is picked. Raises as ``choose`` does."""
+def planner_of(descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
+    """What plans of a descriptor go by whatever is picked. Raises as ``make_plan`` does."""
     overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     asked = override(wishes.shadows, overrides)
     effects, left_out = _effects(descriptor, wishes, asked)
     try:
-        choice = algorithm_choice(asked.algorithm, wishes.light_names)
+        choice = expand_override(asked.algorithm, wishes.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
     forced = frozenset(name for name in EFFECTS if _wish(wishes, name) == "on")
@@ -70,33 +70,33 @@ class Planner:
     asked: Shadows
     effects: list[Reasoned]
     left_out: list[Reasoned]
-    choice: Choice
+    choice: AlgorithmOverride
     forced: frozenset[EffectName]
-    _kept: dict[tuple[object, ...], tuple[Settings | None, list[Reasoned]]] = field(default_factory=dict)
+    _kept: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
     _companies: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
-    _alike: dict[Settings | None, Settings | None] = field(default_factory=dict)
+    _alike: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
-        return [one.kind for one in self._taken(light, None) if one.name != NOTHING]
+        return [one.kind for one in self._taken(light, None) if one.name != NO_SHADOWS]
 
-    def steps(self, light: str, pick: Pick) -> tuple[Step, ...]:
-        """What a pick comes to under its light. Raises as ``choose`` does."""
+    def steps(self, light: str, pick: Choice) -> tuple[Step, ...]:
+        """What a pick comes to under its light. Raises as ``make_plan`` does."""
         company = (light, *pick.algorithm.items())
         if company not in self._companies:
-            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != NOTHING}
+            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != NO_SHADOWS}
         algorithm = self._companies[company]
         of_name = {name: self._resolved(light, name, pick)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
-        return tuple(steps_of({light: algorithm}, {light: settings}))
+        return tuple(plan_steps({light: algorithm}, {light: settings}))
 
-    def plan(self, picks: Mapping[str, Pick], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """The plan that comes of picks by light. Raises as ``choose`` does."""
+    def plan(self, picks: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
+        """The plan that comes of picks by light. Raises as ``make_plan`` does."""
         descriptor, asked, who = self.descriptor, self.asked, _who(self.overrides, "algorithm")
         taken = [one for light in descriptor.light_kinds for one in self._taken(light, picks.get(light))]
         reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
         algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
-        settings: dict[str, dict[CasterKind, Settings]] = {}
+        settings: dict[str, dict[CasterKind, AlgorithmSettings]] = {}
         told = set()
         for one in taken:
             algorithm.setdefault(one.light, {})[one.kind] = one.name
@@ -125,21 +125,21 @@ class Planner:
     def _missing(self) -> dict[str, str]:
         return {effect.name: effect.reason for effect in self.left_out}
 
-    def _taken(self, light: str, pick: Pick | None) -> list[_Taken]:
+    def _taken(self, light: str, pick: Choice | None) -> list[_Taken]:
         who, kind_of_light, found = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
-            wish, parts = self.choice.get(light, {}).get(caster), parts_of(self.descriptor, kind_of_light, caster)
+            wish, parts = self.choice.get(light, {}).get(caster), requirements_of(self.descriptor, kind_of_light, caster)
             name, why, free = _algorithm(self.descriptor, light, caster, wish, who, missing, self.forced, pick)
             _check(name, light, caster, parts, who)
             found.append(_Taken(light, caster, name, why, free, parts))
         return found
 
-    def _picked(self, pick: Pick | None) -> dict[str, Any]:
+    def _picked(self, pick: Choice | None) -> dict[str, Any]:
         """The settings of a pick that the level and the request leave open."""
         return {key: value for key, value in (pick.settings if pick else {}).items() if getattr(self.asked, key) == "auto"}
 
-    def _resolved(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
+    def _resolved(self, light: str, name: AlgorithmName, pick: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and what spoke for those that the pick left open; each worked out once."""
         picked = self._picked(pick)
         key = (light, name, *picked.items())
@@ -149,7 +149,7 @@ class Planner:
             self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
         return self._kept[key]
 
-    def _settings(self, light: str, name: AlgorithmName, pick: Pick | None) -> tuple[Settings | None, list[Reasoned]]:
+    def _settings(self, light: str, name: AlgorithmName, pick: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and the reasons for them."""
         picked = self._picked(pick)
         settings, reasons = self._resolved(light, name, pick)
@@ -169,14 +169,14 @@ class _Taken:
     name: AlgorithmName
     why: str
     free: bool
-    parts: tuple[Part, ...]
+    parts: tuple[Requirement, ...]
 
 
 def _who(overrides: Mapping[str, Any], key: str) -> str:
     return "the request" if key in overrides else "the level"
 
 
-def _effects(descriptor: Descriptor, wishes: Wishes, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+def _effects(descriptor: Descriptor, wishes: PlanRequest, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out."""
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
@@ -195,7 +195,7 @@ def _effects(descriptor: Descriptor, wishes: Wishes, asked: Shadows) -> tuple[li
     return effects, left_out
 
 
-def _wish(wishes: Wishes, name: EffectName) -> str:
+def _wish(wishes: PlanRequest, name: EffectName) -> str:
     return "auto" if wishes.effects == "auto" else wishes.effects.get(name, "auto")
 
 
@@ -203,10 +203,10 @@ def _with_work(
     effects: list[Reasoned],
     left_out: list[Reasoned],
     algorithm: dict[str, dict[CasterKind, AlgorithmName]],
-    settings: dict[str, dict[CasterKind, Settings]],
+    settings: dict[str, dict[CasterKind, AlgorithmSettings]],
 ) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out, when the algorithms are chosen: some have nothing to do with some algorithms."""
-    casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NOTHING}
+    casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NO_SHADOWS}
     sun = algorithm.get(SUN, {})
     filtered = any(getattr(its, "filter", 1) != 1 for its in settings.get(SUN, {}).values())
     idle = {}
@@ -215,7 +215,7 @@ def _with_work(
     if "forest" not in casting:
         idle["alpha_test"] = "foliage casts by no algorithm"
     if not filtered:
-        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NOTHING})) or 'lamps'} are sharp"
+        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NO_SHADOWS})) or 'lamps'} are sharp"
     if "relief" not in casting:
         idle["outside_casters"] = "ground casts by no algorithm"
     stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]
@@ -234,7 +234,7 @@ def _algorithm(
     who: str,
     missing: dict[str, str],
     forced: Collection[EffectName],
-    pick: Pick | None,
+    pick: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
     """The algorithm of a light for a kind of casters, the reason, and whether it was free to be picked; ``missing`` are the effects
     left out, with theirs, ``forced`` those that the level forces on.
@@ -242,28 +242,30 @@ def _algorithm(
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
         if effect in missing:
-            return NOTHING, missing[effect], False
-    if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not of_sun(descriptor).called_for)):
-        return NOTHING, of_sun(descriptor).reason, False
+            return NO_SHADOWS, missing[effect], False
+    if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
+        return NO_SHADOWS, sun_verdict(descriptor).reason, False
     if wish is not None:
         return wish, f"asked for by {who}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
-        return NOTHING, "level ground cannot cast", False
-    if light == SUN and not needed & set(forced) and not kind_of_sun(descriptor, caster).called_for:
-        return NOTHING, kind_of_sun(descriptor, caster).reason, False
+        return NO_SHADOWS, "level ground cannot cast", False
+    if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
+        return NO_SHADOWS, sun_kind_verdict(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
-        return NOTHING, f"{light} reaches nothing that is seen", False
+        return NO_SHADOWS, f"{light} reaches nothing that is seen", False
     if pick is None or caster not in pick.algorithm:
         return FALLBACK, "it serves every view, light and kind of casters", True
     return pick.algorithm[caster], pick.why.get(caster, pick.name), True
 
 
-def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Part, ...], who: str) -> None:
+def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], who: str) -> None:
     """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
         key = "algorithm" if who == "the request" else "shadows.algorithm"
-        raise UnsupportedError(key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(able(parts))}")
+        raise UnsupportedError(
+            key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(algorithms_serving(parts))}"
+        )
 
 
 def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapping[AlgorithmName, str]) -> str:
@@ -273,7 +275,7 @@ def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapp
         return ALGORITHMS[name].about
     if not free:
         return f"{who} asks for {', '.join(sorted({one.name for one in taken}))}"
-    if name == NOTHING:
+    if name == NO_SHADOWS:
         return "there are casters and light"
     if name in rejected:
         return rejected[name]
@@ -287,13 +289,13 @@ def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapp
 
 
 def _settings_asked_for(
-    asked: Shadows, overrides: Mapping[str, Any], settings: dict[str, dict[CasterKind, Settings]], plain: list[Reasoned]
+    asked: Shadows, overrides: Mapping[str, Any], settings: dict[str, dict[CasterKind, AlgorithmSettings]], plain: list[Reasoned]
 ) -> list[Reasoned]:
     """Of each setting that is asked for, who asks, or that what is taken has no such choice; ``plain`` are what is told already."""
     resolved = [its for per_kind in settings.values() for its in per_kind.values()]
     told = {one.name.rpartition(": ")[2] for one in plain}
     found = []
-    for key in SETTINGS:
+    for key in SETTING_NAMES:
         value = getattr(asked, key)
         name = f"{key} {value}"
         if value != "auto" and name not in told:

@@ -47,7 +47,7 @@ import numpy as np
 from shadows.hybrid.conservative_raster import certain_depths
 from terrain.compiled import compiled
 
-LIT, SHADED, MASKED = 255, 0, 128
+LIT_VALUE, SHADED_VALUE, MASKED = 255, 0, 128
 """What `decide` says of a point."""
 
 
@@ -84,7 +84,7 @@ def conservative_map(size: tuple[int, int], corners: np.ndarray, edges: np.ndarr
     return ConservativeMap(*certain_depths(cols, rows, corners, edges))
 
 
-def decide(
+def classify_points(
     known: ConservativeMap,
     u: np.ndarray,
     v: np.ndarray,
@@ -161,7 +161,7 @@ def _decided(nearest, nearest_other, shaded_beyond, u, v, depth, slack, on_caste
         if 0.0 <= u[i] < cols and 0.0 <= v[i] < rows:
             row, col = int(v[i]), int(u[i])
             if depth[i] + slack[i] < (nearest_other if on_caster[i] else nearest)[row, col]:
-                out[i] = LIT
+                out[i] = LIT_VALUE
             elif depth[i] - slack[i] > shaded_beyond[row, col]:
-                out[i] = SHADED
+                out[i] = SHADED_VALUE
     return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 
-RUNS = 3
+MAX_DEPTH_RUNS = 3
 """Runs of depth that a texel keeps."""
 
 MARGIN = 1.0 / 64.0
@@ -34,7 +34,7 @@ PROBE = (0.437, 0.613)
 PROBE_MARGIN = 2.0**-20
 """A triangle this near the probe covers it, texels."""
 
-ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+DEPTH_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Bound of the rounding of a depth from a triangle's plane, as a share of its terms' magnitudes: 16 operations."""
 
 
@@ -61,7 +61,7 @@ def certain_depths(cols, rows, corners, edges):
     nearest = np.full((rows, cols), np.inf)
     nearest_other = np.full((rows, cols), np.inf)
     shaded_beyond = np.full((rows, cols), np.inf)
-    runs = np.empty((rows, cols, RUNS + 1, 3))  # near bound, far bound, layers
+    runs = np.empty((rows, cols, MAX_DEPTH_RUNS + 1, 3))  # near bound, far bound, layers
     counts = np.zeros((rows, cols), np.int64)
     for t in range(len(corners)):
         _draw_triangle(runs, counts, corners[t])
@@ -105,7 +105,7 @@ def _draw_triangle(runs, counts, corners):
     in_u = (abs(bz * cv) + abs(cz * bv) + abs(slope_u) * terms) / abs(area) * (u_max - u_min + 1.0)
     in_v = (abs(cz * bu) + abs(bz * cu) + abs(slope_v) * terms) / abs(area) * (v_max - v_min + 1.0)
     reach = (abs(slope_u) + abs(slope_v)) * (0.5 + MARGIN)
-    error = ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
+    error = DEPTH_ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
     for row in range(*_texels(v_min - MARGIN, v_max + MARGIN, rows)):
         low, high = _span(corners, row - MARGIN, row + 1.0 + MARGIN)
         if low > high:
@@ -126,7 +126,7 @@ def _draw_edge(runs, counts, a, b):
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
     if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
         return
-    error = ROUNDING * max(abs(a[2]), abs(b[2]))
+    error = DEPTH_ROUNDING * max(abs(a[2]), abs(b[2]))
     for row in range(*_texels(v_min - EDGE_MARGIN, v_max + EDGE_MARGIN, rows)):
         start, stop = _part(a[1], b[1], row - EDGE_MARGIN, row + 1.0 + EDGE_MARGIN, 0.0, 1.0)
         if start > stop:
@@ -161,8 +161,8 @@ def _insert(runs, count, near, far, layers):
                 runs[k + first + 1 - stop, i] = runs[k, i]
     count += first + 1 - stop
     runs[first, 0], runs[first, 1], runs[first, 2] = near, far, layers
-    if count > RUNS:
-        count = RUNS
+    if count > MAX_DEPTH_RUNS:
+        count = MAX_DEPTH_RUNS
         runs[count - 1, 1] = runs[count, 1]
         runs[count - 1, 2] += runs[count, 2]
     return count

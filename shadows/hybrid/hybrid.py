@@ -15,10 +15,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shadows.algorithm import FEW_MAP_SIZES, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
+from shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.attached import attached
-from shadows.hybrid.conservative_map import MASKED, SHADED
-from shadows.hybrid.maps import decided, pictures
+from shadows.hybrid.conservative_map import MASKED, SHADED_VALUE
+from shadows.hybrid.maps import classify_pixels, map_pictures
 from shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from shadows.hybrid.work import hybrid_work
 from shadows.maps.drawing import depths, draw_map
@@ -61,8 +61,8 @@ def fill(
     if settings.mask == "original":
         verdict = _compared(buffer, scene, light, kinds, casters, settings, wanted, passes, log)
     else:
-        verdict = decided(buffer, scene, light, kinds, volumes, settings.map.map_size, wanted, passes, log)
-        log.keep("shadow-map", light, pictures, buffer, scene, light, volumes, settings.map.map_size, wanted)
+        verdict = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, wanted, passes, log)
+        log.keep("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, wanted)
     log.keep("volumes", light, faces_before, buffer, scene, volumes)
     marks = verdict == MASKED
     log.keep("silhouettes", light, lambda: np.where(marks, np.uint8(255), np.uint8(0)))
@@ -72,7 +72,7 @@ def fill(
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
         counts = count(buffer, scene, at, volumes, settings, marks, True, record)
     log.keep("stencil", light, counts.copy)
-    return np.where(np.where(marks, counts > 0, verdict == SHADED), np.float32(0.0), np.float32(1.0))
+    return np.where(np.where(marks, counts > 0, verdict == SHADED_VALUE), np.float32(0.0), np.float32(1.0))
 
 
 def _compared(
@@ -99,13 +99,13 @@ def _compared(
         for drawn, target in zip(maps, targets, strict=True):
             log.keep("shadow-map", light, depths, gl, drawn, target)
             look_up(gl, drawn, target, buffer, asked, visibility, record)
-    verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
+    verdict = np.where(visibility < 0.5, np.uint8(SHADED_VALUE), np.uint8(255 - SHADED_VALUE))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED
     return verdict
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     sizes = (512, 2048) if grid != "few" and light == SUN and not descriptor.relief_m else (1024,)
     for size in sizes:
         yield resolve_hybrid(SettingsRequest(descriptor, light, Shadows(map_size=size)))[0]

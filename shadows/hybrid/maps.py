@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.hybrid.conservative_map import (
-    LIT,
+    LIT_VALUE,
     ConservativeMap,
+    classify_points,
     clipped_edges,
     clipped_triangles,
     conservative_map,
-    decide,
 )
-from shadows.layer_collector import beside_one_another
+from shadows.layer_collector import tiled_pictures
 from shadows.maps.windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
 from shadows.volumes.volumes import Volumes, light_in_frame
@@ -26,7 +26,7 @@ from terrain.gbuffer.resolve import MESHES
 from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
 
-BORDER_TEXELS = 1
+HYBRID_BORDER_TEXELS = 1
 """Texels round the points, so that none lies on the rim."""
 
 NEAR_SHARE = 1e-6
@@ -65,7 +65,7 @@ class _Window:
 _kept: Cache[ConservativeMap] = Cache("shadows.hybrid.maps", "light", 256 * MIB)
 
 
-def decided(
+def classify_pixels(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
@@ -77,7 +77,7 @@ def decided(
     log: PassLog,
 ) -> np.ndarray:
     """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
-    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
+    verdict, casting = np.full(wanted.shape, LIT_VALUE, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
     with log.run(passes[1]), log.run(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, wanted)]
     for window in windows:
@@ -87,7 +87,9 @@ def decided(
             record.map_texels += drawn.nearest.size
             record.bytes = max(record.bytes, 3 * drawn.nearest.nbytes)
         with log.run(passes[2]):
-            verdict.ravel()[window.pixels] = decide(drawn, window.u, window.v, window.depth, window.slack, casting[window.pixels])
+            verdict.ravel()[window.pixels] = classify_points(
+                drawn, window.u, window.v, window.depth, window.slack, casting[window.pixels]
+            )
     return verdict
 
 
@@ -106,7 +108,7 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
     return out
 
 
-def pictures(
+def map_pictures(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
 ) -> np.ndarray:
     """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), side by side; the light's up is at the top."""
@@ -117,7 +119,7 @@ def pictures(
         low, high = min(nearest[there].min(initial=np.inf), window.depth.min()), window.depth.max()
         share = np.where(there, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
         found.append(share if window.lamp else share[::-1])
-    return beside_one_another(found) if found else np.ones((1, 1), np.float32)
+    return tiled_pictures(found) if found else np.ones((1, 1), np.float32)
 
 
 def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
@@ -173,9 +175,9 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
             near_m, slack = NEAR_SHARE * least_m, 4.0 * error_m * depth**2
             error = error_m / least_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
         low, high = low[:2], high[:2]
-        texel = np.maximum((high - low) / max(map_size - 2 * BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
-        first = low - BORDER_TEXELS * texel
-        width, height = (int(n) for n in np.ceil((high - first) / texel) + BORDER_TEXELS)
+        texel = np.maximum((high - low) / max(map_size - 2 * HYBRID_BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
+        first = low - HYBRID_BORDER_TEXELS * texel
+        width, height = (int(n) for n in np.ceil((high - first) / texel) + HYBRID_BORDER_TEXELS)
         _to_texels(u, first[0], texel[0])
         _to_texels(v, first[1], texel[1])
         yield _Window(

@@ -7,21 +7,21 @@ import numpy as np
 from shadows.hybrid.settings import HybridSettings
 from shadows.maps.windows import POSITION_ERROR
 from shadows.maps.work import shadow_map_work
-from shadows.volumes.tiles import TILE_PX
+from shadows.volumes.tiles import CULLING_TILE_PX
 from shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
-from shadows.work import Task, Work
+from shadows.work import Work, Workload
 from terrain.facts.fact_types import TEXEL_LADDER_PX
 
 FINEST_SHARE = 256.0 * POSITION_ERROR
 """A texel of a hybrid's map is never less than so large a share of how far what is seen reaches."""
 
 
-def hybrid_work(task: Task, settings: HybridSettings) -> Work:
+def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
     """Of the hybrid."""
     texel_px, size = _texel_px(task, settings.map.map_size)
     counting = {
         task.by_view("silhouettes"): silhouette_counts(task),
-        task.by_view("counting"): stencil_counts(task, settings, _uncertain(task, texel_px + TILE_PX)),
+        task.by_view("counting"): stencil_counts(task, settings, _uncertain(task, texel_px + CULLING_TILE_PX)),
     }
     if settings.mask == "original":
         return counting | shadow_map_work(task, settings.map)
@@ -36,7 +36,7 @@ def hybrid_work(task: Task, settings: HybridSettings) -> Work:
     return counting | {task.by_view("conservative map"): drawn, "mask": mask}
 
 
-def _texel_px(task: Task, map_size: int) -> tuple[float, float]:
+def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
     """A texel of a hybrid's one map in pixels, and texels a side."""
     across_m = np.sqrt(task.seen_light_m2)
     far_m = max((band.far_m for band in task.descriptor.bands), default=across_m)
@@ -44,7 +44,7 @@ def _texel_px(task: Task, map_size: int) -> tuple[float, float]:
     return texel_m / task.descriptor.pixel_m, across_m / texel_m
 
 
-def _uncertain(task: Task, side_px: float) -> float:
+def _uncertain(task: Workload, side_px: float) -> float:
     """The share of the picture within squares of a side, pixels, that a shadow's edge passes through; 1 where nothing is known."""
     if not task.facts.casts:
         return 1.0

@@ -12,12 +12,12 @@ from moderngl import Framebuffer
 from shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
-from terrain.cache import Same
+from terrain.cache import IdentityKey
 from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.gl.device import Device
 from terrain.ground.surface import sheet_triangles
 from terrain.level.level import CasterKind
@@ -116,11 +116,11 @@ def _is_mirrored(drawn: DepthMap) -> bool:
 def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh]) -> Hashable:
     """All that the drawing of a map reads: numbers by value, geometry, which never changes, by being the same arrays."""
     trees = [] if drawn.trees is None else [drawn.trees]
-    geometry = tuple(Same(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
+    geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
     return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry
 
 
-def _trees_drawn(drawn: DepthMap) -> Stand | None:
+def _trees_drawn(drawn: DepthMap) -> TreeInstances | None:
     """The trees that reach into the bounds of what matters or lie before them, towards the sun."""
     if drawn.trees is None or drawn.reach is None:
         return drawn.trees

@@ -47,15 +47,24 @@ from itertools import product
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
+from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.attached import attached
 from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
-from shadows.maps.post_perspective import Camera, Light, fitted, horizon_m, is_clear, post_perspectives, projected, uniform_matrix
+from shadows.maps.post_perspective import (
+    Camera,
+    Light,
+    fit_to_bounds,
+    horizon_m,
+    is_clear,
+    post_perspectives,
+    projected,
+    uniform_matrix,
+)
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
 from shadows.maps.settings import PerspectiveMapSettings
 from shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
-from shadows.maps.windows import BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, steps_of
+from shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
 from shadows.maps.work import perspective_map_work
 from shadows.passes import PassLog
 from terrain.casters.casting import anything_casts, caster_trees
@@ -63,7 +72,7 @@ from terrain.casters.reach import Casters
 from terrain.compiled import compiled
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device
@@ -119,7 +128,12 @@ def fill(
 
 
 def perspective_map(
-    buffer: GeometryBuffer, receivers: np.ndarray, scene: Scene, light: str, settings: PerspectiveMapSettings, trees: Stand | None
+    buffer: GeometryBuffer,
+    receivers: np.ndarray,
+    scene: Scene,
+    light: str,
+    settings: PerspectiveMapSettings,
+    trees: TreeInstances | None,
 ) -> tuple[DepthMap, str]:
     """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
     chosen = np.flatnonzero(receivers)
@@ -128,7 +142,7 @@ def perspective_map(
     assert corners is not None
     sample, triangles = position[some], corners.reshape(-1, 3, 3)[some]
     source = light_of(buffer, scene, light)
-    inner = 1.0 - 2.0 * BORDER_TEXELS / settings.map_size
+    inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
     plain = uniform_matrix(source, sample)[3]
     nearest = NEAREST_SHARE * float((sample @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
@@ -145,9 +159,9 @@ def perspective_map(
     narrow = np.maximum(_least_sides(found.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
-    flat = half_texels * fitted(found.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
+    flat = half_texels * fit_to_bounds(found.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, settings.filter / 2.0).min()))
-    clip = fitted(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
+    clip = fit_to_bounds(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
@@ -155,7 +169,7 @@ def perspective_map(
         "clip_rows": tuple(clip.ravel()),  # GLSL's matrices are column by column: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
         "position_error": ERROR,
-        "depth_step": 1.0 / steps_of(settings.depth_bits),
+        "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
     reach = None
     if trees is not None and light == SUN:
@@ -260,7 +274,7 @@ def _texel_m(
     return texel_on_level_ground_m(np.reshape(drawn.uniforms["map_rows"], (4, 4)), buffer.position_frame_m)
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     """Sizes and taps, as far as the grid goes."""
     asked = calibrated_maps(descriptor, light, grid)
     for overrides in [*asked.sizes, *(each for each in asked.filters if each["filter"] != "sun")]:

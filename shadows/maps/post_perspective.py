@@ -54,25 +54,25 @@ import numpy as np
 
 from terrain.compiled import compiled
 
-LightKind = Literal["point", "sink", "parallel"]
+PostPerspectiveLightKind = Literal["point", "sink", "parallel"]
 """What a light is after the camera's projection: in front of it, behind, or neither."""
 
 CONE_DEG = 3.0
 """Within this angle of the view's axis, or of its continuation behind, a light gets a uniform map."""
 
-LEAST_SHARE = 1e-3
+HORIZON_MARGIN = 1e-3
 """How close a receiver may come to the horizon, as a share of the farthest one's distance from it: so much of float32 is left."""
 
 DOUBLINGS = 6
 """How often the far plane's distance is doubled for the longest slide-back, and at least halved for the shortest."""
 
-FLAT = 1e-3
+LEAST_EXTENT = 1e-3
 """Least depth and half width, as shares of the distance, of what a virtual camera sees: of a wall, a single pixel."""
 
-TURNS = np.radians(np.arange(0.0, 90.0, 5.0))
+MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
 """Turns of the map about its middle that are tried: the one that the receivers fill best is taken."""
 
-NONE = np.zeros((0, 3))
+NO_POINTS = np.zeros((0, 3))
 """No points."""
 
 OUTLINE = 64
@@ -112,7 +112,7 @@ class PostPerspective:
     """
 
     clip_from_frame: np.ndarray
-    kind: LightKind | None
+    kind: PostPerspectiveLightKind | None
     slide_m: float
     texel: float
     note: str = ""
@@ -136,7 +136,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
     return projection @ view
 
 
-def kind_of(light: np.ndarray) -> LightKind:
+def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
     """The kind of a light (4,) in a camera's clip space; in between are those that rounding does not tell apart."""
     if abs(light[3]) <= 1e-12 * np.linalg.norm(light[:3]):
         return "parallel"
@@ -164,7 +164,7 @@ def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
 
 
 def post_perspectives(
-    camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NONE
+    camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NO_POINTS
 ) -> list[PostPerspective]:
     """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last: with it end those
     that are better than none.
@@ -181,7 +181,7 @@ def post_perspectives(
     aside = across(ways)
     pixels = _pixels(camera, seen, aside)
 
-    def made(matrix: np.ndarray, kind: LightKind | None, slide_m: float, note: str = "") -> PostPerspective:
+    def made(matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = "") -> PostPerspective:
         matrix = _filled(matrix, outline, inner)
         return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, aside, pixels), note)
 
@@ -190,11 +190,11 @@ def post_perspectives(
         why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
-    far = max(far, near * (1.0 + FLAT))  # a wall that is looked at straight on
+    far = max(far, near * (1.0 + LEAST_EXTENT))  # a wall that is looked at straight on
     widest, found = np.abs(seen[:, :2]).max(axis=1), []
     halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # shorter than half the nearest's distance is as good as none
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
-        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), FLAT), near, far, slide_m)
+        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), LEAST_EXTENT), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
         if is_clear(horizon_m(matrix, held) / ahead):
@@ -204,7 +204,7 @@ def post_perspectives(
     return [*sorted((each for each in found if each.texel < last.texel), key=lambda each: each.texel), last]
 
 
-def fitted(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
+def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
     """A map's matrix with what it takes to bounds (3,) between -``inner`` and ``inner`` in x and y.
 
     In z it is taken to between -1 and 1, but for a share ``before`` of that before it.
@@ -230,7 +230,7 @@ def horizon_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def is_clear(away: np.ndarray) -> bool:
     """Whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
-    return bool(np.isfinite(away).all() and away.min() >= LEAST_SHARE * away.max() > 0.0)
+    return bool(np.isfinite(away).all() and away.min() >= HORIZON_MARGIN * away.max() > 0.0)
 
 
 def _amid(points: np.ndarray) -> np.ndarray:
@@ -253,13 +253,15 @@ def _outline(image: np.ndarray) -> np.ndarray:
 
 def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
     """A matrix with the map turned about its axis and stretched so that an outline (n, 3) fills its inner part best."""
-    axes = np.stack([np.cos(TURNS), np.sin(TURNS), -np.sin(TURNS), np.cos(TURNS)], axis=1).reshape(-1, 2, 2)
+    axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
+        -1, 2, 2
+    )
     turned = axes @ projected(matrix, outline)[:, :2].T
     low, high = turned.min(axis=2), turned.max(axis=2)
     best = int(np.argmin((high - low).prod(axis=1)))
     out = matrix.copy()
     out[:2] = axes[best] @ matrix[:2]
-    out[:2] = fitted(out, np.array([*low[best], -1.0]), np.array([*high[best], 1.0]), inner)[:2]
+    out[:2] = fit_to_bounds(out, np.array([*low[best], -1.0]), np.array([*high[best], 1.0]), inner)[:2]
     return out
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
 from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.windows import BORDER_TEXELS
-from terrain.cache import MIB, kept
+from shadows.maps.windows import MAP_BORDER_TEXELS
+from terrain.cache import MIB, cached
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Band, LampFacts
@@ -31,7 +31,7 @@ FOLIAGE_PX = 3.0
 DEPTH_PX = 0.25
 """How far a depth step may shift a shadow on level ground, in pixels, before an automatic depth takes more bits."""
 
-LARGEST, SMALLEST = 4096, 512
+LARGEST_MAP, SMALLEST_MAP = 4096, 512
 """Automatic map sizes."""
 
 TUNED_SIZES = (1024, 2048, 512, 4096)
@@ -93,12 +93,12 @@ def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapS
     size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
     if size == "auto":
         wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
-        size = _power(max(footprints_px) / wished_px, LARGEST)
-        covers_px = max(footprints_px) / (size - 2 * BORDER_TEXELS)
+        size = _power(max(footprints_px) / wished_px, LARGEST_MAP)
+        covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
         more = f", above the {wished_px} wished for: the largest automatic size" if covers_px > wished_px else ""
         reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
-    texels = [extent[:2] / (size - 2 * BORDER_TEXELS) for _, extent, _ in runs]
-    ranges_m = [run[1][2] * 1.1 + 3 * BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
+    texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
+    ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
     shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
     if bits == "auto" and taps == "sun":
         bits = 24
@@ -140,8 +140,8 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = asked.map_size, []
     if size == "auto":
-        size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST // 2 if lamp.kind == "omni" else LARGEST)
-        texel_px = across_m / (size - 2 * BORDER_TEXELS) / descriptor.pixel_m
+        size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
+        texel_px = across_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
         why = f"a texel covers {texel_px:.2g} pixels where it is aimed"
         reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
     bits = 32 if asked.depth_bits == "auto" else asked.depth_bits
@@ -216,8 +216,8 @@ def _cascades(
         first, last = _splits(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _power(worst / wished_px, LARGEST) if asked.map_size == "auto" else asked.map_size
-        inner = size - 2 * BORDER_TEXELS
+        size = _power(worst / wished_px, LARGEST_MAP) if asked.map_size == "auto" else asked.map_size
+        inner = size - 2 * MAP_BORDER_TEXELS
         most = np.inf if asked.map_size != "auto" else max(worst, wished_px * inner)
         mean_px = np.where(worst_px <= most, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
         best = int(np.argmin(mean_px))
@@ -238,10 +238,10 @@ def _wished_px(descriptor: Descriptor) -> float:
 
 def _power(texels: float, most: int) -> int:
     """The automatic map size that holds so many texels and the border."""
-    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * BORDER_TEXELS)), SMALLEST, most))
+    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, most))
 
 
-@kept("process", 16 * MIB)
+@cached("process", 16 * MIB)
 def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of n bands, from one to another joined: extents in light space (n, n, 3), metres, rounded up, of a band before it NaN; where
     each begins (n,), metres from the eye; and the sums (n, n) of their shares by that.
@@ -255,7 +255,7 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, upto[None, 1:] - upto[:-1, None]
 
 
-@kept("process", 16 * MIB)
+@cached("process", 16 * MIB)
 def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """All ways to join neighbouring bands to ``count`` runs (as many as there are bands, if those are fewer): numbers of the first
     and of the last band of each run, int64 (ways, runs).

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from shadows.algorithm import Settings
+from shadows.algorithm import AlgorithmSettings
 
 MapFit = Literal["stable", "tight"]
 """Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
@@ -32,7 +32,7 @@ class Cascade(BaseModel):
     depth_step_m: float = Field(gt=0)
 
 
-class ShadowMapSettings(Settings):
+class ShadowMapSettings(AlgorithmSettings):
     """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
 
     ``map_size`` are the texels a side of each of the ``cascades``, from the nearest on (one in map views), ``filter`` the taps a
@@ -60,7 +60,7 @@ class ShadowMapSettings(Settings):
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed()]
 
 
-class LampMapSettings(Settings):
+class LampMapSettings(AlgorithmSettings):
     """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side."""
 
     map_size: int = Field(ge=64, le=8192)
@@ -76,7 +76,7 @@ class LampMapSettings(Settings):
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
 
 
-class PerspectiveMapSettings(Settings):
+class PerspectiveMapSettings(AlgorithmSettings):
     """Settings of a perspective shadow map: texels a side, bits of depth, taps a side.
 
     It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.

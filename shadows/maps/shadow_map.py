@@ -83,7 +83,7 @@ from typing import Any
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Search, Settings, SettingsRequest
+from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
@@ -147,7 +147,7 @@ def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
     return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings | None]:
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
     """Sizes, cascades and taps, as far as the grid goes."""
     asked = calibrated_maps(descriptor, light, grid)
     for overrides in [*asked.sizes, *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()), *asked.filters]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.casting import caster_meshes, caster_sheets
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
@@ -16,7 +16,7 @@ from terrain.scene import Scene
 DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 """Half the disc's width at distance 1."""
 
-SAMPLES = 128
+DISC_SAMPLES = 128
 """Samples of the disc: one bit each of four words."""
 
 EDGES = 128
@@ -32,13 +32,13 @@ DISC_TAPS = 3
 """Taps a side that what is near is compared by: the disc is never taken for narrower than two texels."""
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
     """For each of ``EDGES + 1`` places in [-1, 1] the bits (4 words, uint32) of the samples right of the first and up that lie
     before it. The samples are Vogel's spiral (1979), equal areas each.
     """
-    number = np.arange(SAMPLES)
-    angle, away = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / SAMPLES)
+    number = np.arange(DISC_SAMPLES)
+    angle, away = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
     edge = np.linspace(-1.0, 1.0, EDGES + 1)[:, None]
     before = [np.packbits(away * across(angle) < edge, axis=1, bitorder="little").view("<u4") for across in (np.cos, np.sin)]
     return before[0], before[1]
@@ -50,7 +50,7 @@ def border_texels(depth_m: float, texel_m: np.ndarray) -> np.ndarray:
 
 
 def nearest_caster_m(
-    scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...], casters: Casters, trees: Stand | None
+    scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...], casters: Casters, trees: TreeInstances | None
 ) -> float:
     """The smallest light-space depth of what casts, metres; infinite where nothing does."""
     assert scene.light is not None

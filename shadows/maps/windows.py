@@ -12,14 +12,14 @@ from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import border_texels
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device
 from terrain.lights import Lamp
 from terrain.scene import Scene
 
-BORDER_TEXELS = 12
+MAP_BORDER_TEXELS = 12
 """Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
 
 SIZE_STEP = 64
@@ -53,7 +53,7 @@ class DepthMap:
     size: tuple[int, int]
     faces: tuple[np.ndarray, ...]
     depth_bits: int
-    trees: Stand | None
+    trees: TreeInstances | None
     pixels: np.ndarray | None
     reach: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
     shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
@@ -68,7 +68,7 @@ class DepthMap:
 
 
 def sun_maps(
-    buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: Stand | None, nearest_m: float = np.inf
+    buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: TreeInstances | None, nearest_m: float = np.inf
 ) -> list[DepthMap]:
     """The maps of the cascades that have receivers. Depths count from ``nearest_m`` on, where that is before the receivers.
 
@@ -99,7 +99,7 @@ def _sun_map(
     scene: Scene,
     cascade: Cascade,
     settings: ShadowMapSettings,
-    trees: Stand | None,
+    trees: TreeInstances | None,
     nearest_m: float,
 ) -> DepthMap:
     """The map of a cascade, whose receivers are ``here``."""
@@ -109,9 +109,9 @@ def _sun_map(
     error_m = POSITION_ERROR * (_extent_m(buffer, here) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than what float32 makes of positions
-        own_m = (high - low)[:2] / max(settings.map_size - 2 * BORDER_TEXELS - 1, 1)
+        own_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
         texel = np.minimum(texel, np.maximum(own_m, 4.0 * error_m))
-    border = np.full(2, BORDER_TEXELS)
+    border = np.full(2, MAP_BORDER_TEXELS)
     if settings.filter == "sun":
         low[2] = min(low[2], nearest_m)
         border += border_texels(float(high[2] - low[2]), texel)
@@ -123,8 +123,8 @@ def _sun_map(
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
         aside_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
         low[2] -= _nearer_m(buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, here, rotation, aside_m)
-    steps = steps_of(settings.depth_bits)
-    before_m = 4.0 * (error_m + cascade.depth_step_m) + BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
+    steps = depth_steps(settings.depth_bits)
+    before_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
     offset_m, window_m = translation - np.array([*(first * texel), near]), np.array([*(size * texel), steps * step_m])
     uniforms = {
@@ -142,13 +142,13 @@ def _sun_map(
     return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, reach)
 
 
-def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: Stand | None) -> DepthMap | None:
+def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
     """The map of a lamp; ``None`` where it shines on nothing."""
     position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
     faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
-    tangent = half * size / (size - 2 * BORDER_TEXELS)
+    tangent = half * size / (size - 2 * MAP_BORDER_TEXELS)
     face_from_frame = np.stack([turned @ rotation for turned in faces])
     nearest_m, farthest_m = _depths_seen(buffer.position_frame_m, buffer.there, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
@@ -161,7 +161,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "tangent": tangent,
         "near_far_m": (near, far),
         "error_m": POSITION_ERROR * (_extent_m(buffer, buffer.there) + float(np.abs(position).max())),
-        "depth_step": 1.0 / steps_of(settings.depth_bits),
+        "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
     pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
     return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
@@ -243,7 +243,7 @@ def _farthest_corner(corners, here):
     return most
 
 
-def steps_of(depth_bits: int) -> int:
+def depth_steps(depth_bits: int) -> int:
     """The steps from depth 0 to depth 1; those of a float are no larger near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 

@@ -7,8 +7,8 @@ from math import ceil
 import numpy as np
 
 from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.windows import BORDER_TEXELS, SIZE_STEP
-from shadows.work import Counts, Task, Work
+from shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
+from shadows.work import Counts, Work, Workload
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
 
@@ -16,7 +16,7 @@ Windows = list[tuple[float, float]]
 """Texels of each of a light's maps, and its area across the light in square metres."""
 
 
-def shadow_map_work(task: Task, settings: ShadowMapSettings | LampMapSettings) -> Work:
+def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSettings) -> Work:
     """Of the sun's maps, or a lamp's."""
     if isinstance(settings, ShadowMapSettings):
         windows = sun_windows(task.descriptor, settings)
@@ -26,13 +26,13 @@ def shadow_map_work(task: Task, settings: ShadowMapSettings | LampMapSettings) -
     return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.seen)}
 
 
-def perspective_map_work(task: Task, settings: PerspectiveMapSettings) -> Work:
+def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
     """Of a perspective map."""
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
     return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing)}
 
 
-def _counts(task: Task, windows: Windows, filter: int | str, looked_up: float) -> Counts:
+def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: float) -> Counts:
     """Drawing depth maps and looking them up. Both together: a device may put off the one until the other needs it."""
     count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
     leaves, trees = 0.0, 0.0
@@ -73,7 +73,7 @@ def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
         spans_m.append((descriptor.receivers_light_m[:2], settings.cascades[0]))
     windows = []
     for span_m, cascade in spans_m:
-        size = [side / texel + 2 * BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
+        size = [side / texel + 2 * MAP_BORDER_TEXELS for side, texel in zip(span_m, cascade.texel_m, strict=True)]
         if settings.fit == "tight":
             size = [float(settings.map_size)] * 2
         texels = float(ceil(size[0] / SIZE_STEP) * SIZE_STEP * ceil(size[1] / SIZE_STEP) * SIZE_STEP)

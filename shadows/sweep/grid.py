@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from shadows.sweep.lines import LOWEST, Sheet, Strip, sweep_rows
+from shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
 from shadows.sweep.points import StripPoints, no_points
 from terrain.compiled import compiled
 from terrain.errors import UnsupportedError
@@ -17,7 +17,7 @@ from terrain.errors import UnsupportedError
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""
 
-BAND_ROWS = 64
+TURN_BAND_ROWS = 64
 """Rows of a grid that a thread turns at a time."""
 
 LATTICE = 17
@@ -26,9 +26,9 @@ LATTICE = 17
 BENT_CELLS = 0.1
 """How far, in cells, the lines may leave the cubics that stand for them."""
 
-BENT = "the sun's rays bend too much across a view this wide: shadow_map serves it"
+RAYS_BEND_REASON = "the sun's rays bend too much across a view this wide: shadow_map serves it"
 
-Cell = float | tuple[float, float]
+CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
 
 NO_LEVELS = np.zeros((0, 0), np.float32)
@@ -36,7 +36,7 @@ NO_MASK = np.zeros((0, 0), np.bool_)
 
 
 @dataclass(frozen=True)
-class Turn:
+class GridOrientation:
     """How a grid is turned and mirrored: first the axes are swapped, then rows and columns are reversed."""
 
     swapped: bool
@@ -73,15 +73,15 @@ class Turn:
         return slice(None, None, -1 if self.rows_reversed else 1), slice(None, None, -1 if self.cols_reversed else 1)
 
 
-def turn_towards(rows: float, cols: float) -> Turn:
+def orientation_towards(rows: float, cols: float) -> GridOrientation:
     """The turn for a sun that stands in a direction (rows, columns) of a grid."""
     swapped = abs(cols) > abs(rows)
     along, across = (cols, rows) if swapped else (rows, cols)
-    return Turn(swapped, along > 0, across > 0)
+    return GridOrientation(swapped, along > 0, across > 0)
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class SweepPoints:
     """Points (n,) to be seen to, besides nodes: turned ``row``, ``t``, and ``own`` level (NaN: that of the ground there)."""
 
     row: np.ndarray
@@ -91,23 +91,23 @@ class Points:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class LineState:
     """What lines have met: ``held`` (lines, cells) float32 of the cells from ``first_cell`` on."""
 
     first_cell: int
     held: np.ndarray
 
-    def on(self, first_cell: int, cells: int, lines: int, factor: float) -> State:
+    def on(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
         """The state between these lines for those of a grid whose cells are ``factor`` times as small."""
         mine = self.held.T.ravel()
         wanted = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.held.shape[0]
         left = np.clip(np.floor(wanted).astype(np.int64), 0, mine.size - 2)
         share = np.clip(wanted - left, 0.0, 1.0)
         met = ((1.0 - share) * mine[left] + share * mine[left + 1]).astype(np.float32)
-        return State(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
+        return LineState(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
 
 
-def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
     """The cubics ``place`` and ``at`` (rows, 4) of a turned grid, with its borders, for a smooth t of turned rows and columns.
 
     Raises ``UnsupportedError`` where cubics cannot follow it.
@@ -119,7 +119,7 @@ def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view leaves the area of its CRS: shadow_map serves it")
     if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
-        raise UnsupportedError("algorithm", "sweep", BENT)
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2, len(i), 4))
     for n, values in enumerate(t):
@@ -132,7 +132,7 @@ def places(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols
     exact = t_of(*np.meshgrid(some.astype(float), columns, indexing="ij"))
     found = np.stack([np.polynomial.polynomial.polyval(values, place[n]) for n, values in zip(some, exact, strict=True)])
     if np.abs(found - columns - 1.0).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", BENT)
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     return place, at
 
 
@@ -152,14 +152,14 @@ def close_border(whole: np.ndarray) -> np.ndarray:
     return whole
 
 
-def sweep(
-    sheet: Sheet,
+def sweep_nodes(
+    sheet: TurnedGrid,
     lines: int,
     t_range: tuple[float, float],
-    entry: State | None = None,
+    entry: LineState | None = None,
     factor: float = 2.0,
     rows: tuple[int, int] = (0, 0),
-    points: Points | None = None,
+    points: SweepPoints | None = None,
     shade: np.ndarray = NO_LEVELS,
     cores: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -172,7 +172,7 @@ def sweep(
     n, columns = sheet.level.shape
     first, last = rows
     lit = np.ones((n, columns) if last > first else (0, 0), np.bool_)
-    points = points or Points(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+    points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
     end = max(last - 1, int(base.max(initial=-1)) + 1)
@@ -181,7 +181,11 @@ def sweep(
     def strip(start: int) -> None:
         stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
-        held = np.full((lines, cells), LOWEST, np.float32) if entry is None else entry.on(start - 1, cells, lines, factor).held
+        held = (
+            np.full((lines, cells), NO_GROUND_LEVEL, np.float32)
+            if entry is None
+            else entry.on(start - 1, cells, lines, factor).held
+        )
         mine = np.flatnonzero((points.t >= start) & (points.t < stop))
         mine = mine[np.argsort(base[mine], kind="stable")]
         begins = np.searchsorted(base[mine], np.arange(n + 1))
@@ -201,14 +205,16 @@ def sweep(
 def no_peaks(lines: int, cells: int) -> np.ndarray:
     """Peaks (2, lines, cells) of lines that have met no node."""
     peaks = np.zeros((2, lines, cells), np.float32)
-    peaks[0] = LOWEST
+    peaks[0] = NO_GROUND_LEVEL
     return peaks
 
 
-def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State | None = None, factor: float = 2.0) -> State:
+def state_after(
+    sheet: TurnedGrid, lines: int, t_range: tuple[float, float], entry: LineState | None = None, factor: float = 2.0
+) -> LineState:
     """What lines in a range of t have met in the end, all rows of a sheet passed."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
-    begin = State(low, np.full((lines, high - low), LOWEST, np.float32))
+    begin = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
     if entry is not None:
         begin = entry.on(low, high - low, lines, factor)
     rows = len(sheet.level)
@@ -218,7 +224,7 @@ def passed(sheet: Sheet, lines: int, t_range: tuple[float, float], entry: State 
 
 
 def sunlit(
-    height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
+    height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
 ) -> np.ndarray:
     """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
 
@@ -229,15 +235,17 @@ def sunlit(
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
-    lit, _, _ = sweep(Sheet(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m), rows=(0, n), cores=cores)
+    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m), rows=(0, n), cores=cores)
     return turn.back(lit)
 
 
-def flat_grid(shape: tuple[int, int], cell_m: Cell, azimuth_deg: float) -> tuple[Turn, float, float, np.ndarray, np.ndarray]:
-    """A flat world's grid (rows, cols) under an azimuth: its turn, the sides of a cell down and right, and ``places``."""
+def flat_grid(
+    shape: tuple[int, int], cell_m: CellSize, azimuth_deg: float
+) -> tuple[GridOrientation, float, float, np.ndarray, np.ndarray]:
+    """A flat world's grid (rows, cols) under an azimuth: its turn, the sides of a cell down and right, and ``position_cubics``."""
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
-    turn = turn_towards(*towards)
+    turn = orientation_towards(*towards)
     along, across = towards[::-1] if turn.swapped else towards
     n = shape[1] if turn.swapped else shape[0]
     shift, one, zero = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
@@ -245,18 +253,20 @@ def flat_grid(shape: tuple[int, int], cell_m: Cell, azimuth_deg: float) -> tuple
     return turn, row_m, col_m, place, at
 
 
-def turned_levels(height: np.ndarray, turn: Turn, per_height: float, per_row: float, per_col: float, cores: int = 1) -> np.ndarray:
+def turned_levels(
+    height: np.ndarray, turn: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
+) -> np.ndarray:
     """Values float32 (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
     rows, cols = height.shape
     whole, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
     target = turn.back(inside)  # the same numbers, in the grid's own order
 
     def band(first: int) -> None:
-        some = slice(first, first + BAND_ROWS)
+        some = slice(first, first + TURN_BAND_ROWS)
         _levels(height[some], per_height, first * per_row, per_row, per_col, target[some])
 
     with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(band, range(0, rows, BAND_ROWS)))
+        list(pool.map(band, range(0, rows, TURN_BAND_ROWS)))
     return close_border(whole)
 
 

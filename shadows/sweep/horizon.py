@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.grid import Cell, flat_grid, turned_levels
+from shadows.sweep.grid import CellSize, flat_grid, turned_levels
 from shadows.sweep.points import cubic, ground_at
 from terrain.compiled import compiled
 
-LOWEST = -1e30
+NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
 
 STRIP_LINES = 256
@@ -55,7 +55,7 @@ class Asked(NamedTuple):
     beside: np.ndarray
 
 
-def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
+def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
     """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
 
     -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep.grid.sunlit``.
@@ -66,7 +66,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: Cell, azimuth_deg: float, lines: i
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
     section = Section(level, towards, place, turn.mirrored)
     n, m = level.shape
-    out = np.full((n, m), LOWEST)
+    out = np.full((n, m), NO_HORIZON_SLOPE)
     low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
         i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
@@ -84,14 +84,14 @@ def slopes(
     own_towards: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
-    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``LOWEST`` without any ground.
+    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``NO_HORIZON_SLOPE`` without any ground.
 
     ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are the ground's
     there.
     """
     level, towards, place, mirrored = section
     if not len(row) or len(level) < 2:
-        return np.full(len(row), LOWEST)  # a single row has nothing before it
+        return np.full(len(row), NO_HORIZON_SLOPE)  # a single row has nothing before it
     base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
@@ -99,7 +99,7 @@ def slopes(
     begins, order = _grouped(line[by_row] - first, count)
     order = by_row[order]
     own = np.stack([own_level, own_towards], axis=1)
-    near, beside = np.full(len(row), LOWEST), np.full((len(row), 2), LOWEST)
+    near, beside = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
     _look_near(level, towards, place, mirrored, base, row, t, own, near)
     asked = Asked(begins, order, base, own, beside)
 
@@ -216,7 +216,7 @@ def _put(hull, size, level, towards, i, j, k, l, share):
 @compiled
 def _tangent(hull, size, own):
     """The largest slope from a point up to a hull: it grows along it up to where it touches."""
-    best = LOWEST
+    best = NO_HORIZON_SLOPE
     for n in range(size - 1, -1, -1):
         ahead = hull[n, 1] - own[1]
         if ahead <= 0.0:
@@ -244,7 +244,7 @@ def _look_near(level, towards, place, mirrored, base, row, t, own, near):
         if c < 0 or c + 1 >= cols:
             continue
         end -= 1e-6  # nearer than a millionth of a cell is the point itself
-        best = _steeper(LOWEST, own[n], level, towards, i, c, i, c + 1, f)
+        best = _steeper(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
         if mirrored:
             if f <= 1.0 - s:
                 if f / max(1.0 - s, 1e-9) < end:

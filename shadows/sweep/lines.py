@@ -30,7 +30,7 @@ import numpy as np
 from shadows.sweep.points import cubic, see_points
 from terrain.compiled import compiled
 
-LOWEST = np.float32(-1e30)
+NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
 
 RUN = 512
@@ -40,7 +40,7 @@ STRAIGHT = 0.01
 """How far places in a run may be from changing linearly: run by run, they are interpolated between its ends."""
 
 
-class Sheet(NamedTuple):
+class TurnedGrid(NamedTuple):
     """A turned grid (n, m) between two columns of border (``shadows.sweep.grid.bordered``), with its lines' places.
 
     ``level`` float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take t to a

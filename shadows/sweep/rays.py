@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.grid import NO_LEVELS, Turn, bordered, close_border, places, turn_towards
-from shadows.sweep.lines import Sheet
-from terrain.cache import MIB, kept
+from shadows.sweep.grid import NO_LEVELS, GridOrientation, bordered, close_border, orientation_towards, position_cubics
+from shadows.sweep.lines import TurnedGrid
+from terrain.cache import MIB, cached
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -30,7 +30,7 @@ Window = tuple[int, int, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class SunRays:
     """Rays over a grid. A place's t is its coordinate to the right in ``light``, less ``right_m``, in cells of ``cell_m`` (negative
     where columns of the turned grid run to the left); its level is the one up, less ``level_m``; ``rise`` is what a metre of height
     adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed.
@@ -39,7 +39,7 @@ class Rays:
     scene: Scene
     light: LightSpace
     grid: Grid
-    turn: Turn
+    turn: GridOrientation
     height_m: float
     right_m: float
     cell_m: float
@@ -81,7 +81,7 @@ class Rays:
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
-        return places(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
+        return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
 
     def levels(self, detail: int, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
         """Levels (rows, cols) float32 of a window's nodes with their heights."""
@@ -95,7 +95,7 @@ class Rays:
         return surface.along(-self.light.light_from_earth[2], self.light.origin_earth_m, row0, col0, height_m)
 
 
-def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
+def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     """The rays over a grid round one of its places."""
     height_m = float(np.mean(scene.height_range_m))
     at = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
@@ -106,9 +106,9 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> Rays:
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # along it, nothing moves to the right
     towards *= np.sign(light.towards_sun_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
-    turn = turn_towards(*towards)
+    turn = orientation_towards(*towards)
     across = (per_row if turn.swapped else per_col)[0]
-    return Rays(
+    return SunRays(
         scene, light, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across),
         float(space[0, 1]), float(light.light_from_earth[1] @ up[0]),
     )  # fmt: skip
@@ -127,7 +127,7 @@ def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GroundWindow:
     """A window (rows, cols) of the grid of every 2**detail-th node, from ``row0`` and ``col0`` on: its turned sheet, and how far
     its nodes lie towards the sun, float32, turned and bordered likewise (empty where nobody asked).
     """
@@ -136,10 +136,10 @@ class Ground:
     row0: int
     col0: int
     shape: tuple[int, int]
-    sheet: Sheet
+    sheet: TurnedGrid
     towards_m: np.ndarray
 
-    def tilted(self, angle: float) -> Sheet:
+    def tilted(self, angle: float) -> TurnedGrid:
         """The sheet for a sun that stands higher by an angle, radians."""
         if angle == 0.0:
             return self.sheet
@@ -147,7 +147,7 @@ class Ground:
         return self.sheet._replace(level=level)
 
 
-def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[Ground]:
+def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[GroundWindow]:
     """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
     own = buffer.surface
     assert own is not None
@@ -160,8 +160,8 @@ def grounds_of_block(rays: Rays, buffer: GeometryBuffer, casters: Casters, soft:
     return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
 
 
-@kept("light", 1024 * MIB)
-def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, Ground]:
+@cached("light", 1024 * MIB)
+def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[SunRays, GroundWindow]:
     """The ground that a perspective view draws, as heights of its grid's nodes, and the rays over it; the last one is kept."""
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
@@ -174,7 +174,7 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[Rays, 
     return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft)
 
 
-def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Ground:
+def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> GroundWindow:
     """One sheet over windows of heights; where there is none, there is no ground."""
     row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
@@ -189,8 +189,8 @@ def _ground(rays: Rays, detail: int, windows: list[Window], soft: bool) -> Groun
         inside[:] = rays.turn.turned(values)
         return close_border(whole)
 
-    its = Sheet(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
-    return Ground(detail, row0, col0, (rows, cols), its, sheet(rays.towards) if soft else NO_LEVELS)
+    its = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
+    return GroundWindow(detail, row0, col0, (rows, cols), its, sheet(rays.towards) if soft else NO_LEVELS)
 
 
 @compiled

@@ -6,10 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from shadows.algorithm import ResolvedSettings, Settings, SettingsRequest
+from shadows.algorithm import AlgorithmSettings, ResolvedSettings, SettingsRequest
 
 
-class SweepSettings(Settings):
+class SweepSettings(AlgorithmSettings):
     """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
 
     lines: int = Field(default=8, ge=1, le=16)

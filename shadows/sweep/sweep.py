@@ -27,14 +27,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, Cost, Mark, Part, Search, Settings
+from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from shadows.passes import PassLog
 from shadows.sweep.extent import SWEPT_M, swept_m
-from shadows.sweep.grid import NO_LEVELS, Points, passed, sweep
-from shadows.sweep.lines import LOWEST
-from shadows.sweep.rays import Ground, Rays, ground_of_level, grounds_of_block, rays_over
+from shadows.sweep.grid import NO_LEVELS, SweepPoints, state_after, sweep_nodes
+from shadows.sweep.lines import NO_GROUND_LEVEL
+from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
 from shadows.sweep.settings import SweepSettings, resolve_sweep
-from shadows.work import Task, Work, is_decimated
+from shadows.work import Work, Workload, is_decimated
 from terrain.casters.reach import Casters
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -47,7 +47,7 @@ from terrain.scene import Scene
 
 PASSES = ("sweep",)
 
-ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
+LEVEL_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 """What float32 makes of a level, as a share of the levels' range: what is higher by less shades no point."""
 
 STRIPS = 16
@@ -113,7 +113,7 @@ class _Asked:
     towards_m: np.ndarray
 
 
-def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[Rays, list[Ground]]:
+def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[SunRays, list[GroundWindow]]:
     """The rays over a view, and the ground that they pass: the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
@@ -124,7 +124,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     return rays, [ground]
 
 
-def _asked(rays: Rays, ground: Ground, buffer: GeometryBuffer) -> _Asked:
+def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Asked:
     view = buffer.view
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *rays.light.from_frame(buffer.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
@@ -149,23 +149,23 @@ def _asked(rays: Rays, ground: Ground, buffer: GeometryBuffer) -> _Asked:
 
 
 def _swept(
-    grounds: list[Ground], asked: _Asked, lines: int, angle: float, shade: np.ndarray
+    grounds: list[GroundWindow], asked: _Asked, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``sweep_grid.sweep`` over all ground, for a sun that stands higher by an angle, radians."""
     *coarser, ground = grounds
     entry, detail = None, 0
     for before in coarser:
         own_range = asked.t_range[0] / 2**before.detail, asked.t_range[1] / 2**before.detail
-        entry = passed(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail))
+        entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail))
         detail = before.detail
     sheet = ground.tilted(angle)
     own_m = np.cos(angle) * asked.level_m - np.sin(angle) * asked.towards_m
     highest_m = max(abs(float(np.nanmin(sheet.level))), abs(float(np.nanmax(sheet.level))))
-    points = Points(asked.row, asked.t, own_m, ROUNDING * highest_m)
-    return sweep(sheet, lines, asked.t_range, entry, 2.0**detail, asked.rows, points, shade, CORES)
+    points = SweepPoints(asked.row, asked.t, own_m, LEVEL_ROUNDING * highest_m)
+    return sweep_nodes(sheet, lines, asked.t_range, entry, 2.0**detail, asked.rows, points, shade, CORES)
 
 
-def _seen(rays: Rays, grounds: list[Ground], asked: _Asked, lines: int, angle: float) -> np.ndarray:
+def _seen(rays: SunRays, grounds: list[GroundWindow], asked: _Asked, lines: int, angle: float) -> np.ndarray:
     """Which of a buffer's points (rows, cols) see a sun that stands higher by an angle, radians."""
     lit, others_lit, _ = _swept(grounds, asked, lines, angle, NO_LEVELS)
     seen = np.ones(asked.nodes.shape, np.bool_)
@@ -175,10 +175,10 @@ def _seen(rays: Rays, grounds: list[Ground], asked: _Asked, lines: int, angle: f
     return seen
 
 
-def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
+def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], asked: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
     """The height (rows, cols) float32, metres, above which the sun is seen: no less than that of what is seen there."""
     level = grounds[-1].sheet.level
-    shade = np.full(level.shape if asked.nodes.any() else (0, 0), LOWEST, np.float32)
+    shade = np.full(level.shape if asked.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
     _, _, others_above_m = _swept(grounds, asked, lines, 0.0, shade)
     above_m = np.zeros(asked.nodes.shape, np.float32)
     if asked.nodes.any():
@@ -187,7 +187,7 @@ def _shadow_height_m(rays: Rays, grounds: list[Ground], asked: _Asked, lines: in
     return buffer.height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
 
 
-def _work(task: Task, settings: SweepSettings) -> Work:
+def _work(task: Workload, settings: SweepSettings) -> Work:
     nodes = task.nodes + task.outside_triangles / 2.0 if task.in_map else _ground_nodes(task)
     strips = STRIPS if settings.filter == "sun" else 1
     rasterised = task.triangles("relief") * task.decimated
@@ -198,13 +198,13 @@ def _work(task: Task, settings: SweepSettings) -> Work:
     return {task.by_view("sweep"): counts}
 
 
-def _ground_nodes(task: Task) -> float:
+def _ground_nodes(task: Workload) -> float:
     """Nodes of a perspective view's whole ground; half its triangles where they are not told."""
     relief = task.stand("relief")
     return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings]:
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
     yield SweepSettings()
     yield SweepSettings(lines=4)
     if grid == "full":
@@ -217,7 +217,7 @@ def _too_wide(descriptor: Descriptor, kind: CasterKind) -> bool:
 
 ONE_AZIMUTH = "its lines run along the one azimuth of the sun: a lamp's rays spread"
 
-REFUSES: dict[Part, str] = {
+REFUSES: dict[Requirement, str] = {
     "spot": ONE_AZIMUTH,
     "omni": ONE_AZIMUTH,
     "meshes": "it knows one height per place, and a mesh may have several above each other",

@@ -22,7 +22,7 @@ from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.trees.foliage import foliage
 
-LIMIT_BYTES = 512 * 2**20
+TRUTH_CACHE_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""
 
 _FIELDS = ("lit", "attached", "decidable", "there")
@@ -100,5 +100,5 @@ def _trim(folder: Path) -> None:
     total = 0
     for _, size, path in files:
         total += size
-        if total > LIMIT_BYTES:
+        if total > TRUTH_CACHE_BYTES:
             path.unlink(missing_ok=True)

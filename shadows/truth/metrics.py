@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, label
 from scipy.spatial import KDTree
 
 from shadows.truth.truth import Truth
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
@@ -21,10 +21,10 @@ INTERIOR_PX = 2.0
 MOST_INTERIOR = 0.001
 """Share of the decidable pixels that may be wrong inside a shadow or a light: more is failure, not aliasing."""
 
-PART_PX = 8
+MIN_PART_PX = 8
 """Size from which a connected part of wrong interior pixels counts as one."""
 
-BLOCK_PX = 16
+COVERAGE_BLOCK_PX = 16
 """Side of the blocks that coverage is compared in."""
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
@@ -92,7 +92,7 @@ def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footpr
         edge_mean_m=mean * pixel_m,
         edge_p95_m=p95 * pixel_m,
         interior=_share(inside, decidable),
-        interior_parts=int((sizes >= PART_PX).sum()),
+        interior_parts=int((sizes >= MIN_PART_PX).sum()),
         boundary=truth.boundary,
     )
 
@@ -129,7 +129,7 @@ def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
 
 
-@kept("light", 512 * MIB)
+@cached("light", 512 * MIB)
 def _from_edges_px(truth: Truth) -> np.ndarray:
     """The distances from the edges of a truth that many pictures are held against."""
     return from_edges_px(~truth.lit & truth.there, truth.there)
@@ -140,8 +140,10 @@ def block_shares(shadow_share: np.ndarray) -> np.ndarray:
 
     Rows and columns at the end that fill no block are left out.
     """
-    rows, cols = (size // BLOCK_PX * BLOCK_PX for size in shadow_share.shape)
-    blocks = shadow_share[:rows, :cols].reshape(rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
+    rows, cols = (size // COVERAGE_BLOCK_PX * COVERAGE_BLOCK_PX for size in shadow_share.shape)
+    blocks = shadow_share[:rows, :cols].reshape(
+        rows // COVERAGE_BLOCK_PX, COVERAGE_BLOCK_PX, cols // COVERAGE_BLOCK_PX, COVERAGE_BLOCK_PX
+    )
     known = np.isfinite(blocks)
     count = known.sum(axis=(1, 3))
     total = np.where(known, blocks, 0.0).sum(axis=(1, 3))

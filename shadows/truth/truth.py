@@ -17,11 +17,11 @@ from typing import get_args
 import numpy as np
 from pydantic import Field
 
-from shadows.algorithm import Algorithm, Cost, ResolvedSettings, Settings, SettingsRequest
+from shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
 from shadows.attached import attached, turned_away
 from shadows.passes import PassLog
-from shadows.work import Task, Work
-from terrain.cache import MIB, kept
+from shadows.work import Work, Workload
+from terrain.cache import MIB, cached
 from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
 from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.casters.reach import Casters, casters_of
@@ -45,7 +45,7 @@ PASSES = ("rays",)
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
 
 
-class TruthSettings(Settings):
+class TruthSettings(AlgorithmSettings):
     """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
 
     sun_samples: int = Field(default=1, ge=1, le=1024)
@@ -254,7 +254,7 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
     return MapView(grid, part.row0 * scale, part.col0 * scale, part.row_step * scale, part.col_step * scale, part.rows, part.cols)
 
 
-@kept("light", 2048 * MIB)
+@cached("light", 2048 * MIB)
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
     """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
     return _build_rays(buffer, scene, casters, kinds)
@@ -337,12 +337,12 @@ def _resolve(request: SettingsRequest) -> ResolvedSettings:
     return TruthSettings(), request.without_filter("truth")
 
 
-def _work(task: Task, settings: TruthSettings) -> Work:
+def _work(task: Workload, settings: TruthSettings) -> Work:
     rays = task.facing * settings.sun_samples
     return {"truth": {"blocks": 1.0, "seen": task.seen, "rays": rays, "triangles": task.all_triangles}}
 
 
-def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Settings]:
+def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings]:
     if grid == "full":
         yield TruthSettings()
 

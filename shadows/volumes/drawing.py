@@ -26,10 +26,10 @@ from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receivin
 from shadows.volumes.volumes import Volumes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import Device, device
-from terrain.gl.stencil import MARK, Counting, Side
+from terrain.gl.stencil import MARK_BIT, Counting, Side
 from terrain.scene import Scene
 
-COUNT = ~MARK & 0xFF
+COUNT_BITS = ~MARK_BIT & 0xFF
 """The bits of the stencil that count."""
 
 MAP_STEPS = 16.0
@@ -124,7 +124,7 @@ def _counted(
     with receiving(gl, buffer, scene, points, parts, marked) as (target, program):
         for number, each in enumerate(volumes):
             if number:
-                gl.stencil.clear(target, COUNT if marked else 0xFF)
+                gl.stencil.clear(target, COUNT_BITS if marked else 0xFF)
             clip = points.clip_of(each.vertices.astype(np.float64))
             added = np.full(len(parts), _layers_round_the_viewer(each, points, light) if clamped else 0)
             for counting, faces in _ways(each, points, light, settings):
@@ -140,8 +140,8 @@ def _counted(
                 record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])
             counts = gl.stencil.read(target)
             for (col, row, width, height), more in zip(parts.tolist(), added.tolist(), strict=True):
-                counts[row : row + height, col : col + width] += np.uint8(more & COUNT)
-            total = np.maximum(total, counts[points.row, points.col] & COUNT)
+                counts[row : row + height, col : col + width] += np.uint8(more & COUNT_BITS)
+            total = np.maximum(total, counts[points.row, points.col] & COUNT_BITS)
     gl.check("counting shadow volumes")
     return total
 

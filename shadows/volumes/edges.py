@@ -67,7 +67,7 @@ def signed_sums(edges: Edges, turns: np.ndarray) -> np.ndarray:
     return sums[1:].astype(np.int32)
 
 
-def parts_of(edges: Edges) -> np.ndarray:
+def connected_parts(edges: Edges) -> np.ndarray:
     """The number (m,) int32 of each triangle's part: all triangles that are connected through edges."""
     count = len(edges.along)
     triangle, side = np.nonzero(edges.along)
@@ -81,7 +81,7 @@ def closed_parts(edges: Edges) -> np.ndarray:
 
     That is where each edge of the part is run along as often one way as the other, so that the part's signed boundary is zero.
     """
-    part = parts_of(edges)
+    part = connected_parts(edges)
     uneven = signed_sums(edges, np.ones(len(part), np.int8)) != 0
     triangle, side = np.nonzero(edges.along)
     open_part = np.zeros(int(part.max(initial=-1)) + 1, bool)

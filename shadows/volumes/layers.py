@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.volumes.edges import Edges, parts_of
+from shadows.volumes.edges import Edges, connected_parts
 from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
 from terrain.compiled import compiled
 from terrain.errors import InputError
 
-MOST = 255
+MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""
 
 MOST_LUNES = 4096
@@ -30,10 +30,10 @@ LINES_PER_EDGE = 0.5
 NEAR_PLANE_DEG = 0.1
 """A light no farther than this from the near plane sweeps no volume that could be told from rounding."""
 
-APART = 1e-9
+ANGLE_TOLERANCE = 1e-9
 """Share of its distance, or angle, by which an edge must pass the poles' axis for rounding not to matter."""
 
-ASKEW = np.array([0.4364, 0.2182, 0.8729])
+POLE_AXIS = np.array([0.4364, 0.2182, 0.8729])
 """A direction of length 1 that things built square do not line up with."""
 
 
@@ -71,7 +71,7 @@ def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -
 
 
 def batches(
-    points: np.ndarray, triangles: np.ndarray, edges: Edges, turns: np.ndarray, light: np.ndarray, most: int = MOST
+    points: np.ndarray, triangles: np.ndarray, edges: Edges, turns: np.ndarray, light: np.ndarray, most: int = MAX_STENCIL_LAYERS
 ) -> list[np.ndarray]:
     """The casting triangles in groups that cover no point more than ``most`` times, each as turns (m,) int8; one if that will do.
 
@@ -83,7 +83,7 @@ def batches(
         raise InputError("most", most, "1 or more")
     if most_layers(points, silhouette(triangles, edges, turns), light) <= most:
         return [turns]
-    part = parts_of(edges)
+    part = connected_parts(edges)
     groups, halves = [], [_from_the_light(points, triangles, part, turns, homogeneous(light))]
     while halves:
         some = halves.pop()
@@ -137,8 +137,8 @@ def _seen_from_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
 
 def _axes_to(ahead: np.ndarray) -> np.ndarray:
     """Right-handed axes (3, 3): ahead, left and up. Up is askew, so that things built square do not line up with it."""
-    ahead = ahead / np.linalg.norm(ahead) if ahead.any() else ASKEW
-    left = np.cross(np.roll(ASKEW, int(np.argmax(np.abs(ahead)))), ahead)
+    ahead = ahead / np.linalg.norm(ahead) if ahead.any() else POLE_AXIS
+    left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(ahead)))), ahead)
     left /= np.linalg.norm(left)
     return np.stack([ahead, left, np.cross(ahead, left)])
 
@@ -153,8 +153,8 @@ def _most_seen(seen: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | 
     turn = phi[:, 1] - phi[:, 0]
     round_the_back = np.abs(turn) > np.pi
     turn[round_the_back] -= np.copysign(2.0 * np.pi, turn[round_the_back])
-    clear = np.hypot(seen[:, 0], seen[:, 1]) > APART * np.abs(seen[:, 2])
-    if not (clear.all() and np.abs(turn).max() < np.pi - APART):
+    clear = np.hypot(seen[:, 0], seen[:, 1]) > ANGLE_TOLERANCE * np.abs(seen[:, 2])
+    if not (clear.all() and np.abs(turn).max() < np.pi - ANGLE_TOLERANCE):
         return None
     first, span = (-np.pi, 2.0 * np.pi) if round_the_back.any() else (float(phi.min()), float(np.ptp(phi)))
     if not span:

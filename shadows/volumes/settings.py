@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from shadows.algorithm import ResolvedSettings, Settings, SettingsRequest
+from shadows.algorithm import AlgorithmSettings, ResolvedSettings, SettingsRequest
 from terrain.level.level import Shadows
 
 
-class VolumeSettings(Settings):
+class VolumeSettings(AlgorithmSettings):
     """Settings of shadow volumes: both sides of the volumes in one pass or in one each, and what is counted: ``auto`` takes
     z-pass for casters whose volume provably misses the near plane and z-fail for the others.
     """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Part, Search
+from shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before, silhouettes_seen
@@ -61,7 +61,7 @@ def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
     return sum(each.triangles + each.outside_triangles for each in of_kind) > MOST_GROUND
 
 
-NO_VOLUME: dict[Part, str] = {
+NO_VOLUME: dict[Requirement, str] = {
     "forest": "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads",
     "bent map": DRAWS_IN_THE_VIEW,
 }

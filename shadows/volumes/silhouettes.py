@@ -36,12 +36,12 @@ from terrain.compiled import compiled
 from terrain.errors import InputError
 from terrain.ground.surface import sheet_triangles
 
-Rule = Literal["facing", "turned_away", "all"]
+FacingRule = Literal["facing", "turned_away", "all"]
 
-FACING, TURNED_AWAY, ALL = 1, 2, 3
+FACING_CODE, TURNED_AWAY_CODE, ALL_CODE = 1, 2, 3
 """The rules as numbers, one for each triangle: bit 0, cast those that face the light; bit 1, cast the others."""
 
-RULES: dict[Rule, int] = {"facing": FACING, "turned_away": TURNED_AWAY, "all": ALL}
+FACING_RULE_CODES: dict[FacingRule, int] = {"facing": FACING_CODE, "turned_away": TURNED_AWAY_CODE, "all": ALL_CODE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,18 +81,18 @@ def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np
     return _facing(np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), homogeneous(light))
 
 
-def turns_of(facing: np.ndarray, rule: Rule | np.ndarray) -> np.ndarray:
+def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """How triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
 
-    ``rule`` is one for all, or a number for each: ``FACING``, ``TURNED_AWAY``, ``ALL``, or 0 for what casts nothing; all
+    ``rule`` is one for all, or a number for each: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for what casts nothing; all
     triangles of a part of a mesh have the same. Raises ``InputError`` for any other rule.
     """
-    if isinstance(rule, str) and rule not in RULES:
-        raise InputError("rule", rule, " or ".join(RULES))
-    numbers = np.asarray(RULES[rule] if isinstance(rule, str) else rule, np.int8)
-    if numbers.size and (numbers.min() < 0 or numbers.max() > ALL):
-        raise InputError("rule", int(numbers.min() if numbers.min() < 0 else numbers.max()), f"0 to {ALL}")
-    return np.where(facing, numbers & FACING, -(numbers >> 1))
+    if isinstance(rule, str) and rule not in FACING_RULE_CODES:
+        raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))
+    numbers = np.asarray(FACING_RULE_CODES[rule] if isinstance(rule, str) else rule, np.int8)
+    if numbers.size and (numbers.min() < 0 or numbers.max() > ALL_CODE):
+        raise InputError("rule", int(numbers.min() if numbers.min() < 0 else numbers.max()), f"0 to {ALL_CODE}")
+    return np.where(facing, numbers & FACING_CODE, -(numbers >> 1))
 
 
 def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
@@ -103,7 +103,7 @@ def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhou
     return Silhouette(*_directed(edges.ends[drawn], times[drawn]), _caps(triangles, turns * whole))
 
 
-def sheet_silhouette(position: np.ndarray, light: np.ndarray, rule: Rule) -> Silhouette:
+def sheet_silhouette(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> Silhouette:
     """The silhouette of a sheet of nodes (rows, cols, 3), cut into triangles as ``known_triangles`` cuts it.
 
     Vertices are numbered row by row. The same as by way of ``edges_of``, which finds nothing that the grid does not tell unless two

@@ -10,7 +10,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 
-TILE_PX = 8
+CULLING_TILE_PX = 8
 """Side of the tiles that rectangles are put together from."""
 
 RECTANGLE_FACES = 4e4
@@ -31,7 +31,7 @@ DEPTH_MARGIN = 1e-4
 
 def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Which tiles of a picture of some rows and columns hold one of the pixels (n,): bool."""
-    return _marked(rows, cols, *(-(-side // TILE_PX) for side in size))
+    return _marked(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
 
 
 def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
@@ -41,7 +41,7 @@ def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarr
     What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs, and while a side is
     longer than twice as many tiles: within small rectangles depths vary little, and few faces matter.
     """
-    found = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * TILE_PX
+    found = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * CULLING_TILE_PX
     found[:, 2:] = np.minimum(found[:, 2:], np.array([size[1], size[0]]) - found[:, :2])
     return found.astype(np.int32)
 
@@ -50,11 +50,14 @@ def depth_bounds(
     rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, rectangles: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """Least and greatest depth (k, 2) of those of some pixels (n,) that lie in each rectangle; (inf, -inf) where none does."""
-    tiles = tuple(-(-side // TILE_PX) for side in size)
+    tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
     of_tile = _tile_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
     for number, (col, row, width, height) in enumerate(rectangles.tolist()):
-        part = of_tile[row // TILE_PX : -(-(row + height) // TILE_PX), col // TILE_PX : -(-(col + width) // TILE_PX)]
+        part = of_tile[
+            row // CULLING_TILE_PX : -(-(row + height) // CULLING_TILE_PX),
+            col // CULLING_TILE_PX : -(-(col + width) // CULLING_TILE_PX),
+        ]
         out[number] = part[..., 0].min(), part[..., 1].max()
     return out
 
@@ -170,7 +173,7 @@ def _best_cut(part):
 def _marked(rows, cols, down, across):
     out = np.zeros((down, across), np.bool_)
     for n in range(len(rows)):
-        out[rows[n] // TILE_PX, cols[n] // TILE_PX] = True
+        out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX] = True
     return out
 
 
@@ -179,7 +182,7 @@ def _tile_bounds(rows, cols, depth, down, across):
     out = np.empty((down, across, 2))
     out[..., 0], out[..., 1] = np.inf, -np.inf
     for n in range(len(rows)):
-        bounds = out[rows[n] // TILE_PX, cols[n] // TILE_PX]
+        bounds = out[rows[n] // CULLING_TILE_PX, cols[n] // CULLING_TILE_PX]
         bounds[0], bounds[1] = min(bounds[0], depth[n]), max(bounds[1], depth[n])
     return out
 

@@ -22,7 +22,7 @@ import numpy as np
 from moderngl import Framebuffer, Program
 
 from shadows.volumes.volumes import ground_has_gaps
-from terrain.casters.clip_space import camera_clip, map_clip, parts_of
+from terrain.casters.clip_space import affine_parts, camera_clip, map_clip
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -79,7 +79,7 @@ class SeenPoints:
 def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
     """Those of a view's own points that are wanted, part by part; ``near_m`` is how far away the near plane is."""
     view = buffer.view
-    for part, top, left in parts_of(scene.world, view):
+    for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
         if len(row):
             yield _seen(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)

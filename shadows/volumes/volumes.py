@@ -25,10 +25,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from shadows.passes import PassRecord
-from shadows.volumes.edges import Edges, closed_parts, edges_of, parts_of
+from shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
 from shadows.volumes.layers import batches
-from shadows.volumes.silhouettes import ALL, FACING, TURNED_AWAY, Silhouette, facing, sheet_silhouette, silhouette, turns_of
-from terrain.cache import MIB, Cache, Missing, kept
+from shadows.volumes.silhouettes import (
+    ALL_CODE,
+    FACING_CODE,
+    TURNED_AWAY_CODE,
+    Silhouette,
+    facing,
+    sheet_silhouette,
+    silhouette,
+    turns_of,
+)
+from terrain.cache import MIB, Cache, Missing, cached
 from terrain.casters.casting import Mesh, caster_sheets, caster_solids
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -36,10 +45,10 @@ from terrain.gbuffer.ground_mesh import ground_nodes
 from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
 
-MOST_LAYERS = 127
+MAX_VOLUME_LAYERS = 127
 """Layers that a stencil with one bit for marks can count."""
 
-TOUCH_M = 1e-3
+CONTACT_TOLERANCE_M = 1e-3
 """A lamp so near to a body's bounds counts as in it, and so near to a face's plane as on it."""
 
 
@@ -110,7 +119,7 @@ def volumes_of(
         found += _of_sheet(sheet, light_frame)
     meshes: list[tuple[Mesh, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
-        of_ground = ALL if ground_has_gaps(buffer, scene) else TURNED_AWAY
+        of_ground = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
         meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), of_ground))
     if "meshes" in kinds and scene.population.solids is not None:
         meshes.append((caster_solids(scene.population, buffer.frame), None))
@@ -135,7 +144,7 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
     return _has_gaps(ground_nodes(scene).height_m)
 
 
-@kept("scene", MIB)
+@cached("scene", MIB)
 def _has_gaps(height_m: np.ndarray) -> bool:
     return has_gaps(np.isfinite(height_m))
 
@@ -161,14 +170,14 @@ class _Structure:
     part_of_vertex: np.ndarray
 
 
-@kept("scene", 1024 * MIB)
+@cached("scene", 1024 * MIB)
 def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _Structure:
     edges, count = edges_of(vertices, triangles), len(vertices)
     if ground_rule is not None:
         return _Structure(edges, np.full(len(triangles), ground_rule, np.int8), np.zeros(count, np.int32))
-    part, corners = parts_of(edges), vertices[triangles] - vertices.mean(axis=0)
+    part, corners = connected_parts(edges), vertices[triangles] - vertices.mean(axis=0)
     volume_m3 = np.bincount(part, np.linalg.det(corners) / 6.0)
-    rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING, ALL).astype(np.int8)
+    rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING_CODE, ALL_CODE).astype(np.int8)
     first, has_edge = triangles[:, :1], edges.of_triangle >= 0
     welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
     others = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
@@ -185,15 +194,17 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
     # Nodes of the ground that are not there are NaN, and belong to no triangle.
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.fmin, np.fmax))
     if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
-        holds = np.all((low - TOUCH_M < light[:3]) & (light[:3] < high + TOUCH_M), axis=1)[part[triangles[:, 0]]]
-        rule = np.where(holds, np.int8(ALL), rule)
-        rule[holds] = np.where(_heights_m(vertices, triangles[holds], light) < TOUCH_M, np.int8(0), rule[holds])
+        holds = np.all((low - CONTACT_TOLERANCE_M < light[:3]) & (light[:3] < high + CONTACT_TOLERANCE_M), axis=1)[
+            part[triangles[:, 0]]
+        ]
+        rule = np.where(holds, np.int8(ALL_CODE), rule)
+        rule[holds] = np.where(_heights_m(vertices, triangles[holds], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[holds])
     turns = turns_of(facing(vertices, triangles, light), rule)
     if not turns.any():
         return []
     return [
         _volumes(vertices, silhouette(triangles, edges, some), light, part, low, high)
-        for some in batches(vertices, triangles, edges, turns, light, MOST_LAYERS)
+        for some in batches(vertices, triangles, edges, turns, light, MAX_VOLUME_LAYERS)
     ]
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.volumes.settings import VolumeSettings
-from shadows.volumes.tiles import LEAST_TILES, RECTANGLE_FACES, TILE_PX
-from shadows.work import Counts, Task, Work
-from terrain.casters.clip_space import PART_PX
+from shadows.volumes.tiles import CULLING_TILE_PX, LEAST_TILES, RECTANGLE_FACES
+from shadows.work import Counts, Work, Workload
+from terrain.casters.clip_space import AFFINE_PART_PX
 from terrain.casters.reach import PATCH_QUADS
 from terrain.level.level import SUN
 
@@ -18,12 +18,12 @@ SHEET_TRIANGLES = 2 * PATCH_QUADS**2
 """Triangles of a patch of ground outside of a map's block."""
 
 
-def volume_work(task: Task, settings: VolumeSettings) -> Work:
+def volume_work(task: Workload, settings: VolumeSettings) -> Work:
     """Of shadow volumes in all of the picture."""
     return {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
 
 
-def silhouette_counts(task: Task) -> Counts:
+def silhouette_counts(task: Workload) -> Counts:
     """Finding the edges that faces towards the light share with others."""
     return {
         "blocks": 1.0, "triangles": task.triangles("meshes"), "edges": float(_mesh_edges(task)),
@@ -31,11 +31,11 @@ def silhouette_counts(task: Task) -> Counts:
     }  # fmt: skip
 
 
-def _mesh_edges(task: Task) -> int:
+def _mesh_edges(task: Workload) -> int:
     return task.facts.silhouette_edges if task.stand("meshes") else 0
 
 
-def volume_faces(task: Task) -> tuple[float, float, float]:
+def volume_faces(task: Workload) -> tuple[float, float, float]:
     """Sides and caps of the volumes of meshes, and faces of those of the ground; twice as many under a lamp."""
     ends = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.stand("meshes"), "closed_share", 0.0)
@@ -44,7 +44,7 @@ def volume_faces(task: Task) -> tuple[float, float, float]:
     return ends * _mesh_edges(task), ends * caps, ends * ground
 
 
-def stencil_counts(task: Task, settings: VolumeSettings, marked: float | None = None) -> Counts:
+def stencil_counts(task: Workload, settings: VolumeSettings, marked: float | None = None) -> Counts:
     """Counting volumes in all of the picture, or in the share of its tiles that is ``marked``.
 
     Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not
@@ -53,7 +53,7 @@ def stencil_counts(task: Task, settings: VolumeSettings, marked: float | None = 
     edges, caps, ground = volume_faces(task)
     faces = edges + caps + ground
     rectangle_tiles = (2.0 * max(RECTANGLE_FACES / max(faces, 1.0), LEAST_TILES)) ** 2
-    rectangles = max(task.pixels / TILE_PX**2 / rectangle_tiles, 1.0)
+    rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     drawn = edges * np.sqrt(rectangles) + caps + ground
     layers = sides * task.facts.volume_layers if task.stand("meshes") else 0.0
@@ -64,7 +64,7 @@ def stencil_counts(task: Task, settings: VolumeSettings, marked: float | None = 
         deep = np.log1p(MARKED_LAYERS * layers * marked)
         counts |= {"faces beside marks": sides * drawn * marked**0.25, "layers beside marks": task.facing * deep}
     if task.in_map:
-        parts = np.ceil(task.descriptor.rows / PART_PX) * np.ceil(task.descriptor.cols / PART_PX)
+        parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
         relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.stand("relief") else 0.0
         counts["sheets"] = parts * (relief + (task.stand("meshes") is not None))
     return counts

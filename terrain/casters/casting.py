@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""
@@ -48,19 +48,21 @@ def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind
     return ground or ("meshes" in kinds and scene.population.solids is not None) or caster_trees(buffer, kinds) is not None
 
 
-def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> Stand | None:
+def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> TreeInstances | None:
     """The trees that cast, if there are any."""
     return buffer.stand if "forest" in kinds else None
 
 
-def trees_in_the_way(stand: Stand, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> Stand:
+def trees_in_the_way(
+    stand: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> TreeInstances:
     """Those trees that reach into light-space bounds (3,) or lie before them, towards the sun."""
     before = np.array([low[0], low[1], -np.inf])
     return stand.some(stand.reaching(rotation, translation, before, high))
 
 
-@kept("scene", 64 * MIB)
-def closed_casters(population: Population) -> np.ndarray:
+@cached("scene", 64 * MIB)
+def closed_casters(population: SceneObjects) -> np.ndarray:
     """Which triangles (m,) of what stands for the meshes bound a closed body with its faces outwards, bool."""
     placement = population.placement
     casting = () if placement is None else placement.casting
@@ -70,8 +72,8 @@ def closed_casters(population: Population) -> np.ndarray:
     return np.repeat(np.array([closed[id(placed.body)] for placed in casting], bool), counts)
 
 
-@kept("scene", 512 * MIB)
-def caster_solids(population: Population, frame: LocalFrame) -> Mesh:
+@cached("scene", 512 * MIB)
+def caster_solids(population: SceneObjects, frame: LocalFrame) -> Mesh:
     """What stands for the meshes in a frame; the last ones are kept."""
     solids = population.solids
     assert solids is not None

@@ -2,21 +2,21 @@
 the eye to 0 infinitely far away. Float64.
 
 A camera's is a projection. A map has no camera: its pixels are a curved function of points. On a globe it is drawn in parts of
-``PART_PX`` pixels, each by the affine camera that is nearest to it; ``bend_px`` says by how much they differ.
+``AFFINE_PART_PX`` pixels, each by the affine camera that is nearest to it; ``bend_px`` says by how much they differ.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.reach import overview_on_grid
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LocalFrame, World
 from terrain.scene import Scene
 
-PART_PX = 256
+AFFINE_PART_PX = 256
 """Side of the parts, in pixels."""
 
 FIT_POINTS = 9
@@ -35,12 +35,15 @@ def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.nda
     return np.array([scale[0] * right + shift[0] * forward, scale[1] * down + shift[1] * forward, [0.0, 0.0, 0.0, near_m], forward])
 
 
-def parts_of(world: World, view: MapView | PerspectiveView) -> list[tuple[MapView | PerspectiveView, int, int]]:
+def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[MapView | PerspectiveView, int, int]]:
     """What a view is drawn in: itself, or the parts of a globe's map; each with its first row and column."""
     if world.flat or isinstance(view, PerspectiveView):
         return [(view, 0, 0)]
-    corners = [(row, col) for row in range(0, view.rows, PART_PX) for col in range(0, view.cols, PART_PX)]
-    return [(view.part(row, col, min(PART_PX, view.rows - row), min(PART_PX, view.cols - col)), row, col) for row, col in corners]
+    corners = [(row, col) for row in range(0, view.rows, AFFINE_PART_PX) for col in range(0, view.cols, AFFINE_PART_PX)]
+    return [
+        (view.part(row, col, min(AFFINE_PART_PX, view.rows - row), min(AFFINE_PART_PX, view.cols - col)), row, col)
+        for row, col in corners
+    ]
 
 
 def map_clip(
@@ -61,7 +64,7 @@ def map_clip(
     return clip
 
 
-@kept("scene", MIB)
+@cached("scene", MIB)
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
     """How far, in pixels, the affine camera of a part lies off the map at worst: over parts at the level's corners and middle.
 
@@ -75,8 +78,10 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
     for share in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)) if known.any() else ():
         middle = [low + part * (high - low) for part, low, high in
                   ((part, v[known].min(), v[known].max()) for part, v in zip(share, (row, col), strict=True))]  # fmt: skip
-        half = (PART_PX - 1) / 2.0
-        view = MapView(grid, middle[0] - half * row_step, middle[1] - half * col_step, row_step, col_step, PART_PX, PART_PX)
+        half = (AFFINE_PART_PX - 1) / 2.0
+        view = MapView(
+            grid, middle[0] - half * row_step, middle[1] - half * col_step, row_step, col_step, AFFINE_PART_PX, AFFINE_PART_PX
+        )
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
         points, pixel = _samples(scene.world, frame, view, low, high + scene.population.tallest_m, curved=True)

@@ -23,7 +23,7 @@ import numpy as np
 
 from terrain.cache import bytes_of
 from terrain.errors import RenderError
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.ground.surface import Cut, known_triangles
 from terrain.trees.foliage import THRESHOLD, foliage
 
@@ -159,7 +159,7 @@ def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = N
     return top * (1 - fy) + bottom * fy
 
 
-def trees_as_mesh(stand: Stand) -> AlphaMesh:
+def trees_as_mesh(stand: TreeInstances) -> AlphaMesh:
     """The trees' quads as alpha-tested triangles, with their full-resolution textures."""
     count = len(stand)
     first = np.arange(count * 3, dtype=np.int32)[:, None] * 4

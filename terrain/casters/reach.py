@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
@@ -164,7 +164,7 @@ def _towards_m(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> float:
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
-@kept("light", 256 * MIB)
+@cached("light", 256 * MIB)
 def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
     """Light-space points of the overview's cells at their highest ground (NaN in holes), and a cell's diameter, metres."""
     point, up = _overview_on_earth(scene.world, scene.elevation)
@@ -173,7 +173,7 @@ def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
     return scene.light.from_earth(top), _overview_cell_m(scene) * 1.5
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def _overview_on_earth(world: World, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     return world.ground(elevation.crs, *_overview_xy(elevation))
 
@@ -190,7 +190,7 @@ def _overview_cell_m(scene: Scene) -> float:
     return scene.elevation.cell_size_m(scene.world.metres_per_unit) * 2**scene.elevation.overview.level
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.reach import overview_on_grid
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import quad_normals
@@ -21,7 +21,7 @@ from terrain.ground.surface import Surface
 
 DIRECTIONS = 64
 
-STEEPEST = 50.0
+MAX_SLOPE = 50.0
 """Slopes beyond this (89 degrees, or ground on another side of the earth) are not told apart: nothing is known then."""
 
 
@@ -55,7 +55,7 @@ def above_mesh(
     return (None, None) if np.isnan(least) else (float(least), float(most))
 
 
-@kept("scene", 64 * MIB)
+@cached("scene", 64 * MIB)
 def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
     """How far the slopes of a map's ground, all of the level's, reach, (``DIRECTIONS``,); ``None`` if it cannot be said."""
     surface, reach, directions = Surface(world, elevation, grid), _nothing(), _directions()
@@ -72,8 +72,8 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
     return _known(reach)
 
 
-@kept("scene", MIB)
-def nodes_of(world: World, elevation: Elevation, grid: Grid) -> int:
+@cached("scene", MIB)
+def node_count(world: World, elevation: Elevation, grid: Grid) -> int:
     """How many nodes of a grid lie on a raster, about."""
     rows, cols = extent_on_grid(world, elevation, grid)
     return (rows[1] - rows[0] + 1) * (cols[1] - cols[0] + 1)
@@ -116,7 +116,7 @@ def _take(normals, anchor_from_frame, directions, reach):
             continue
         east = t[0, 0] * x + t[0, 1] * y + t[0, 2] * z
         north = t[1, 0] * x + t[1, 1] * y + t[1, 2] * z
-        if up * STEEPEST < np.sqrt(x * x + y * y + z * z):
+        if up * MAX_SLOPE < np.sqrt(x * x + y * y + z * z):
             reach[:] = np.inf
             return
         a, b = -east / up, -north / up
@@ -155,7 +155,7 @@ def _above(position, triangles, rows, offsets, bounds, to_sun, upward):
         up = upward[0] * x + upward[1] * y + upward[2] * z
         if not length > 0.0:
             continue
-        if up * STEEPEST < length:
+        if up * MAX_SLOPE < length:
             return np.nan, np.nan
         above = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / up
         least, most = min(least, above), above if most == np.inf else max(most, above)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
-from terrain.gbuffer.tree_instances import any_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.surface import map_pixel_m
@@ -25,17 +25,17 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "no tree is large enough to be drawn")
     if any(lamp.reaches for lamp in descriptor.lamps):
         return Verdict(True, "foliage stands in the light of lamps")
-    return cast_shadows.kind_of_sun(descriptor, "forest")
+    return cast_shadows.sun_kind_verdict(descriptor, "forest")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``drawn``: whether any tree is left of those that are thinned out as they get small."""
     if scene.population.trees is None:
         return {}
     if isinstance(view, MapView):
         pixel_m = map_pixel_m(scene.world, view)
-        return {"drawn": any_in_map(scene.population.trees, pixel_m)}
-    stand = stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+        return {"drawn": map_draws_trees(scene.population.trees, pixel_m)}
+    stand = tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     return {"drawn": stand is not None and len(stand) > 0}
 
 

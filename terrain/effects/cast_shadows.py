@@ -13,21 +13,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
-from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, nodes_of
+from terrain.cache import MIB, cached
+from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, node_count
 from terrain.compiled import compiled
 from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact, number
 from terrain.gbuffer.ground_mesh import ground_mesh
-from terrain.gbuffer.tree_instances import Stand, stand_in_perspective
+from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import LightSpace
 from terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 COARSE_NODES = 2**18
 """Nodes of the coarse ground that is tried first: where it casts, the finer one does."""
@@ -35,13 +35,13 @@ COARSE_NODES = 2**18
 MOST_NODES = 2**21
 """Ground of more nodes is not searched facet by facet (that takes about 0.3 s a million): it may cast."""
 
-MOST_TREES = 2000
+MAX_TREES_TESTED = 2000
 """More trees than these in the way, or in view, are not looked at one by one: some of them do shade something."""
 
 MASK_CELLS = 128
 """Cells a side in which what is seen is held against what stands before it."""
 
-GRAZING = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+DISC_GRAZING = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """A facet's plane passes this near to the middle of the sun if it cuts the disc, or if float32 normals do not tell: the sine of the
 angle between them, times the length of the normal (-a, -b, 1) that slopes as steep as the sun is high have.
 """
@@ -49,7 +49,7 @@ angle between them, times the length of the normal (-a, -b, 1) that slopes as st
 
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out without a light, by night and under clouds without lamps, and where nothing can stand in the light's way."""
-    sun = of_sun(descriptor)
+    sun = sun_verdict(descriptor)
     if sun.called_for:
         return sun
     lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
@@ -60,7 +60,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"{', '.join(lamps)} {'shines' if len(lamps) == 1 else 'shine'} on what can cast shadows")
 
 
-def of_sun(descriptor: Descriptor) -> Verdict:
+def sun_verdict(descriptor: Descriptor) -> Verdict:
     """Whether the sun casts shadows here."""
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
@@ -70,14 +70,14 @@ def of_sun(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "overcast: no direct sun comes through the clouds")
     if not can_cast(descriptor):
         return Verdict(False, "bare ground at one height: nothing can cast")
-    kinds = [kind for kind in descriptor.casters if kind_of_sun(descriptor, kind).called_for]
+    kinds = [kind for kind in descriptor.casters if sun_kind_verdict(descriptor, kind).called_for]
     if not kinds:
-        return Verdict(False, "; ".join(kind_of_sun(descriptor, kind).reason for kind in descriptor.casters))
+        return Verdict(False, "; ".join(sun_kind_verdict(descriptor, kind).reason for kind in descriptor.casters))
     what = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
     return Verdict(True, f"sun at {descriptor.sun_altitude_deg:.1f} degrees over {', '.join(what)} can be blocked")
 
 
-def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
+def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
     """Whether casters of a kind can throw the sun's shadow on anything that is seen."""
     facts = descriptor.facts.get("cast_shadows", {})
     if kind != "relief":
@@ -99,7 +99,7 @@ def kind_of_sun(descriptor: Descriptor, kind: str) -> Verdict:
 
 
 def _grazing(altitude_deg: float) -> float:
-    return GRAZING / max(float(np.cos(np.radians(altitude_deg))), 0.02)
+    return DISC_GRAZING / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
 def can_cast(descriptor: Descriptor) -> bool:
@@ -107,7 +107,7 @@ def can_cast(descriptor: Descriptor) -> bool:
     return descriptor.relief_m > 0.0 or any(kind != "relief" for kind in descriptor.casters)
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``least_slope`` and ``most_slope``: how much the sun's slope exceeds that of the ground's facets towards it, least and most
     (``None``: not known); ``meshes`` and ``forest``: whether their shadows can fall on what a perspective view sees.
     """
@@ -120,7 +120,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     return found
 
 
-def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> tuple[float | None, float | None]:
+def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> tuple[float | None, float | None]:
     assert scene.sun is not None
     if np.ptp(scene.height_range_m) <= 0.0:
         return None, None
@@ -129,7 +129,7 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
         assert look is not None
         ground, frame = ground_mesh(scene, view), look.buffer.frame
         return above_mesh(scene.world, ground, frame, _corridor(scene, view, look), to_sun)
-    nodes = nodes_of(scene.world, scene.elevation, view.grid)
+    nodes = node_count(scene.world, scene.elevation, view.grid)
     coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
     least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
     if coarser == 0 or (least is not None and most is not None and least <= 0.0 and most >= 0.0):
@@ -139,17 +139,17 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Look 
     return above_slopes(grid_slopes(scene.world, scene.elevation, view.grid), to_sun)
 
 
-@kept("scene", 256 * MIB)
-def _trees(population: Population, view: PerspectiveView, look: Look) -> tuple[Stand | None, bool]:
+@cached("scene", 256 * MIB)
+def _trees(population: SceneObjects, view: PerspectiveView, look: CoarseView) -> tuple[TreeInstances | None, bool]:
     """The trees round an eye, and whether leaves of any are in view."""
-    stand = stand_in_perspective(population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
+    stand = tree_instances_in_perspective(population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, False
     eye, camera_from_frame = view.in_frame(look.buffer.frame)
     ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
     tangents = np.array(ends) / view.focal_px
     near = stand.in_cone(eye, camera_from_frame, tangents)
-    if not 0 < len(near) <= MOST_TREES:
+    if not 0 < len(near) <= MAX_TREES_TESTED:
         return stand, len(near) > 0
     at = (stand.some(near).outlines() - eye) @ camera_from_frame.T
     # Outside are those that lie beyond one of the pyramid's sides as a whole.
@@ -158,12 +158,12 @@ def _trees(population: Population, view: PerspectiveView, look: Look) -> tuple[S
     return stand, not outside.all()
 
 
-def _seen_m(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+def _seen_m(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
     """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
     return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene.population, view, look)[1] else 0.0)
 
 
-def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> Corridor:
+def _corridor(scene: Scene, view: PerspectiveView, look: CoarseView) -> Corridor:
     """What lies between what is seen and the sun, as ``above_mesh`` takes it: right of the light, and towards the sun."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(look.buffer.frame)
@@ -174,7 +174,7 @@ def _corridor(scene: Scene, view: PerspectiveView, look: Look) -> Corridor:
     return rows, offsets, np.array([[low[0], high[0]], [low[1], np.inf]])
 
 
-def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -> bool:
+def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: CoarseView) -> bool:
     """Whether trees or meshes hide, as the sun sees them, something that is seen; or are trees that are seen themselves."""
     assert scene.light is not None
     population, frame = scene.population, look.buffer.frame
@@ -189,7 +189,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
         slack = _seen_m(scene, view, look)[:, None]
         low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
         before = stand.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
-        if not 0 < len(before) <= MOST_TREES:
+        if not 0 < len(before) <= MAX_TREES_TESTED:
             return len(before) > 0
         at = stand.some(before).outlines() @ rotation.T + translation
         first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
@@ -197,8 +197,8 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: Look) -
     return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
 
 
-@kept("light", 256 * MIB)
-def _boxes_of_meshes(population: Population, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
+@cached("light", 256 * MIB)
+def _boxes_of_meshes(population: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
     assert population.solids is not None
     return _boxes(light.from_earth(population.solids.caster_vertices_earth_m), population.solids.caster_triangles)

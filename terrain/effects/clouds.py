@@ -12,19 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict, pixel_size
+from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
-from terrain.facts.coarse_view import Look
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact, number
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
-from terrain.ground.noise import GAIN, noise_at
+from terrain.ground.noise import OCTAVE_GAIN, noise_at
 from terrain.ground.surface import map_pixel_m
-from terrain.ground.visible_cells import Cells, cells_shown, whole
+from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
 from terrain.scene import Scene
 from terrain.shading import daylight_of, dusk_of, night_of
 
@@ -37,19 +37,19 @@ DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)
 LOWEST_SINE = np.sin(np.radians(5.0))
 """The ray to a lower sun is followed no farther than to this one: else the shadows would race as it sets."""
 
-WIDEST_M, OCTAVES, SEED = 4000.0, 5, 71
+WIDEST_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave; the finest's is 250 m."""
 
-EDGE = 0.26
+CLOUD_EDGE_WIDTH = 0.26
 """Difference of the noise from a cloud's rim to where it is densest."""
 
 THROUGH = 0.25
 """Share of the direct sun that the densest cloud lets through under a broken sky."""
 
-HIGHEST, STEEPEST = 0.756, 2.32
+MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
 """Bounds of the value and of the slope of ``terrain.ground.noise.noise_at``, over all its gradients."""
 
-TOP = HIGHEST * (1.0 - GAIN**OCTAVES) / (1.0 - GAIN)
+NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Bound of the value of all octaves."""
 
 FADE = 1 / 16, 1 / 2
@@ -99,7 +99,7 @@ class CloudLayer(NamedTuple):
     drift_m: np.ndarray
 
 
-def layer_of(scene: Scene) -> CloudLayer:
+def cloud_layer_of(scene: Scene) -> CloudLayer:
     """The clouds of a scene with a sun.
 
     The last light that comes through the densest goes as the cover nears the whole sky, so that overcast follows without a jump.
@@ -115,19 +115,19 @@ def layer_of(scene: Scene) -> CloudLayer:
     )  # fmt: skip
 
 
-@kept("scene", MIB)
+@cached("scene", MIB)
 def _mean_height_m(elevation: Elevation) -> float:
     return float(np.nanmean(elevation.overview.heights_m))
 
 
 def threshold_of(cover: float) -> float:
     """Value that the noise exceeds on a share ``cover`` of a plane; beyond all its values where the cover is 0 or 1."""
-    beyond = TOP + EDGE / 2.0
+    beyond = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
     shares, values = _distribution()
     return float(np.interp(cover, [0.0, *shares, 1.0], [beyond, *values, -beyond]))
 
 
-@kept("process", 16 * MIB)
+@cached("process", 16 * MIB)
 def _distribution() -> tuple[np.ndarray, np.ndarray]:
     """Shares of a plane (n,) and the values of the noise exceeded there: measured on 195 x 195 coarsest wavelengths."""
     # The golden section shares no period with the lattice.
@@ -150,10 +150,10 @@ def _noise(x_m, y_m, low, high):
     # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
     total, amplitude = 0.0, 1.0
-    for k in range(OCTAVES):
-        total += amplitude * noise_at(x, y, SEED + k)
-        amplitude *= GAIN
-        left = TOP - HIGHEST * (1.0 - amplitude) / (1.0 - GAIN)
+    for k in range(CLOUD_OCTAVES):
+        total += amplitude * noise_at(x, y, CLOUD_SEED + k)
+        amplitude *= OCTAVE_GAIN
+        left = NOISE_BOUND - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
         if total + left < low or total - left > high:
             break
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
@@ -163,12 +163,12 @@ def _noise(x_m, y_m, low, high):
 @compiled
 def density_at(x_m, y_m, threshold):
     """Share of the densest cloud at a place of the layer: 0 in gaps, 1 inside of clouds."""
-    return _density(_noise(x_m, y_m, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold)
+    return _density(_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold)
 
 
 @compiled
 def _density(noise, threshold):
-    share = min(max((noise - threshold) / EDGE + 0.5, 0.0), 1.0)
+    share = min(max((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
@@ -186,12 +186,12 @@ def _fade(pixel_m):
     return min(max((pixel_m / WIDEST_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
 
 
-def shade_clouds(sunlight: np.ndarray, block: Block) -> None:
+def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
     """Take away the share of the sun's light that clouds hold back."""
     buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
-    _shade_clouds(sunlight, buffer.shown, scene.world.anchor_from_frame(buffer.frame), layer_of(scene), pixel_size(block))
+    _shade_clouds(sunlight, buffer.shown, scene.world.anchor_from_frame(buffer.frame), cloud_layer_of(scene), pixel_size(block))
 
 
 @compiled
@@ -239,7 +239,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken:.0%} of the light")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``cover`` of the sky, and the largest share of its light that clouds take from a point: ``taken``, from above.
 
     Of a map all the ground counts that it shows, lit or not.
@@ -247,10 +247,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     cover = scene.loaded.level.weather.cloud_cover
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
         return {"cover": cover, "taken": 0.0}
-    layer, direct = layer_of(scene), _direct_share(scene)
+    layer, direct = cloud_layer_of(scene), _direct_share(scene)
     if look is None:
         assert isinstance(view, MapView)
-        cells = cells_shown(scene.elevation, view)
+        cells = visible_cells(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
         nearest = farthest = _fade(map_pixel_m(scene.world, view))
     else:
@@ -277,10 +277,10 @@ def _direct_share(scene: Scene) -> float:
     return float((direct / (direct + sky)).max())
 
 
-Box = tuple[float, float, float, float]
+CloudBounds = tuple[float, float, float, float]
 
 
-def _box_of_cells(scene: Scene, layer: CloudLayer, cells: Cells) -> Box:
+def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBounds:
     """West, east, south, north of the places of the clouds between ground of a level, or what stands on it, and the sun."""
     row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
     x, y = scene.elevation.xy(row, col)
@@ -293,7 +293,7 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: Cells) -> Box:
     return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
 
 
-def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
+def _boxes_of_look(scene: Scene, layer: CloudLayer, look: CoarseView) -> list[CloudBounds]:
     """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
     between the points looked at too; past the farthest points, under the sky, a quarter farther.
     """
@@ -306,7 +306,7 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
     places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
     stood_m = _unseen_rise_m(scene, look) / max(layer.to_sun_anchor[2], LOWEST_SINE)
-    found, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, whole(scene.elevation)), []
+    found, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
         west, east, south, north = _box(places[(octave == near) | (octave == far)], look.spacing * 2.0**far + stood_m)
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
@@ -315,7 +315,7 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, look: Look) -> list[Box]:
     return boxes
 
 
-def _unseen_rise_m(scene: Scene, look: Look) -> float:
+def _unseen_rise_m(scene: Scene, look: CoarseView) -> float:
     """How far what is in view may rise above the points that a look has met, metres: trees, and meshes if any reaches into it."""
     view, trees = look.buffer.view, scene.population.trees
     if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, look.buffer.frame) > 0.0:
@@ -323,7 +323,7 @@ def _unseen_rise_m(scene: Scene, look: Look) -> float:
     return 0.0 if trees is None else float(trees.height_m.max())
 
 
-def _box(places: np.ndarray, margin_m: float) -> Box:
+def _box(places: np.ndarray, margin_m: float) -> CloudBounds:
     low, high = np.nanmin(places, axis=0) - margin_m, np.nanmax(places, axis=0) + margin_m
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
@@ -342,10 +342,14 @@ def _all_places(points, height, layer_m, to_sun, centre, drift):
     return out
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _densest(west: float, east: float, south: float, north: float, threshold: float) -> float:
     """Largest density of the clouds over a box, from above."""
-    return float(_density(_largest(west, east, south, north, threshold - EDGE / 2.0, threshold + EDGE / 2.0), threshold))
+    return float(
+        _density(
+            _largest(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+        )
+    )
 
 
 @compiled
@@ -370,9 +374,9 @@ def _largest(west, east, south, north, low, high):
                 value = _noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
                 above, amplitude, wave_m = 0.0, 1.0, WIDEST_M
-                for _ in range(OCTAVES):
-                    above += amplitude * min(STEEPEST * radius / wave_m, 2.0 * HIGHEST)
-                    amplitude, wave_m = amplitude * GAIN, wave_m / 2.0
+                for _ in range(CLOUD_OCTAVES):
+                    above += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
+                    amplitude, wave_m = amplitude * OCTAVE_GAIN, wave_m / 2.0
                 best, looked = max(best, value), looked + 1
                 if best >= high or looked > MAX_PLACES:
                     return high
@@ -389,4 +393,4 @@ def _largest(west, east, south, north, low, high):
     return best
 
 
-EFFECT = Effect("drifting clouds that shade the ground", called_for, facts, stage="sunlight", part=shade_clouds)
+EFFECT = Effect("drifting clouds that shade the ground", called_for, facts, stage="sunlight", part=apply_clouds)

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from terrain.facts.coarse_view import Look
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -17,7 +17,7 @@ from terrain.geo.grid import MapView
 from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
-STEP = 1.0 / 255.0
+BAR_STEP = 1.0 / 255.0
 """What can be seen at least: a step of an 8-bit channel. An effect that changes no pixel by more is not called for."""
 
 Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
@@ -44,7 +44,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ShadingBlock:
     """A part of a picture while it is made: what is seen, and each light's visibility there (rows, cols).
 
     Rows of the buffer below the view's own are further samples of its pixels (``terrain.gbuffer.antialias``).
@@ -66,7 +66,7 @@ class PixelSize(NamedTuple):
     width_m: float
 
 
-def pixel_size(block: Block) -> PixelSize:
+def pixel_size(block: ShadingBlock) -> PixelSize:
     """How wide a block's pixels are."""
     if isinstance(block.view, MapView):
         return PixelSize(np.zeros(3), 0.0, map_pixel_m(block.scene.world, block.view))
@@ -97,9 +97,9 @@ class Effect:
 
     about: str
     called_for: Callable[[Descriptor], Verdict]
-    facts: Callable[[Scene, MapView | PerspectiveView, Look | None], dict[str, Fact]] | None = None
+    facts: Callable[[Scene, MapView | PerspectiveView, CoarseView | None], dict[str, Fact]] | None = None
     stage: Stage | None = None
-    part: Callable[[np.ndarray, Block], None] | None = None
+    part: Callable[[np.ndarray, ShadingBlock], None] | None = None
     needs: tuple[str, ...] = ()
     unknown: Verdict | None = Verdict(False, "the descriptor says nothing of it")
 

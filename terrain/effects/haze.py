@@ -23,14 +23,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import Effect, ShadingBlock, Verdict
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.gbuffer.picture import solids_in
-from terrain.gbuffer.tree_instances import stand_in_perspective
+from terrain.gbuffer.tree_instances import tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -42,12 +42,12 @@ CONTRAST = 0.02
 """What is left of a black object's contrast with the horizon at the distance called visibility."""
 
 BIN = 1.0 / 4096.0
-"""Width of the bins of linear colour that ``terrain.shading.encoded`` tells apart."""
+"""Width of the bins of linear colour that ``terrain.shading.srgb_encoded`` tells apart."""
 
 SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that are tried out, each 0.6 % more than the one before it."""
 
-PARTS = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
+SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 """What some of a pixel's samples (``terrain.gbuffer.antialias``) make up of it."""
 
 
@@ -69,7 +69,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     )
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """Visibility, the distance from which haze can show, and the farthest that is seen, metres.
 
     The last is what the coarse look has met, where that is enough for haze to show; else nothing that the look may have missed
@@ -90,7 +90,7 @@ def extinction(visibility_m: float) -> float:
     return float(-np.log(CONTRAST) / visibility_m)
 
 
-def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: Look) -> float:
+def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: CoarseView) -> float:
     """How far away, in metres, the farthest ground, mesh or tree lies that reaches into the pyramid of a view's pixels, whether or
     not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
     """
@@ -99,7 +99,7 @@ def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: Look) -> float
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
         farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
-    stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+    stand = tree_instances_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is not None:
         seen = stand.in_cone(eye, camera_from_frame, tangents)
         size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
@@ -155,16 +155,16 @@ def _shows_from_m(scene: Scene, visibility_m: float) -> float:
     return float(-np.log1p(-_showing_share(tuple(sky_colors(scene)[0]))) / extinction(visibility_m))
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
     """The largest share of light that arrives without telling sun from shadow."""
     air = (1.0 - SHARES)[:, None] * np.array(horizon)
     lit = air + SHARES[:, None] * np.array(white)
-    hidden = np.logical_and.reduce([_alike(part * air, part * lit) for part in PARTS])
+    hidden = np.logical_and.reduce([_alike(part * air, part * lit) for part in SAMPLE_SHARES])
     return float(SHARES[hidden].max(initial=SHARES[0]))
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _showing_share(horizon: tuple[float, ...]) -> float:
     """The largest share of the horizon's light that shows neither on black nor on white."""
     black = np.zeros((1, 3))
@@ -183,7 +183,7 @@ def _metres(length_m: float) -> str:
     return f"{length_m / 1000.0:.1f} km" if length_m >= 1000.0 else f"{length_m:.1f} m"
 
 
-def veil(color: np.ndarray, block: Block) -> None:
+def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     """Lay the air over what is seen. A map, and air that is clear, have nothing to lay over it."""
     visibility_m = block.scene.loaded.level.weather.visibility
     if visibility_m is None or isinstance(block.view, MapView):
@@ -260,4 +260,4 @@ def _farthest_corner(polygon, inward):
     return farthest
 
 
-EFFECT = Effect("distance haze", called_for, facts, stage="color", part=veil)
+EFFECT = Effect("distance haze", called_for, facts, stage="color", part=apply_haze)

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.effects.effect import STEP, Block, Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import BAR_STEP, Effect, ShadingBlock, Verdict
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.resolve import FOREST
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.visible_cells import Cells, cells_shown, parts
+from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of
@@ -36,7 +36,7 @@ def _names(descriptor: Descriptor) -> str:
     return ", ".join(lamp.name for lamp in descriptor.lamps)
 
 
-def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look: Look | None) -> bool:
+def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look: CoarseView | None) -> bool:
     """Whether a lamp's light can be seen: on white ground that faces it, wherever a map shows ground or a view looks.
 
     Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
@@ -46,7 +46,7 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look
     strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
     if look is None:
         assert isinstance(view, MapView)
-        cells = cells_shown(scene.elevation, view)
+        cells = visible_cells(scene.elevation, view)
         if cells is None:
             return False
         points, slack_m = _points_of_cells(scene, cells)
@@ -78,16 +78,16 @@ def _least_light(scene: Scene) -> float:
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
     least = 0.25 * sky if "meshes" not in scene.population.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
-    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * STEP)])
+    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * BAR_STEP)])
 
 
-@kept("scene", 16 * MIB)
-def _points_of_cells(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+@cached("scene", 16 * MIB)
+def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed points (n, 3) of the overview's cells, and how far ground of a cell lies from its point, metres (n,)."""
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.level
     shown = np.zeros(overview.high_m.shape, bool)
-    shown[parts(cells, factor, overview.high_m.shape)] = True
+    shown[block_slices(cells, factor, overview.high_m.shape)] = True
     row, col = np.nonzero(shown & np.isfinite(overview.high_m))
     high, mean = overview.high_m[row, col], overview.heights_m[row, col]
     point, up = scene.world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
@@ -95,7 +95,7 @@ def _points_of_cells(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray
     return point + up * high[:, None], across_m + 2.0 * np.nan_to_num(high - mean)
 
 
-def shine(lamplight: np.ndarray, block: Block) -> None:
+def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
     """Add the lamps' light: their irradiance falls with the square of the distance, and over the rim of a spot's cone."""
     buffer, scene = block.buffer, block.scene
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
@@ -130,4 +130,4 @@ def _shine(out, shown, visibility, lamp, axis, color, outer, inner, glow):
                 out[i, j, k] += color[k] * share
 
 
-EFFECT = Effect("spots and omni lights", called_for, stage="lamplight", part=shine)
+EFFECT = Effect("spots and omni lights", called_for, stage="lamplight", part=apply_lamps)

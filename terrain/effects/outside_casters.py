@@ -11,7 +11,7 @@ import numpy as np
 from terrain.casters.slopes import extent_on_grid
 from terrain.effects import cast_shadows
 from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
@@ -26,15 +26,15 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "a perspective view holds all the ground there is, behind the eye too")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):
         return Verdict(False, "the picture shows all the ground there is, in one block")
-    relief = cast_shadows.kind_of_sun(descriptor, "relief")
-    if relief.called_for and cast_shadows.of_sun(descriptor).called_for:
+    relief = cast_shadows.sun_kind_verdict(descriptor, "relief")
+    if relief.called_for and cast_shadows.sun_verdict(descriptor).called_for:
         return Verdict(True, f"{relief.reason}, outside of what is shown too")
     if any(lamp.reaches for lamp in descriptor.lamps) and descriptor.relief_m > 0.0:
         return Verdict(True, "ground between what is shown and a lamp can stand in its light")
-    return Verdict(False, relief.reason if not relief.called_for else cast_shadows.of_sun(descriptor).reason)
+    return Verdict(False, relief.reason if not relief.called_for else cast_shadows.sun_verdict(descriptor).reason)
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``outside``: whether ground lies outside of a map's picture, or, for blocks of tiles, of the one block that holds it all."""
     if isinstance(view, PerspectiveView):
         return {}

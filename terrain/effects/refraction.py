@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.casters.reach import longest_shadow_m
-from terrain.effects.effect import STEP, Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import BAR_STEP, Effect, Verdict
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
@@ -35,7 +35,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
     moves_px = moves_m / pixel_m
-    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / STEP
+    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / BAR_STEP
     said = f"the air lifts the sun by {lift_deg:.2g} degrees"
     if 0.0 < descriptor.weather.cloud_cover < 1.0:
         return Verdict(True, f"{said}, which moves the shadows of clouds")
@@ -46,7 +46,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(False, f"{said}, which moves no shadow by more than {moves_px:.2g} pixels")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``lift_deg``, and ``moves_m``: how much longer the longest shadow of the level would be without it."""
     if scene.sun is None:
         return {}

@@ -15,19 +15,19 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict, pixel_size
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.sky_view_factor import SkyView, nodes_of, sky_view
+from terrain.ground.sky_view_factor import SkyView, sky_view, sky_view_nodes
 from terrain.ground.surface import map_pixel_m
-from terrain.ground.visible_cells import cells_shown, parts
+from terrain.ground.visible_cells import block_slices, visible_cells
 from terrain.scene import Scene
-from terrain.shading import daylight_of, dusk_of, encoded, night_of, tint_table
+from terrain.shading import daylight_of, dusk_of, night_of, srgb_encoded, tint_table
 
-SHADES = 4096
+COMPARED_SHADES = 4096
 """Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""
 
 
@@ -45,7 +45,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"{what}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{what}a step of 255 at most")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``hidden``: the largest share of the sky that ground hides from any of it that a map shows (as its pixels do) or where a view
     looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
     """
@@ -62,19 +62,19 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
 
 def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
     """The largest share hidden from what a map shows, and from the nodes that it is mixed from there."""
-    cells, (means, table) = cells_shown(scene.elevation, view), baked.means
+    cells, (means, table) = visible_cells(scene.elevation, view), baked.means
     if cells is None:
         return 0.0
     halved = _times_halved(scene, view, baked)
     number = min(int(halved), len(table) - 1)
     level, beside = _level(means, table, number), NODES_BESIDE if halved > 0.0 else 1
-    return float(level[parts(cells, 2 ** (baked.level + number), level.shape, beside)].max())
+    return float(level[block_slices(cells, 2 ** (baked.level + number), level.shape, beside)].max())
 
 
 def darkened_steps(light: float, hidden: float) -> int:
     """The most steps of 255 by which any linear colour up to ``light`` falls when the share ``hidden`` is taken off it."""
-    shades = np.linspace(0.0, light, SHADES)
-    return int((encoded(shades).astype(int) - encoded(shades * (1.0 - hidden))).max())
+    shades = np.linspace(0.0, light, COMPARED_SHADES)
+    return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden))).max())
 
 
 def brightest(scene: Scene) -> float:
@@ -98,12 +98,12 @@ def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
-def _largest_seen(baked: SkyView, look: Look) -> float:
+def _largest_seen(baked: SkyView, look: CoarseView) -> float:
     """The largest share hidden from what a perspective view shows: round each point that is looked at, as far as its neighbours."""
     buffer = look.buffer
     if not buffer.there.any():
         return 0.0
-    nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
     reach = np.zeros(buffer.there.shape)
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
@@ -130,12 +130,12 @@ def _highest_round(values, table, nodes, reach):
     return largest
 
 
-def hide(skylight: np.ndarray, block: Block) -> None:
+def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
     """Take from each point's share of the sky what ground hides there."""
     buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
-    nodes = nodes_of(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
     _hide(skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
 
 
@@ -176,4 +176,4 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
     return north + (r - r0) * (south - north)
 
 
-EFFECT = Effect("sky light that relief hides", called_for, facts, "skylight", hide)
+EFFECT = Effect("sky light that relief hides", called_for, facts, "skylight", apply_sky_view)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict, pixel_size
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.gbuffer.resolve import FOREST, RELIEF
@@ -22,7 +22,7 @@ SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 HELD_DEG, BARE_DEG = 38.0, 52.0
 """Slopes up to which all snow holds, and from which on none does; most avalanches start between 30 and 45 degrees."""
 
-ROUGH_DEG, ROUGH_M, OCTAVES, SEED = 6.0, 90.0, 3, 29
+ROUGH_DEG, ROUGH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
 """Noise on the slope, so that the snow's edge is no contour line: its amplitude, and the wavelength of its coarsest octave."""
 
 DUSTED, CROWN_TOP = 0.6, (0.7, 1.1)
@@ -33,7 +33,7 @@ CLUMPS, CLUMP_M = 0.3, 0.9
 """Noise on that, so that twigs show between clumps of snow: its amplitude, and the wavelength of its coarsest octave."""
 
 
-def lie_on(albedo: np.ndarray, block: Block) -> None:
+def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     """Whiten what snow lies on, and lay bare the rock where it slid off."""
     buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
@@ -94,7 +94,7 @@ def _dusted(upright, x_m, y_m, height_m, pixel_m):
 def _rough(x_m, y_m, wave_m, pixel_m):
     """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
-    return share * fractal_at(x_m / wave_m, y_m / wave_m, OCTAVES, SEED) if share > 0.0 else 0.0
+    return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 
 
 @compiled
@@ -113,7 +113,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"snow lies on whatever is less steep than {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``lies``: whether there is snow; ``on``: whether there is anything for it, and if not, ``why``."""
     level = scene.loaded.level
     why = None
@@ -124,4 +124,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     return {"lies": level.weather.snow, "on": why is None, "why": why}
 
 
-EFFECT = Effect("snow that lies", called_for, facts, stage="albedo", part=lie_on)
+EFFECT = Effect("snow that lies", called_for, facts, stage="albedo", part=apply_snow)

@@ -23,18 +23,18 @@ from math import erf
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.effects.effect import Block, Effect, Verdict
-from terrain.facts.coarse_view import Look
+from terrain.effects.effect import Effect, ShadingBlock, Verdict
+from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact, number
 from terrain.gbuffer.antialias import finer_view
-from terrain.gbuffer.picture import Visible
+from terrain.gbuffer.picture import RasterisedView
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
-from terrain.ground.visible_cells import Cells, cells_shown, parts
+from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import (
@@ -42,10 +42,10 @@ from terrain.shading import (
     WATER_ALBEDO,
     daylight_of,
     dusk_of,
-    encoded,
     exposure_of,
     night_of,
     sky_colors,
+    srgb_encoded,
     up_centre,
     water_in,
     zenith_share,
@@ -56,13 +56,13 @@ WIND_M_S = 3.0
 
 MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
 
-FACING = 0.02
+NORMAL_FRESNEL = 0.02
 """Fresnel share of what is looked at along its normal: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
 MOST_PIXELS = 2_000_000
 """Pixels that are drawn at the most to see whether there is water between a look's points; else it is taken to be there."""
 
-MOST_CELLS = 2**18
+MAX_CELLS_READ = 2**18
 """Cells of a map that are read at the most to see whether any is wet."""
 
 OPEN_SKY = 0.5
@@ -76,7 +76,7 @@ table that encodes them are 0.8 of an 8-bit step apart: there all are met that a
 GLINT = 0.5 / 255.0 / 12.92
 """Linear light that cannot be seen, even on black: half a step where sRGB is steepest."""
 
-LOOKS = 33
+GLINT_DIRECTIONS = 33
 """Directions along a side of a perspective view in which glint is looked for. Glint is half as bright 4 degrees off its middle, and
 of what lies between two directions the farthest is one degree off in a field of view of 60."""
 
@@ -97,7 +97,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"water at {level_m:.1f} m mirrors {mirrored}: up to {change:.0f} of 255")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
     """``level_m`` of the water, whether it ``covers`` any ground, by how many 8-bit steps the sky in it changes a colour at the
     most (``change_steps``; ``None``: nothing of it can be seen), and whether the mirrored sun can reach the eye (``glint``).
 
@@ -118,25 +118,25 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
 
 
 def _wet_at(scene: Scene, view: MapView) -> bool:
-    cells = cells_shown(scene.elevation, view)
+    cells = visible_cells(scene.elevation, view)
     return cells is not None and _wet_in(scene.elevation, scene.surface(view.grid).level, cells)
 
 
-@kept("scene", MIB)
-def _wet_in(elevation: Elevation, level: int, cells: Cells) -> bool:
+@cached("scene", MIB)
+def _wet_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
     """Whether any of a raster's cells that are shown lies under water, read at a level; of too many, it is taken to."""
     side = 2**level
-    shown = parts(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
-    if np.prod([rows.stop - rows.start for rows in shown]) > MOST_CELLS:
+    shown = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
+    if np.prod([rows.stop - rows.start for rows in shown]) > MAX_CELLS_READ:
         overview = elevation.overview
-        means = overview.heights_m[parts(cells, 2**overview.level, overview.heights_m.shape, 2)]
+        means = overview.heights_m[block_slices(cells, 2**overview.level, overview.heights_m.shape, 2)]
         return level < overview.level or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + SHORE_M)
     row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in shown)
     height_m, there = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
     return bool((there & (height_m <= elevation.water_m + SHORE_M)).any())
 
 
-def _cosines(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+def _cosines(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
     """Cosines (n,) of the zenith angles under which water may be seen, less the way to a look's next point; none if none is seen.
 
     Where a look's points show no water, it may lie between them: then those pixels are drawn where its nodes would be seen.
@@ -152,7 +152,7 @@ def _cosines(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
     return np.clip(cosine - look.spacing, 0.0, 1.0)
 
 
-def _between(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
+def _between(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
     """Nodes (n, 3) of the ground under water that are no farther than what a look shows beside them, if water is drawn there."""
     buffer, ground = look.buffer, look.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
@@ -179,7 +179,7 @@ def _between(scene: Scene, view: PerspectiveView, look: Look) -> np.ndarray:
         return points[seen]
     submerged = wet[ground.triangles].all(axis=1)
     for drawn in (box, finer_view(box)):
-        number = Visible(scene, drawn, buffer.frame, kinds=("relief", "meshes")).seen.number
+        number = RasterisedView(scene, drawn, buffer.frame, kinds=("relief", "meshes")).seen.number
         shown = number[(number > 0) & (number <= len(submerged))].astype(np.int64) - 1
         if submerged[shown].any():
             return points[seen]
@@ -207,7 +207,7 @@ def _change_steps(scene: Scene, cosines: np.ndarray) -> int:
     points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
     color, there, below = shown.copy(), np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12])
     _mirror(color, there, points, np.zeros(3), below, *sky_colors(scene), MEAN_SQUARE_SLOPE, None, None, None)
-    return int(np.abs(encoded(color).astype(int) - encoded(shown)).max())
+    return int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max())
 
 
 def _lamplight(scene: Scene) -> np.ndarray:
@@ -231,7 +231,7 @@ def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
         up = np.array([0.0, 0.0, 1.0])
     else:
         cols, rows = (
-            (first + np.linspace(0, count - 1, LOOKS) * view.step) / view.focal_px
+            (first + np.linspace(0, count - 1, GLINT_DIRECTIONS) * view.step) / view.focal_px
             for first, count in ((view.col0, view.cols), (view.row0, view.rows))
         )
         x, y = (v.ravel() for v in np.meshgrid(cols, rows))
@@ -243,7 +243,7 @@ def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
     return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > GLINT)
 
 
-def mirror(color: np.ndarray, block: Block) -> None:
+def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
     """Put the mirrored sky, and the sun's glint where it can be seen, over the water's own colour."""
     buffer, scene, view = block.buffer, block.scene, block.view
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
@@ -274,7 +274,7 @@ def _sky_in(cosine, square):
     deviation = np.sqrt(0.5 * square)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     across = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return FACING + (1.0 - FACING) * grazing, zenith_share(2.0 * across / (1.0 + slope * slope) - cosine), area
+    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, zenith_share(2.0 * across / (1.0 + slope * slope) - cosine), area
 
 
 @compiled
@@ -289,7 +289,7 @@ def _glint(eye_up, sun_up, eye_sun, area, square):
     tilt = min((eye_up + sun_up) / both, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # so steep that 1e-11 of the waves are
         return 0.0
-    fresnel = FACING + (1.0 - FACING) * (1.0 - min(0.5 * both, 1.0)) ** 5
+    fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * both, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / square) / (square * tilt**4)
     lit, _ = _seen_facets(sun_up, square)
     return fresnel * slopes * sun_up / (4.0 * area * lit) * min(np.degrees(sun_up), 1.0)
@@ -345,4 +345,4 @@ def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun
                 color[i, j, k] = shown
 
 
-EFFECT = Effect("mirrored sky and sun glint on standing water", called_for, facts, "color", mirror)
+EFFECT = Effect("mirrored sky and sun glint on standing water", called_for, facts, "color", apply_water)

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.casters.casting import closed_casters
 from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
 from terrain.facts.fact_types import CasterFacts
 from terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
-from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import map_pixel_m, step_at_anchor_m
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 from terrain.trees.foliage import THRESHOLD, foliage
 
 TREE_TRIANGLES = 6
 """Triangles of a tree: three quads."""
 
 
-def stands_of(scene: Scene, view: MapView | PerspectiveView, trees: Stand | None) -> tuple[CasterFacts, ...]:
+def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeInstances | None) -> tuple[CasterFacts, ...]:
     """The facts of each kind of casters that there is, trees as the view draws them."""
     population, found = scene.population, [_relief(scene, view)]
     if population.solids is not None:
@@ -33,12 +33,12 @@ def stands_of(scene: Scene, view: MapView | PerspectiveView, trees: Stand | None
     return tuple(found)
 
 
-def trees_of(scene: Scene, view: MapView | PerspectiveView) -> Stand | None:
+def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
     """The trees as a view draws them, those of a map in the frame at the anchor; ``None`` where the level has none."""
     if isinstance(view, PerspectiveView):
-        return stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+        return tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     frame = scene.world.frame_near_earth(scene.world.anchor_earth_m)
-    return stand_in_map(scene.population, frame, map_pixel_m(scene.world, view))
+    return tree_instances_in_map(scene.population, frame, map_pixel_m(scene.world, view))
 
 
 def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
@@ -69,8 +69,8 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
     return int(total)
 
 
-@kept("scene", MIB)
-def _meshes(population: Population) -> CasterFacts:
+@cached("scene", MIB)
+def _meshes(population: SceneObjects) -> CasterFacts:
     assert population.placement is not None
     casting = population.placement.casting
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
@@ -81,8 +81,8 @@ def _meshes(population: Population) -> CasterFacts:
     )  # fmt: skip
 
 
-@kept("scene", MIB)
-def _forest(trees: Stand) -> CasterFacts:
+@cached("scene", MIB)
+def _forest(trees: TreeInstances) -> CasterFacts:
     """The facts of trees as drawn: where they are thinned out, what is left is larger."""
     sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
     gaps = leaf_gaps()[2 * trees.look] * trees.shape[:, 2] if len(trees) else np.zeros(1)
@@ -92,7 +92,7 @@ def _forest(trees: Stand) -> CasterFacts:
     )  # fmt: skip
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def leaf_gaps() -> np.ndarray:
     """For each picture of a tree (2 * looks,) the mean length of runs of leaf and of gap along its rows within the tree's outline,
     as a share of the picture's side.
@@ -107,7 +107,7 @@ def leaf_gaps() -> np.ndarray:
     return np.array(means)
 
 
-@kept("scene", MIB)
+@cached("scene", MIB)
 def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]:
     """Mean, 95th percentile and largest slope of the overview's ground between neighbouring cells, degrees; 0 without any."""
     cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level

@@ -15,23 +15,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.gbuffer.antialias import CROSS, ends_between, ends_in_crosses, mesh_normals
+from terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from terrain.gbuffer.id_buffer import NEAR_M, Seen
+from terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
 from terrain.gbuffer.picture import buffer_of, solids_in
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
 
-LOOK_PX = 8
+COARSE_STEP_PX = 8
 """Distance of the pixels from which a perspective view is described."""
 
 
 @dataclass(frozen=True, eq=False)
-class Crosses:
+class NeighbourSamples:
     """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
 
     ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
@@ -50,7 +50,7 @@ class Crosses:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class CoarseView:
     """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
 
     ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
@@ -65,7 +65,7 @@ class Look:
     height_m: np.ndarray
     spacing: float
     edge_share: float
-    crosses: Crosses
+    crosses: NeighbourSamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class _Coarse:
     frame: LocalFrame
     ground: GroundMesh
     solids: np.ndarray | None
-    seen: Seen
+    seen: IdBuffer
     stand: None = None
 
 
@@ -85,14 +85,14 @@ def _sight(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     return scene.population, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
-@kept("scene", 1024 * MIB, key=_sight)
-def look_at_scene(scene: Scene, view: PerspectiveView) -> Look:
-    """Everything but the trees in every ``LOOK_PX``-th pixel; in every one, if those show the sky alone."""
-    look = _look_every(scene, view, LOOK_PX)
+@cached("scene", 1024 * MIB, key=_sight)
+def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
+    """Everything but the trees in every ``COARSE_STEP_PX``-th pixel; in every one, if those show the sky alone."""
+    look = _look_every(scene, view, COARSE_STEP_PX)
     return look if len(look.points_frame_m) else _look_every(scene, view, 1, look.crosses)
 
 
-def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses | None = None) -> Look:
+def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: NeighbourSamples | None = None) -> CoarseView:
     """A look at every pixel is given the coarse one's crosses: its own would take much to keep."""
     coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
@@ -101,20 +101,20 @@ def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Crosses |
     if solids is not None and scene.population.solids is not None:
         meshes.append((solids, scene.population.solids.triangles))
     number, depth_m = nearest_triangles(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
-    seen = Seen(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
+    seen = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if crosses is None:
         row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
         flat, normals = (len(row), len(CROSS)), mesh_normals(scene.population)
-        crosses = Crosses(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
-        ends = ends_in_crosses(crosses.number, crosses.away_m, crosses.ground, crosses.normals)
+        crosses = NeighbourSamples(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
+        ends = edges_in_neighbours(crosses.number, crosses.away_m, crosses.ground, crosses.normals)
     else:
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        ends = ends_between(seen.number, depth, crosses.ground, crosses.normals, NEAR_M)
+        ends = edges_between(seen.number, depth, crosses.ground, crosses.normals, NEAR_M)
     looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))
     points = looked.position_frame_m[looked.there]
     eye, _ = view.in_frame(frame)
     away_m = np.linalg.norm(points - eye, axis=-1)
-    return Look(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel, float(ends.mean()), crosses)
+    return CoarseView(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel, float(ends.mean()), crosses)
 
 
 def nearest_triangles(

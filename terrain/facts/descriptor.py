@@ -132,7 +132,7 @@ def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
             )
 
 
-def joined(bands: tuple[Band, ...]) -> Band:
+def join_bands(bands: tuple[Band, ...]) -> Band:
     """The band of neighbouring bands."""
     low = np.min([band.low_light_m for band in bands], axis=0)
     high = np.max([band.high_light_m for band in bands], axis=0)

@@ -16,18 +16,18 @@ from terrain.level.level import CasterKind
 TEXEL_LADDER_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Sides of texels, in pixels, for which it is told what a nearest look-up gets wrong."""
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 AtLeastZero = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
 Slope = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
-Point = tuple[Number, Number, Number]
+FinitePoint = tuple[FiniteNumber, FiniteNumber, FiniteNumber]
 
 Fact = float | bool | str | None
 """A fact that an effect goes by besides; ``None``: not known."""
 
-ROUNDING = 1e-6
+SHARE_SUM_TOLERANCE = 1e-6
 """How far shares that make up a whole may add up to more than one."""
 
 
@@ -57,8 +57,8 @@ class Band(Facts):
     near_m: Positive
     far_m: Positive
     share: Share
-    low_light_m: Point
-    high_light_m: Point
+    low_light_m: FinitePoint
+    high_light_m: FinitePoint
 
     @model_validator(mode="after")
     def _in_order(self) -> Band:
@@ -162,7 +162,7 @@ def number(fact: Fact) -> float | None:
 
 def shares_add_up(shares: list[float], of: str) -> None:
     """Raise a ``PydanticCustomError`` where shares of one whole come to more than it."""
-    if sum(shares) > 1.0 + ROUNDING:
+    if sum(shares) > 1.0 + SHARE_SUM_TOLERANCE:
         raise PydanticCustomError("shares", "the shares of {of} add up to {sum}, more than 1", {"of": of, "sum": sum(shares)})
 
 

@@ -11,23 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.facts.probes import Rays
-from terrain.gbuffer.tree_instances import Stand
+from terrain.facts.probes import ProbeRays
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.trees.foliage import THRESHOLD, foliage
 
 TREES_A_CELL = 3
 """Trees in a cell of the grid, in the mean over its extent."""
 
-MOST_CELLS = 512
+MAX_CELLS_PER_SIDE = 512
 """Cells along a side of the grid."""
 
-NEAREST_M = 0.01
+MIN_LEAF_DISTANCE_M = 0.01
 """A leaf nearer to a ray's start is the one that it starts from."""
 
 
-class Grid(NamedTuple):
+class TreeGrid(NamedTuple):
     """Trees by cells: those of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
 
     ``low_m`` (2,) is the first cell's corner, ``top_m`` (rows, cols) how high any tree of a cell rises; ``disc`` float32 (k, 3)
@@ -43,7 +43,7 @@ class Grid(NamedTuple):
 
 
 class Foliage(NamedTuple):
-    """Trees as a ``Stand`` has them, and where their pictures have a leaf (``leaves``)."""
+    """Trees as a ``TreeInstances`` has them, and where their pictures have a leaf (``leaves``)."""
 
     base_frame_m: np.ndarray
     shape: np.ndarray
@@ -52,17 +52,17 @@ class Foliage(NamedTuple):
     leaf: np.ndarray
 
 
-@kept("scene", 64 * MIB)
-def grid_of(trees: Stand) -> Grid:
+@cached("scene", 64 * MIB)
+def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     """The grid of some trees; the last ones are kept."""
     reach = 1.4143 * trees.shape[:, :2].max(axis=1)
     at = trees.base_frame_m[:, :2]
     low, high = (at - reach[:, None]).min(axis=0), (at + reach[:, None]).max(axis=0)
     extent = np.maximum(high - low, 1e-3)
-    cell = max(float(np.sqrt(np.prod(extent) * TREES_A_CELL / len(trees))), float(extent.max()) / MOST_CELLS)
+    cell = max(float(np.sqrt(np.prod(extent) * TREES_A_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))
     top, first, tree, disc = _sorted(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
-    return Grid(low, cell, top, first, tree, disc)
+    return TreeGrid(low, cell, top, first, tree, disc)
 
 
 @compiled
@@ -93,27 +93,29 @@ def _sorted(base, shape, reach, low, cell, rows, cols):
     return top, first, tree, disc
 
 
-@kept("process", 64 * MIB)
+@cached("process", 64 * MIB)
 def leaves() -> np.ndarray:
     """Where each picture of a tree (2 * looks, side, side) has a leaf, bool."""
     return foliage().levels[0][..., 3] >= THRESHOLD * 255
 
 
-def through_leaves(trees: Stand, rays: Rays) -> np.ndarray:
+def blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
     """Which rays (1 + k, n) meet a leaf before the light, bool."""
     start, direction = (np.ascontiguousarray(v).reshape(-1, 3) for v in (rays.start_frame_m, rays.direction_frame))
-    met, _ = first_leaves(trees, start, direction, np.ravel(rays.length_m))
+    met, _ = first_leaf_hits(trees, start, direction, np.ravel(rays.length_m))
     return np.isfinite(met).reshape(rays.length_m.shape)
 
 
-def first_leaves(trees: Stand, start: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def first_leaf_hits(
+    trees: TreeInstances, start: np.ndarray, direction: np.ndarray, length_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """How far along rays (n, 3), unit directions, the first leaf is met, infinite where none is within their lengths (n,); and the
     unit normals (n, 3) of what is met.
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
     its = Foliage(trees.base_frame_m, trees.shape, trees.turn, trees.look, leaves())
-    return _first(grid_of(trees), its, start, direction, length_m, NEAREST_M)
+    return _first(tree_grid_of(trees), its, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 
 @compiled

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.facts.leaf_rays import through_leaves
-from terrain.facts.mesh_rays import past_meshes
-from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, Probes, Rays, evenly, rays_to
-from terrain.facts.relief_rays import over_relief, placed
+from terrain.facts.leaf_rays import blocked_by_leaves
+from terrain.facts.mesh_rays import blocked_by_meshes
+from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
+from terrain.facts.relief_rays import blocked_by_relief, overview_probes
 from terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
 from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN, CasterKind
 from terrain.lights import Lamp
 from terrain.scene import Scene
 
-NEAREST_M = 1.0
+MIN_DISTANCE_M = 1.0
 """What is nearer to the eye than this counts as this far away."""
 
 GRAZING = 2.0**-20
@@ -42,7 +42,7 @@ LEAF_PROBES = 160
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
+class LitProbes:
     """Probes that face a light and lie in its cone, the unit ways there (n, 3) and their lengths (n,), infinite to the sun."""
 
     probes: Probes
@@ -51,16 +51,16 @@ class Lit:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ViewProbes:
     """What is seen and what stands in the way: the camera (``None``: a map), points of what it sees, and the trees as drawn."""
 
     scene: Scene
     camera: PerspectiveView | None
     probes: Probes
-    trees: Stand | None
+    trees: TreeInstances | None
 
 
-def facts_of_lights(seen: Seen, area_of_sun: float) -> dict[str, LightFacts]:
+def facts_of_lights(seen: ViewProbes, area_of_sun: float) -> dict[str, LightFacts]:
     """The facts of all lights of a scene, by name, on what is seen; ``area_of_sun`` is the share of its light space."""
     found: dict[str, LightFacts] = {}
     if seen.scene.sun is not None:
@@ -70,7 +70,7 @@ def facts_of_lights(seen: Seen, area_of_sun: float) -> dict[str, LightFacts]:
     return found
 
 
-def _facts(seen: Seen, lamp: Lamp | None, area_share: float) -> LightFacts:
+def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts:
     scene, camera, probes = seen.scene, seen.camera, seen.probes
     to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
     if not len(probes) or (lamp is None and not scene.sun_is_up):
@@ -90,7 +90,7 @@ def _facts(seen: Seen, lamp: Lamp | None, area_share: float) -> LightFacts:
     )  # fmt: skip
 
 
-def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Lit, float]:
+def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[LitProbes, float]:
     """At most so many of those that a light shines on, and the share of them all that it does."""
     frame = probes.frame
     if lamp is None:
@@ -106,12 +106,12 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
     which = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
-    some = which[evenly(len(which), most)]
-    return Lit(probes.some(some), direction[some], length[some]), len(which) / len(probes)
+    some = which[stratified_indices(len(which), most)]
+    return LitProbes(probes.some(some), direction[some], length[some]), len(which) / len(probes)
 
 
 @dataclass(frozen=True, eq=False)
-class Blocked:
+class BlockedRays:
     """Which rays a kind of casters stands in the way of: those of the probes ``itself`` (n,), and those from ``beside`` (k, m) the
     probes ``which`` (m,), indices.
     """
@@ -121,24 +121,24 @@ class Blocked:
     which: np.ndarray
 
 
-def _blocked(seen: Seen, kind: CasterKind, probes: Probes, rays: Rays) -> Blocked:
+def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> BlockedRays:
     scene, everyone = seen.scene, np.arange(len(probes))
     if kind == "forest" and seen.trees is not None and len(seen.trees):
-        which = evenly(len(probes), LEAF_PROBES)
-        itself = through_leaves(seen.trees, rays.some(slice(1), everyone))[0]
-        return Blocked(itself, through_leaves(seen.trees, rays.some(slice(1, None), which)), which)
+        which = stratified_indices(len(probes), LEAF_PROBES)
+        itself = blocked_by_leaves(seen.trees, rays.some(slice(1), everyone))[0]
+        return BlockedRays(itself, blocked_by_leaves(seen.trees, rays.some(slice(1, None), which)), which)
     if kind == "meshes":
-        met = past_meshes(scene.population, probes, rays)
+        met = blocked_by_meshes(scene.population, probes, rays)
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
-        met = over_relief(scene.world, scene.elevation, placed(scene.world, scene.elevation, probes), probes, rays)
+        met = blocked_by_relief(scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays)
     else:
         met = np.zeros(rays.length_m.shape, bool)
-    return Blocked(met[0], met[1:], everyone)
+    return BlockedRays(met[0], met[1:], everyone)
 
 
-def _casting(lit: Lit, blocked: Blocked, facing_share: float, by_distance: bool) -> Casting:
+def _casting(lit: LitProbes, blocked: BlockedRays, facing_share: float, by_distance: bool) -> Casting:
     """What a kind of casters throws on all that is seen, where ``facing_share`` of it are the probes of which ``blocked`` tells."""
-    probes, away_m = lit.probes, np.maximum(lit.probes.away_m, NEAREST_M)
+    probes, away_m = lit.probes, np.maximum(lit.probes.away_m, MIN_DISTANCE_M)
     octave, of_band = np.unique(
         np.ceil(np.log2(away_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
     )
@@ -210,6 +210,6 @@ def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, la
     seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera
     first, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
     bounds = np.stack([first - 0.5 * camera.step, first + (count - 0.5) * camera.step]) / camera.focal_px
-    way = probes.some(evenly(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
+    way = probes.some(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
     passed = layers_before(ends, light, at_place, np.broadcast_to(camera.eye_earth_m, way.shape), way)
     return {"silhouette_edges": len(ends), "silhouette_px": length_px(seen, *bounds) / camera.pixel, "volume_layers": passed}

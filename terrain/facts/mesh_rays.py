@@ -11,24 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.facts.probes import Probes, Rays
+from terrain.facts.probes import ProbeRays, Probes
 from terrain.geo.world import LocalFrame
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
-LEAF = 4
+MAX_LEAF_TRIANGLES = 4
 """Triangles in a leaf of the tree, at most."""
 
 BINS = 16
 """Places along a box where it may be cut."""
 
-LIFT = 2.0**-20
+RAY_OFFSET_SHARE = 2.0**-20
 """A ray starts this share of the meshes' extent off its surface (a millimetre a kilometre)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tree:
+class Bvh:
     """Boxes round triangles: ``low`` and ``high`` (nodes, 3); node i has the nodes ``first[i]`` and the next below it or, where
     ``count[i]`` is over 0, so many triangles from that number on. ``corner``, ``side_a`` and ``side_b`` (m, 3) are the triangles in
     that order. All float64, metres from ``origin_earth_m``.
@@ -45,23 +45,23 @@ class Tree:
     side_b: np.ndarray
 
 
-def past_meshes(population: Population, probes: Probes, rays: Rays) -> np.ndarray:
+def blocked_by_meshes(population: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Which rays (1 + k, n) of probes meet what stands for the meshes before the light, bool."""
     tree = _tree_of(population)
     frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
-    lift = (LIFT * tree.extent_m * side)[:, None] * probes.normal_frame
+    lift = (RAY_OFFSET_SHARE * tree.extent_m * side)[:, None] * probes.normal_frame
     start = frame.directions_to_earth(rays.start_frame_m + lift) + (frame.origin_earth_m - tree.origin_earth_m)
-    return meets(tree, start, frame.directions_to_earth(rays.direction_frame), rays.length_m)
+    return any_hit(tree, start, frame.directions_to_earth(rays.direction_frame), rays.length_m)
 
 
-def meets(tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
+def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
     """Which rays from starts (..., 3), counted from the tree's origin, meet a triangle within their lengths (...), bool."""
     return np.isfinite(_met_by(tree, start_m, direction, length_m, False)[0])
 
 
-def first_meshes(
-    population: Population, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
+def first_mesh_hits(
+    population: SceneObjects, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far along rays from starts (n, 3), within their lengths (n,), what stands for the meshes is met first (n,), infinite
     where it is not, and its unit normal (n, 3) there, towards the start.
@@ -75,7 +75,7 @@ def first_meshes(
 
 
 def _met_by(
-    tree: Tree, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
+    tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances (...) to a triangle that rays meet, the nearest or any, infinite without one; and its number (...)."""
     start, way = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
@@ -84,21 +84,21 @@ def _met_by(
     return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 
-@kept("scene", 512 * MIB)
-def _tree_of(population: Population) -> Tree:
+@cached("scene", 512 * MIB)
+def _tree_of(population: SceneObjects) -> Bvh:
     solids = population.solids
     assert solids is not None
-    return tree_of(solids.caster_vertices_earth_m, solids.caster_triangles)
+    return bvh_of(solids.caster_vertices_earth_m, solids.caster_triangles)
 
 
-def tree_of(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
+def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
     """The tree of triangles (m, 3), m > 0, of vertices (n, 3)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin, extent = (low + high) / 2, max(float(np.max(high - low)), 1e-9)
     points = (vertices - origin)[triangles]
-    order, low, high, first, count = _built(points.min(axis=1), points.max(axis=1), LEAF, BINS)
+    order, low, high, first, count = _built(points.min(axis=1), points.max(axis=1), MAX_LEAF_TRIANGLES, BINS)
     corner, b, c = (np.ascontiguousarray(points[order, k]) for k in range(3))
-    return Tree(origin, extent, low, high, first, count, corner, b - corner, c - corner)
+    return Bvh(origin, extent, low, high, first, count, corner, b - corner, c - corner)
 
 
 @compiled

@@ -63,7 +63,7 @@ class Probes:
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class ProbeRays:
     """Rays to a light: from each of n probes itself, then from places in texels of each size beside it.
 
     ``start_frame_m`` (1 + k, n, 3), ``direction_frame`` (1 + k, n, 3) unit vectors, ``length_m`` (1 + k, n), infinite to the sun.
@@ -73,12 +73,12 @@ class Rays:
     direction_frame: np.ndarray
     length_m: np.ndarray
 
-    def some(self, rows: slice, which: np.ndarray) -> Rays:
+    def some(self, rows: slice, which: np.ndarray) -> ProbeRays:
         """The rays of some rows, of the probes at some indices."""
-        return Rays(*(array[rows][:, which] for array in (self.start_frame_m, self.direction_frame, self.length_m)))
+        return ProbeRays(*(array[rows][:, which] for array in (self.start_frame_m, self.direction_frame, self.length_m)))
 
 
-def evenly(size: int, count: int) -> np.ndarray:
+def stratified_indices(size: int, count: int) -> np.ndarray:
     """At most ``count`` of the numbers below ``size``, spread evenly but for chance within each part."""
     if size <= count:
         return np.arange(size)
@@ -91,7 +91,7 @@ def quasirandom(number: np.ndarray) -> np.ndarray:
     return (0.5 + (np.asarray(number, np.float64)[:, None] + 1.0) * _R2) % 1.0
 
 
-def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> Rays:
+def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
     """Rays of probes to a light: unit directions (n, 3) and lengths (n,) of the ways there from the probes themselves."""
     right, up = _across(direction_frame)
     offset = (quasirandom(probes.number) - 0.5) * probes.pixel_m[:, None]
@@ -105,10 +105,10 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     start = probes.point_frame_m + sizes[:, None, None] * way
     if not np.isfinite(length_m).all():
         shape = (len(sizes), len(probes))
-        return Rays(start, np.broadcast_to(direction_frame, start.shape), np.broadcast_to(length_m, shape))
+        return ProbeRays(start, np.broadcast_to(direction_frame, start.shape), np.broadcast_to(length_m, shape))
     to_light = probes.point_frame_m + length_m[:, None] * direction_frame - start
     length = np.linalg.norm(to_light, axis=-1)
-    return Rays(start, to_light / np.maximum(length, 1e-30)[..., None], length)
+    return ProbeRays(start, to_light / np.maximum(length, 1e-30)[..., None], length)
 
 
 def _across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

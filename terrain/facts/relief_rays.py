@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.facts.probes import Probes, Rays
+from terrain.facts.probes import ProbeRays, Probes
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
 
-BLOCK_CELLS = 16
+SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that are passed over at once."""
 
 NEAREST_CELLS = 1.0
@@ -26,7 +26,7 @@ NEAREST_CELLS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class OverviewProbes:
     """Where probes lie on an overview: ``row``, ``col`` and ``height_m`` (n,); ``up`` (n, 3), and ``row_from_frame`` and
     ``col_from_frame`` (n, 3), cells per metre in each direction of the probes' frame.
     """
@@ -39,8 +39,8 @@ class Placed:
     col_from_frame: np.ndarray
 
 
-@kept("scene", 64 * MIB)
-def placed(world: World, elevation: Elevation, probes: Probes) -> Placed:
+@cached("scene", 64 * MIB)
+def overview_probes(world: World, elevation: Elevation, probes: Probes) -> OverviewProbes:
     """Probes on the overview of a raster; rows and columns are not finite where its CRS does not reach. The last are kept."""
     x, y, height = world.map_position(elevation.crs, probes.point_earth_m)
     if elevation.crs.is_geographic:  # the way round the earth that is nearer
@@ -52,7 +52,7 @@ def placed(world: World, elevation: Elevation, probes: Probes) -> Placed:
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
     to_frame = probes.frame.directions_from_earth
     south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))
-    return Placed(row, col, height, to_frame(up[0]), *_inverse(south, east))
+    return OverviewProbes(row, col, height, to_frame(up[0]), *_inverse(south, east))
 
 
 def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +62,7 @@ def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return (ee * south - se * east) / area, (ss * east - se * south) / area
 
 
-def over_relief(world: World, elevation: Elevation, at: Placed, probes: Probes, rays: Rays) -> np.ndarray:
+def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Which rays (1 + k, n) meet ground of the level before the light, bool; ``at`` is where their probes lie."""
     heights, tops = _grid(elevation)
     beside = rays.start_frame_m - probes.point_frame_m
@@ -74,17 +74,17 @@ def over_relief(world: World, elevation: Elevation, at: Placed, probes: Probes, 
     rise = dot(along, at.up)
     bend = 0.0 if world.flat else 1.0 / (2.0 * EARTH_RADIUS_M)
     return _blocked(
-        heights, tops, BLOCK_CELLS, at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
+        heights, tops, SKIP_BLOCK_CELLS, at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
         at.height_m + dot(beside, at.up), dot(along, at.row_from_frame), dot(along, at.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
     )  # fmt: skip
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """The overview's heights, lowest in holes, and the highest of each block of cells and the ring of cells round it."""
     heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
-    side = BLOCK_CELLS
+    side = SKIP_BLOCK_CELLS
     padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")
     rows, cols = (size // side for size in padded.shape)
     return heights, np.ascontiguousarray(padded.reshape(rows, side, cols, side).max(axis=(1, 3)))

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.meshes.assemble import Placement
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 MOST_SIDES = 4096
 """Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""
@@ -25,7 +25,7 @@ EYE_RAYS = 48
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class EdgeFaces:
     """Edges of triangles: ``ends`` int32 (e, 2), vertex numbers, and the triangles beside each, int32 (e, 2); -1 where there is
     none. Of an edge with more than two triangles, two.
     """
@@ -34,7 +34,7 @@ class Edges:
     beside: np.ndarray
 
 
-def edges_of(vertex: np.ndarray, triangles: np.ndarray) -> Edges:
+def edge_faces_of(vertex: np.ndarray, triangles: np.ndarray) -> EdgeFaces:
     """The edges of triangles (m, 3), where ``vertex`` (m, 3) are the same triangles with one number for vertices in one place."""
     start, end = vertex.ravel().astype(np.int64), np.roll(vertex, -1, axis=1).ravel().astype(np.int64)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -45,11 +45,11 @@ def edges_of(vertex: np.ndarray, triangles: np.ndarray) -> Edges:
     second = np.where(many, order[np.minimum(first + 1, len(keys) - 1)] // 3, -1)
     one = order[first]
     ends = np.stack([triangles.ravel()[one], np.roll(triangles, -1, axis=1).ravel()[one]], axis=1)
-    return Edges(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
+    return EdgeFaces(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
 
 
-@kept("scene", 256 * MIB)
-def _edges_of_bodies(placement: Placement) -> Edges:
+@cached("scene", 256 * MIB)
+def _edges_of_bodies(placement: Placement) -> EdgeFaces:
     """The edges of what casts, whatever the clock says: bodies share none."""
     vertex, triangles, places, vertices = [], [], 0, 0
     for placed in placement.casting:
@@ -58,11 +58,11 @@ def _edges_of_bodies(placement: Placement) -> Edges:
         triangles.append(placed.body.triangles + np.int64(vertices))
         places += int(merged.max(initial=-1)) + 1
         vertices += len(placed.body.vertices_m)
-    return edges_of(np.concatenate(vertex), np.concatenate(triangles))
+    return edge_faces_of(np.concatenate(vertex), np.concatenate(triangles))
 
 
-@kept("scene", 256 * MIB)
-def _faces(population: Population) -> tuple[np.ndarray, np.ndarray]:
+@cached("scene", 256 * MIB)
+def _faces(population: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
     """Normals (m, 3), as long as twice the area, and corners (m, 3) of the triangles that cast, earth-fixed."""
     solids = population.solids
     assert solids is not None
@@ -70,7 +70,7 @@ def _faces(population: Population) -> tuple[np.ndarray, np.ndarray]:
     return np.cross(b - a, c - a), a
 
 
-def silhouette_of(population: Population, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
+def silhouette_of(population: SceneObjects, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
     """Both ends (k, 2, 3) float64, earth-fixed metres, of the edges in the silhouette of a population's meshes under a light (3,):
     a direction to it, or its place.
     """

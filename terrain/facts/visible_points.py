@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, kept
-from terrain.facts.coarse_view import Look
-from terrain.facts.leaf_rays import first_leaves
-from terrain.facts.mesh_rays import first_meshes
-from terrain.facts.probes import Probes, evenly, quasirandom
-from terrain.gbuffer.antialias import CROSS, ends_in_crosses
+from terrain.cache import MIB, cached
+from terrain.facts.coarse_view import CoarseView
+from terrain.facts.leaf_rays import first_leaf_hits
+from terrain.facts.mesh_rays import first_mesh_hits
+from terrain.facts.probes import Probes, quasirandom, stratified_indices
+from terrain.gbuffer.antialias import CROSS, edges_in_neighbours
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 MAP_SIDE = 48
 """Probes of a map lie one in each of so many by so many parts of a level."""
@@ -33,19 +33,19 @@ EDGES_AMONG_LEAVES = 300
 """Pixels, at most, in which ends of leaves are: five rays each."""
 
 
-def points_in_map(scene: Scene, pixel_m: float, trees: Stand | None) -> Probes:
+def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> Probes:
     """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of what is seen from above there."""
     probes = _points_in_map(scene.population, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
 
-def points_in_look(look: Look, view: PerspectiveView, trees: Stand | None) -> Probes:
+def probes_in_view(look: CoarseView, view: PerspectiveView, trees: TreeInstances | None) -> Probes:
     """All points of a coarse look; where there are trees, those of at most ``AMONG_LEAVES`` pixels, or of leaves before them."""
     return _points_in_look(look, view.pixel) if trees is None else _among_leaves(look, view.pixel, trees)
 
 
-@kept("scene", 64 * MIB)
-def _points_in_look(look: Look, pixel: float) -> Probes:
+@cached("scene", 64 * MIB)
+def _points_in_look(look: CoarseView, pixel: float) -> Probes:
     there = look.buffer.there
     return Probes(
         frame=look.buffer.frame, point_frame_m=look.points_frame_m, normal_frame=look.buffer.normal_frame[there].astype(np.float64),
@@ -53,11 +53,11 @@ def _points_in_look(look: Look, pixel: float) -> Probes:
     )  # fmt: skip
 
 
-@kept("scene", 64 * MIB)
-def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
+@cached("scene", 64 * MIB)
+def _among_leaves(look: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
     bare, coarse, there = _points_in_look(look, pixel), look.buffer.view, look.buffer.there.ravel()
     assert isinstance(coarse, PerspectiveView)
-    some = evenly(there.size, AMONG_LEAVES)
+    some = stratified_indices(there.size, AMONG_LEAVES)
     count = len(some)
     row, col = np.divmod(some, coarse.cols)
     tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
@@ -66,7 +66,7 @@ def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     point, length = (np.cumsum(there) - 1)[some], np.full(count, np.inf)
     length[there[some]] = bare.away_m[point[there[some]]]
-    met, normal = first_leaves(trees, np.tile(look.eye_frame_m, (count, 1)), way, length)
+    met, normal = first_leaf_hits(trees, np.tile(look.eye_frame_m, (count, 1)), way, length)
     leaf = np.isfinite(met)
     leaves = Probes(
         look.buffer.frame, look.eye_frame_m + met[leaf, None] * way[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
@@ -75,18 +75,18 @@ def _among_leaves(look: Look, pixel: float, trees: Stand) -> Probes:
     return _joined(bare.some(point[there[some] & ~leaf]), leaves)
 
 
-def edge_share(look: Look, trees: Stand | None) -> float:
+def edge_share(look: CoarseView, trees: TreeInstances | None) -> float:
     """Share of a view's pixels in which something ends (``terrain.gbuffer.antialias``)."""
     return look.edge_share if trees is None else _edge_share_among_leaves(look, trees)
 
 
-@kept("scene", MIB)
-def _edge_share_among_leaves(look: Look, trees: Stand) -> float:
+@cached("scene", MIB)
+def _edge_share_among_leaves(look: CoarseView, trees: TreeInstances) -> float:
     """The share without the trees, known from many pixels, and what they change about it in some of these."""
     its = look.crosses
-    some = evenly(len(its.number), EDGES_AMONG_LEAVES)
+    some = stratified_indices(len(its.number), EDGES_AMONG_LEAVES)
     number, depth_m = its.number[some], its.away_m[some]
-    bare = ends_in_crosses(number, depth_m, its.ground, its.normals)
+    bare = edges_in_neighbours(number, depth_m, its.ground, its.normals)
     row, col = (at[some, None] + np.array(CROSS)[:, k] for k, at in enumerate((its.row, its.col)))
     x, y = ((first + at * its.view.step) / its.view.focal_px for first, at in ((its.view.col0, col), (its.view.row0, row)))
     _, camera_from_frame = its.view.in_frame(look.buffer.frame)
@@ -94,13 +94,13 @@ def _edge_share_among_leaves(look: Look, trees: Stand) -> float:
     per_depth = np.linalg.norm(way, axis=-1)
     way /= per_depth[..., None]
     start = np.tile(look.eye_frame_m, (number.size, 1))
-    met, _ = first_leaves(trees, start, way.reshape(-1, 3), (depth_m * per_depth).ravel())
+    met, _ = first_leaf_hits(trees, start, way.reshape(-1, 3), (depth_m * per_depth).ravel())
     leaf = np.isfinite(met).reshape(number.shape)
     # Leaves side by side are told apart by their distance alone, whichever tree they are of: no two have the same number.
     numbers = its.ground + len(its.normals) + 1 + np.arange(number.size).reshape(number.shape)
     number = np.where(leaf, numbers.astype(np.uint32), number)
     depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
-    among = ends_in_crosses(number, depth_m, its.ground, its.normals)
+    among = edges_in_neighbours(number, depth_m, its.ground, its.normals)
     return float(np.clip(look.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
 
 
@@ -111,8 +111,8 @@ def _joined(bare: Probes, leaves: Probes) -> Probes:
     return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
 
 
-@kept("scene", 64 * MIB)
-def _points_in_map(population: Population, trees: Stand | None) -> Probes:
+@cached("scene", 64 * MIB)
+def _points_in_map(population: SceneObjects, trees: TreeInstances | None) -> Probes:
     bare, tallest_m = ground_points(population.world, population.elevation), population.tallest_m
     away = population.world.curvature * bare.point_frame_m[:, :2]
     up = np.column_stack([away, np.ones(len(bare))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
@@ -122,7 +122,7 @@ def _points_in_map(population: Population, trees: Stand | None) -> Probes:
         bare, length = _with_roofs(population, bare, start, -up, length)
     if trees is None:
         return bare
-    met, normal = first_leaves(trees, start, -up, length)
+    met, normal = first_leaf_hits(trees, start, -up, length)
     leaf = np.isfinite(met)
     there = bare.some(leaf)
     above = replace(
@@ -133,10 +133,10 @@ def _points_in_map(population: Population, trees: Stand | None) -> Probes:
 
 
 def _with_roofs(
-    population: Population, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
+    population: SceneObjects, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
 ) -> tuple[Probes, np.ndarray]:
     """The probes, those below meshes on top of them, and how far below the starts (n, 3) they lie (n,)."""
-    met, normal = first_meshes(population, bare.frame, start, down, length)
+    met, normal = first_mesh_hits(population, bare.frame, start, down, length)
     roof = np.isfinite(met)
     length = np.where(roof, met, length)
     return replace(
@@ -145,7 +145,7 @@ def _with_roofs(
     ), length  # fmt: skip
 
 
-@kept("scene", 64 * MIB)
+@cached("scene", 64 * MIB)
 def ground_points(world: World, elevation: Elevation) -> Probes:
     """Points of a level's bare ground, bilinear between the cells of its overview."""
     heights, factor = elevation.overview.heights_m, 2**elevation.overview.level

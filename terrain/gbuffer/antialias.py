@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M
-from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, NOTHING, RELIEF
+from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
+from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.meshes.facets import face_normals
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 SIDE = 2
 """The samples of a pixel where something ends lie on a grid of so many a side; its own point counts as one more."""
@@ -42,7 +42,7 @@ CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled:
+class MultisampledBuffer:
     """A picture's buffer with samples below it: its own rows, the pixels (n,) that the samples are of (``each`` of them, in
     order; the last row may be filled up with repetitions).
     """
@@ -95,19 +95,19 @@ def samples_per_pixel(edge_share: float) -> float:
     return edge_share * len(DIAGONAL if edge_share > DENSE else EVERY)
 
 
-def picture_of(scene: Scene, view: MapView | PerspectiveView) -> Sampled:
+def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
     """The buffer that a view (a block, if it is a map) is drawn from: a map's pixels are not sampled further."""
-    return Sampled(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else sampled(scene, view)
+    return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
 
-def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
+def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     """A view's buffer with samples wherever something ends in it."""
     frame = view.frame(scene.world)
-    visible = Visible(scene, view, frame)
+    visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.population)
-    row, col = np.nonzero(ends_between(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
+    row, col = np.nonzero(edges_between(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
     if not len(row):
-        return Sampled(buffer_of(scene, view, visible), view.rows)
+        return MultisampledBuffer(buffer_of(scene, view, visible), view.rows)
     places = np.array(DIAGONAL if len(row) > DENSE * view.rows * view.cols else EVERY)
     spare = -len(row) * len(places) % view.cols
     fine_row, fine_col = (
@@ -115,25 +115,25 @@ def sampled(scene: Scene, view: PerspectiveView) -> Sampled:
         for of, inside in ((row, places // SIDE), (col, places % SIDE))
     )
     finer = finer_view(view)
-    below = (finer, Visible(scene, finer, frame), (fine_row, fine_col))
-    return Sampled(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
+    below = (finer, RasterisedView(scene, finer, frame), (fine_row, fine_col))
+    return MultisampledBuffer(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
 
 
-@kept("scene", 128 * MIB)
-def mesh_normals(population: Population) -> np.ndarray:
+@cached("scene", 128 * MIB)
+def mesh_normals(population: SceneObjects) -> np.ndarray:
     """Unit normals (m, 3) float32 of the faces of a population's meshes."""
     solids = population.solids
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 
-def ends_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
+def edges_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
     """Where something ends: bool (rows, cols), both pixels beside an edge. Of each pixel, the number of its triangle (the first
     ``ground`` are the ground's, then come the meshes', which have normals (m, 3)), and ``near_m`` over its distance along the axis.
     """
     return _edges(number, depth, ground, normals, near_m, BEND, JUMP)
 
 
-def ends_in_crosses(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
+def edges_in_neighbours(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
     """The same (n,) of single pixels, the first of ``CROSS`` along the last axis of numbers and distances (n, 5)."""
     return _crossed(number, away_m, ground, normals, BEND, JUMP)
 
@@ -186,5 +186,5 @@ def _ends(own, other, here, there, ground, normals, bend, jump):
 @compiled
 def _kind(triangle, ground, solids):
     if triangle < 0:
-        return NOTHING
+        return NO_SURFACE
     return RELIEF if triangle < ground else MESHES if triangle < ground + solids else FOREST

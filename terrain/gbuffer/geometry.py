@@ -14,8 +14,8 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.resolve import NOTHING, RELIEF
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.resolve import NO_SURFACE, RELIEF
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -88,7 +88,7 @@ class GeometryBuffer:
     ground: GroundMesh | None = None
     corners_frame_m: np.ndarray | None = None
     albedo: np.ndarray | None = None
-    stand: Stand | None = None
+    stand: TreeInstances | None = None
     solids_frame_m: np.ndarray | None = None
     samples_from: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
@@ -113,7 +113,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     there, position, height, normal, shading, crease, triangle = _pixels(
         window.position_frame_m, window.height_m, window.there, faces, smooth, row - row0, col - col0
     )
-    kind = np.where(there, np.uint8(RELIEF), np.uint8(NOTHING))
+    kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
 
 

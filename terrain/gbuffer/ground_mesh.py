@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.geo.camera import FRAME_SHARE, PerspectiveView
 from terrain.geo.grid import Grid, map_grid
 from terrain.geo.world import World, transformer
-from terrain.ground.decimation import Errors, decimate, errors_m
+from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import Surface, known_triangles, step_at_anchor_m
 from terrain.meshes.facets import creases, face_normals, smooth_normals
 from terrain.scene import Scene
 
-MAX_TRIANGLES = 2_000_000
+MAX_GROUND_TRIANGLES = 2_000_000
 """Most triangles of a perspective view's ground."""
 
 WHOLE_TRIANGLES = 250_000
@@ -78,20 +78,20 @@ class GroundNodes:
     row0: int
     col0: int
     height_m: np.ndarray
-    errors: Errors | None
+    errors: NodeErrors | None
 
 
-def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_TRIANGLES) -> GroundMesh:
+def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GROUND_TRIANGLES) -> GroundMesh:
     """The ground as an eye sees it, in the eye's frame; the last ones are kept. A view's parts and shifts share one."""
     return _ground_mesh(scene.world, scene.elevation, scene.map_crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
 
 
 def ground_nodes(scene: Scene) -> GroundNodes:
     """The nodes that a level's perspective views are made from."""
-    return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_TRIANGLES)
+    return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_GROUND_TRIANGLES)
 
 
-@kept("scene", 1024 * MIB)
+@cached("scene", 1024 * MIB)
 def _ground_mesh(
     world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
 ) -> GroundMesh:
@@ -115,13 +115,13 @@ def _ground_mesh(
     )  # fmt: skip
 
 
-@kept("scene", 1024 * MIB)
+@cached("scene", 1024 * MIB)
 def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
     grid, row0, col0, rows, cols = _window(world, elevation, crs)
     surface = Surface(world, elevation, grid)
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
-    whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_TRIANGLES else max_triangles)
+    whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles)
     return GroundNodes(grid, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
 
 

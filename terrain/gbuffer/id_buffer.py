@@ -13,14 +13,14 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.tree_instances import Stand
+from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.gl.device import Device, device
-from terrain.gl.programs import joined
+from terrain.gl.programs import join_shader_parts
 from terrain.trees.foliage import THRESHOLD, foliage
 
 NEAR_M = 0.005
@@ -28,7 +28,7 @@ NEAR_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class IdBuffer:
     """``number`` uint32 (rows, cols), 0 where nothing is; ``albedo_root`` uint8 (rows, cols, 4), the roots of linear albedo
     where a tree is seen (empty without trees); ``depth`` float32 (rows, cols), in perspective ``NEAR_M`` over the distance
     along the view's axis.
@@ -39,7 +39,7 @@ class Seen:
     depth: np.ndarray
 
 
-@kept("process", 8 * MIB)
+@cached("process", 8 * MIB)
 def shader(*parts: str) -> str:
     """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of
     ``terrain.gbuffer``.
@@ -48,12 +48,16 @@ def shader(*parts: str) -> str:
     for part in parts:
         folder, _, name = part.rpartition("/")
         texts[part] = files(folder.replace("/", ".")).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
-    return joined(texts)
+    return join_shader_parts(texts)
 
 
-def seen_in_perspective(
-    view: PerspectiveView, frame: LocalFrame, ground: GroundMesh, solids: tuple[np.ndarray, np.ndarray] | None, stand: Stand | None
-) -> Seen:
+def rasterise_perspective(
+    view: PerspectiveView,
+    frame: LocalFrame,
+    ground: GroundMesh,
+    solids: tuple[np.ndarray, np.ndarray] | None,
+    stand: TreeInstances | None,
+) -> IdBuffer:
     """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees."""
     gl = device()
     eye, camera_from_frame = view.in_frame(frame)
@@ -78,14 +82,14 @@ def seen_in_perspective(
     return _read(gl, target, stand, drawn, None if stand is None else in_sight)
 
 
-def seen_in_map(
+def rasterise_map(
     view: MapView,
     solids_px: tuple[np.ndarray, np.ndarray] | None,
-    stand: Stand | None,
+    stand: TreeInstances | None,
     bases_px: np.ndarray | None,
     px_from_m: np.ndarray,
     heights_m: tuple[float, float],
-) -> Seen:
+) -> IdBuffer:
     """What stands on a map's ground: meshes (vertices (n, 3) in columns, rows and metres of height; triangles) and trees.
 
     Columns and rows count from the corner of the first pixel. ``heights_m`` bounds all heights.
@@ -110,7 +114,9 @@ def seen_in_map(
     return _read(gl, target, stand, drawn, chosen)
 
 
-def _draw_trees(gl: Device, stand: Stand, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int) -> None:
+def _draw_trees(
+    gl: Device, stand: TreeInstances, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
+) -> None:
     program = gl.program(
         shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
     )
@@ -135,12 +141,12 @@ def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
             program[name] = value
 
 
-def _read(gl: Device, target: moderngl.Framebuffer, stand: Stand | None, drawn: int, chosen: np.ndarray | None) -> Seen:
+def _read(gl: Device, target: moderngl.Framebuffer, stand: TreeInstances | None, drawn: int, chosen: np.ndarray | None) -> IdBuffer:
     number = gl.read(target, 0, "u4")
     if chosen is None or not len(chosen):
         none = np.zeros((*number.shape, 4), np.uint8) if stand is not None else np.zeros((0, 0, 4), np.uint8)
-        return Seen(number, none, gl.read(target, -1))
+        return IdBuffer(number, none, gl.read(target, -1))
     trees = number > drawn  # numbered among the trees in sight: now among all of them
     inside = number[trees].astype(np.int64) - drawn - 1
     number[trees] = (chosen[inside // 6] * 6 + inside % 6 + drawn + 1).astype(np.uint32)
-    return Seen(number, gl.read(target, 1, "f1", 4), gl.read(target, -1))
+    return IdBuffer(number, gl.read(target, 1, "f1", 4), gl.read(target, -1))

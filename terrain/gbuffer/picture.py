@@ -9,16 +9,16 @@ from typing import Protocol, get_args
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
-from terrain.gbuffer.ground_mesh import MAX_TRIANGLES, GroundMesh, ground_mesh
-from terrain.gbuffer.id_buffer import Seen, seen_in_map, seen_in_perspective
+from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_mesh
+from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from terrain.gbuffer.resolve import (
     RELIEF,
     Camera,
     Faces,
     Ground,
-    Points,
+    ResolvedPoints,
     Solids,
     SolidsInMap,
     Trees,
@@ -26,7 +26,7 @@ from terrain.gbuffer.resolve import (
     resolve_map,
     resolve_perspective,
 )
-from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -35,7 +35,7 @@ from terrain.ground.imagery import Imagery
 from terrain.ground.surface import map_pixel_m
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 
 CELL_STEP_PX = 16
 """Distance of the pixels whose place in a map's imagery is computed exactly."""
@@ -56,12 +56,12 @@ def frame_of(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
 
 
 def geometry_of(
-    scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None, max_triangles: int = MAX_TRIANGLES
+    scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None, max_triangles: int = MAX_GROUND_TRIANGLES
 ) -> GeometryBuffer:
     """The geometry buffer of a view (of a block, if it is a map). Raises ``GraphicsError``."""
     frame = frame or frame_of(scene, view)
     if isinstance(view, PerspectiveView):
-        return buffer_of(scene, view, Visible(scene, view, frame, max_triangles))
+        return buffer_of(scene, view, RasterisedView(scene, view, frame, max_triangles))
     return _map_buffer(scene, view, frame)
 
 
@@ -78,13 +78,13 @@ class Unresolved(Protocol):
     def solids(self) -> np.ndarray | None: ...
 
     @property
-    def seen(self) -> Seen: ...
+    def seen(self) -> IdBuffer: ...
 
     @property
-    def stand(self) -> Stand | None: ...
+    def stand(self) -> TreeInstances | None: ...
 
 
-class Visible:
+class RasterisedView:
     """What a camera sees of some kinds of things."""
 
     def __init__(
@@ -92,25 +92,25 @@ class Visible:
         scene: Scene,
         view: PerspectiveView,
         frame: LocalFrame,
-        max_triangles: int = MAX_TRIANGLES,
+        max_triangles: int = MAX_GROUND_TRIANGLES,
         kinds: tuple[CasterKind, ...] = get_args(CasterKind),
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
-        self.stand: Stand | None = None
+        self.stand: TreeInstances | None = None
         if "forest" in kinds:
-            self.stand = stand_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+            self.stand = tree_instances_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
         self.solids = solids_in(scene.population, frame)
         solids = scene.population.solids
         drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
-        self.seen: Seen = seen_in_perspective(view, frame, self.ground, drawn, self.stand)
+        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.stand)
 
 
-Pixels = tuple[PerspectiveView, Visible, tuple[np.ndarray, np.ndarray]]
+PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
 """A view, what is seen in it, and some of its pixels: rows and columns (n, cols)."""
 
 
-def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: Pixels | None = None) -> GeometryBuffer:
+def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: PixelSelection | None = None) -> GeometryBuffer:
     """The buffer of what a camera sees; ``below`` are pixels of a finer view of the camera that are put below its own."""
     number, root = visible.seen.number, visible.seen.albedo_root
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
@@ -157,7 +157,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
     pixel_m = map_pixel_m(scene.world, view)
-    solids, trees = scene.population.solids, stand_in_map(scene.population, frame, pixel_m)
+    solids, trees = scene.population.solids, tree_instances_in_map(scene.population, frame, pixel_m)
     if solids is None and trees is None:
         return buffer
     crs = view.grid.crs
@@ -168,7 +168,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     low, high = scene.height_range_m
     heights = low - 100.0, high + scene.population.tallest_m + 100.0
     drawn = None if solids is None or solid_px is None else (solid_px, solids.triangles)
-    seen = seen_in_map(view, drawn, trees, tree_px, px_from_m, heights)
+    seen = rasterise_map(view, drawn, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.there.shape, 9), np.float32)
     solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
@@ -178,7 +178,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN, curvature, px_from_m)
     if trees is not None and tree_px is not None:
         tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.turn, curvature, px_from_m)
-    points = Points(
+    points = ResolvedPoints(
         buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS,
     )  # fmt: skip
@@ -186,14 +186,14 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     return replace(buffer, corners_frame_m=corners, albedo=albedo, stand=trees, solids_frame_m=solid_points)
 
 
-def solids_in(population: Population, frame: LocalFrame) -> np.ndarray | None:
+def solids_in(population: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
     """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
     solids = population.solids
     return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
 
 
-@kept("scene", 512 * MIB)
-def _solid_faces(population: Population, frame: LocalFrame) -> Faces:
+@cached("scene", 512 * MIB)
+def _solid_faces(population: SceneObjects, frame: LocalFrame) -> Faces:
     """What a population's meshes show in a frame."""
     solids = population.solids
     assert solids is not None
@@ -224,7 +224,7 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 
 
-@kept("scene", 512 * MIB)
+@cached("scene", 512 * MIB)
 def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
     """Imagery of a ground by its file's path and time and size: a file that is rewritten is read again."""
     return Imagery(source)
@@ -243,7 +243,7 @@ def imagery_of(scene: Scene) -> Imagery | None:
     return _imagery(scene.elevation, path, (status.st_mtime_ns, status.st_size))
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
     return image.cells(ground.grid.crs, ground.x, ground.y)
 

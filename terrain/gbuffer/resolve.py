@@ -18,11 +18,11 @@ from terrain.gbuffer.tree_instances import tree_corner
 THREADS = min(os.cpu_count() or 1, 8)
 """Threads that share the pixels of a perspective view."""
 
-NOTHING, RELIEF, MESHES, FOREST = 0, 1, 2, 3
+NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """What a pixel shows."""
 
 
-class Points(NamedTuple):
+class ResolvedPoints(NamedTuple):
     """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery,
     empty without any.
     """
@@ -90,7 +90,7 @@ class SolidsInMap(NamedTuple):
 
 
 class Trees(NamedTuple):
-    """Trees (n,) in perspective, as a ``terrain.gbuffer.tree_instances.Stand`` has them."""
+    """Trees (n,) in perspective, as a ``terrain.gbuffer.tree_instances.TreeInstances`` has them."""
 
     base_frame_m: np.ndarray
     base_height_m: np.ndarray
@@ -112,10 +112,10 @@ class TreesInMap(NamedTuple):
 
 def resolve_perspective(
     number: np.ndarray, camera: Camera, ground: Ground, solids: Solids, trees: Trees, albedo_root: np.ndarray
-) -> Points:
+) -> ResolvedPoints:
     """The points that triangles (numbers (rows, cols)) show; ``albedo_root`` (rows, cols, 3) is of the leaves that are seen."""
     size = number.shape
-    points = Points(
+    points = ResolvedPoints(
         np.zeros(size, np.bool_), np.full((*size, 3), np.nan), np.full(size, np.nan, np.float32),
         np.full((*size, 3), np.nan, np.float32), np.full((*size, 3), np.nan, np.float32), np.zeros(size, np.float32),
         np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
@@ -207,7 +207,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
 
 @compiled
 def resolve_map(number, solids, trees, albedo_root, points):
-    """Put what stands on a map's ground over the ground's ``Points``, where it is higher; these are changed in place.
+    """Put what stands on a map's ground over the ground's ``ResolvedPoints``, where it is higher; these are changed in place.
 
     ``number`` (rows, cols) are those of triangles, of ``SolidsInMap`` and then of ``TreesInMap``.
     """

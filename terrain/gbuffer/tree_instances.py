@@ -14,25 +14,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.world import LocalFrame
-from terrain.scene_objects import Population
-from terrain.trees.foliage import LOOKS, leaf_outlines
+from terrain.scene_objects import SceneObjects
+from terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
 from terrain.trees.trees import Trees
 
-WHOLE_PX = 6.8
+ALL_TREES_PX = 6.8
 """Height in pixels from which all trees of a perspective view are drawn."""
 
-WHOLE_CROWN_PX = 1.5
+ALL_CROWNS_PX = 1.5
 """Crown diameter in pixels from which all trees of a map are drawn."""
 
-LEAST_SHARE = 1.0 / 16.0
+MIN_DRAWN_SHARE = 1.0 / 16.0
 """No stand is thinned more."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class TreeInstances:
     """The trees drawn, in a frame; one row each.
 
     Attributes
@@ -62,9 +62,9 @@ class Stand:
     def __len__(self) -> int:
         return len(self.look)
 
-    def some(self, which: np.ndarray) -> Stand:
+    def some(self, which: np.ndarray) -> TreeInstances:
         """The trees at some indices or where a mask says."""
-        return Stand(
+        return TreeInstances(
             self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
             self.look[which], self.curvature,
         )  # fmt: skip
@@ -92,40 +92,40 @@ class Stand:
         return corners[:, :, :1] + at[..., :1] * right[:, :, None] + at[..., 1:] * up[:, :, None]
 
 
-@kept("scene", 512 * MIB)
-def stand_in_map(population: Population, frame: LocalFrame, pixel_m: float) -> Stand | None:
+@cached("scene", 512 * MIB)
+def tree_instances_in_map(population: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
     trees = population.trees
-    return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * WHOLE_CROWN_PX))
+    return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * ALL_CROWNS_PX))
 
 
-def any_in_map(trees: Trees, pixel_m: float) -> bool:
+def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
     """Whether a map draws any of some trees, rather than thinning all of them out."""
-    return bool((trees.rank < _share(trees.crown_m / (pixel_m * WHOLE_CROWN_PX))).any())
+    return bool((trees.rank < _share(trees.crown_m / (pixel_m * ALL_CROWNS_PX))).any())
 
 
-@kept("scene", 512 * MIB)
-def stand_in_perspective(
-    population: Population, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
-) -> Stand | None:
+@cached("scene", 512 * MIB)
+def tree_instances_in_perspective(
+    population: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
+) -> TreeInstances | None:
     """The trees all round an eye; ``None`` without any. The last ones are kept."""
     trees = population.trees
     if trees is None:
         return None
     away_m = np.maximum(np.linalg.norm(trees.base_earth_m - np.array(eye_earth_m), axis=1), 1.0)
-    return _stand(population, trees, frame, trees.height_m * focal_px / (away_m * WHOLE_PX))
+    return _stand(population, trees, frame, trees.height_m * focal_px / (away_m * ALL_TREES_PX))
 
 
-def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.ndarray) -> Stand:
+def _stand(population: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
     """``size`` is each tree's as a share of that from which all are drawn."""
     share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
     base = frame.points_from_earth(trees.base_earth_m[number])
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
-    crown_height = np.array([look.crown_height for look in LOOKS], np.float32)[trees.look[number]]
+    crown_height = np.array([look.crown_height for look in TREE_VARIANTS], np.float32)[trees.look[number]]
     turn = np.radians(trees.turn_deg[number].astype(np.float64))
-    return Stand(
+    return TreeInstances(
         number=number,
         base_frame_m=base,
         base_height_m=population.tree_heights_m[number],
@@ -137,7 +137,7 @@ def _stand(population: Population, trees: Trees, frame: LocalFrame, size: np.nda
 
 
 def _share(size: np.ndarray) -> np.ndarray:
-    return np.clip(size.astype(np.float64) ** 2, LEAST_SHARE, 1.0)
+    return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_SHARE, 1.0)
 
 
 @compiled

@@ -32,7 +32,7 @@ TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 """CRSs whose maps share the grids of a tile matrix set."""
 
 
-Number = TypeVar("Number", float, np.ndarray)
+FloatOrArray = TypeVar("FloatOrArray", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class Grid:
     y0: float
     step: float
 
-    def x(self, col: Number) -> Number:
+    def x(self, col: FloatOrArray) -> FloatOrArray:
         """x of a (fractional) column, in CRS units."""
         return self.x0 + col * self.step
 
-    def y(self, row: Number) -> Number:
+    def y(self, row: FloatOrArray) -> FloatOrArray:
         """y of a (fractional) row, in CRS units."""
         return self.y0 - row * self.step
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.errors import UnsupportedError
 
 WGS84 = Geod(ellps="WGS84")
@@ -31,13 +31,13 @@ TRANSFORMER_BYTES = 2**16
 """About what PROJ holds of a transformation."""
 
 
-@kept("process", 8 * MIB, size_of=lambda _: TRANSFORMER_BYTES)
+@cached("process", 8 * MIB, size_of=lambda _: TRANSFORMER_BYTES)
 def transformer(source: CRS, target: CRS) -> Transformer:
     """A cached coordinate transformation, x before y."""
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def epsg_of(crs: CRS) -> int | None:
     """A CRS's EPSG code, if it has one: kept, since looking for one in vain takes PROJ 0.2 s."""
     return crs.to_epsg()
@@ -195,7 +195,7 @@ class World:
         return 0.0 if self.flat else 1.0 / EARTH_RADIUS_M
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
     """A frame of the lattice; kept, so that what is made for a frame can be kept by it."""
     if world.flat:
@@ -232,6 +232,6 @@ def geodetic(point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return _geodetic().transform(x, y, z)
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def _geodetic() -> Transformer:
     return Transformer.from_crs("EPSG:4978", "OGC:CRS84h", always_xy=True)

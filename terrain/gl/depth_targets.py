@@ -9,7 +9,7 @@ from moderngl import Framebuffer
 
 from terrain.cache import register
 
-MOST_TARGETS, MOST_BYTES = 16, 2**28
+MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
 """So many are held, of so many bytes together: the one used last at any size, those used before it while there is room."""
 
 
@@ -25,7 +25,7 @@ class DepthTargets:
 
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
-        self.name, self.lasts, self.limit_bytes = "terrain.gl.depth_targets", "light", MOST_BYTES
+        self.name, self.lasts, self.limit_bytes = "terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
         self._held: list[_Target] = []  # the one used last at the end
         register(self)
 
@@ -84,7 +84,7 @@ class DepthTargets:
         self.clear()
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
-        return self.count < MOST_TARGETS and self.nbytes + depth_bytes(*shape) <= MOST_BYTES
+        return self.count < MAX_TARGETS and self.nbytes + depth_bytes(*shape) <= MAX_TARGET_BYTES
 
 
 def depth_bytes(width: int, height: int, bits: int) -> int:

@@ -52,7 +52,7 @@ def note_draw(program: Linked) -> None:
         calls.append(program)
 
 
-def joined(parts: Mapping[str, str]) -> str:
+def join_shader_parts(parts: Mapping[str, str]) -> str:
     """The text of a shader of named parts, one after another; comments say which is which."""
     return "#version 430\n" + "".join(f"{_PART}{name}\n{text}" for name, text in parts.items())
 

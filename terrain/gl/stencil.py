@@ -20,10 +20,10 @@ from terrain.cache import MIB, Cache, Missing
 _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
-LIMIT_BYTES, PIXEL_BYTES = 128 * MIB, 12
+STENCIL_CACHE_BYTES, PIXEL_BYTES = 128 * MIB, 12
 """Framebuffers are kept up to so many bytes (that of a view and that of its samples, say), and a pixel of one takes so many."""
 
-MARK = 0x80
+MARK_BIT = 0x80
 """The bit that marks pixels; what is marked counts to 127, everything else to 255."""
 
 GRID_STEPS = 1.0
@@ -49,7 +49,11 @@ class Stencil:
     ) -> None:
         self._ctx, self._require_current, self._check, self._park = ctx, require_current, check, park
         self._targets: Cache[tuple[moderngl.Framebuffer, int]] = Cache(
-            "terrain.gl.stencil", "process", LIMIT_BYTES, lambda held: PIXEL_BYTES * held[0].width * held[0].height, self._let_go
+            "terrain.gl.stencil",
+            "process",
+            STENCIL_CACHE_BYTES,
+            lambda held: PIXEL_BYTES * held[0].width * held[0].height,
+            self._let_go,
         )
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
@@ -120,7 +124,7 @@ class Stencil:
         with self._testing(target, depth=False):
             from OpenGL import GL
 
-            GL.glStencilFunc(GL.GL_ALWAYS, MARK, 0xFF)
+            GL.glStencilFunc(GL.GL_ALWAYS, MARK_BIT, 0xFF)
             GL.glStencilOp(GL.GL_KEEP, GL.GL_KEEP, GL.GL_REPLACE)
             yield
 
@@ -161,7 +165,7 @@ class Stencil:
 
             target.depth_mask = False
             GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
-            GL.glStencilFunc(*((GL.GL_EQUAL, MARK, MARK) if marked else (GL.GL_ALWAYS, 0xFF, 0xFF)))
+            GL.glStencilFunc(*((GL.GL_EQUAL, MARK_BIT, MARK_BIT) if marked else (GL.GL_ALWAYS, 0xFF, 0xFF)))
             GL.glStencilMask(0x7F if marked else 0xFF)
             self._ctx.depth_func = ">"
             up, down, keep = GL.GL_INCR_WRAP, GL.GL_DECR_WRAP, GL.GL_KEEP

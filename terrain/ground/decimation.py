@@ -26,7 +26,7 @@ _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class NodeErrors:
     """What each node of a surface is worth, whoever looks at it.
 
     Attributes
@@ -70,7 +70,7 @@ class Decimated:
     tolerance: float
 
 
-def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> Errors:
+def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
     """The errors of all nodes of a grid of heights (rows, cols), NaN where there is no surface.
 
     ``sagitta`` adds how far the earth bulges above a hypotenuse, length**2 / (8 R) with the earth's mean radius R. Raises
@@ -83,11 +83,11 @@ def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> Errors:
         raise InputError("spacing_m", spacing_m, "a positive number of metres")
     bulge_per_m2 = 1.0 / (8.0 * EARTH_RADIUS_M) if sagitta else 0.0
     error, bisected = _node_errors(height, bulge_per_m2 * spacing_m**2)
-    return Errors(height, float(spacing_m), error, bisected, int(_smallest_triangles(height)))
+    return NodeErrors(height, float(spacing_m), error, bisected, int(_smallest_triangles(height)))
 
 
 def decimate(
-    errors: Errors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
+    errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
 ) -> Decimated:
     """The nodes that an eye at (row, col, height in metres) can tell from those left out, and their triangles.
 

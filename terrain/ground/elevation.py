@@ -47,7 +47,7 @@ EXACT_HIGH_CELLS = 32_000_000
 """Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
 cells and not from overviews that somebody else made."""
 
-BLOCK_CELLS = 1024
+READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
 
 _NEIGHBOURHOOD = ((maximum_filter, -np.inf), (minimum_filter, np.inf))
@@ -184,7 +184,7 @@ class Elevation:
     def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
 
-        Longitudes are taken round the earth. Cells are read by blocks of ``BLOCK_CELLS`` a side.
+        Longitudes are taken round the earth. Cells are read by blocks of ``READ_BLOCK_CELLS`` a side.
         """
         height, there = self._at_points(x, y)
         return np.where(there, height, np.nan)
@@ -209,7 +209,9 @@ class Elevation:
         height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
         on = np.flatnonzero(self.covers(x, y))
         row, col = self.cell_of(self._round_earth(x.ravel()[on]), y.ravel()[on])
-        block = np.floor(row / BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / BLOCK_CELLS).astype(np.int64)
+        block = np.floor(row / READ_BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / READ_BLOCK_CELLS).astype(
+            np.int64
+        )
         order = np.argsort(block, kind="stable")
         for some in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
             height[on[some]], there[on[some]] = (v[0] for v in self.heights_at(0, row[None, some], col[None, some]))

@@ -18,7 +18,7 @@ import numpy as np
 from terrain.compiled import compiled
 from terrain.ground.noise import fractal_at
 
-STEPS = (40, 20, 12, 8, 6)
+TIME_STEPS = (40, 20, 12, 8, 6)
 """Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""
 
 TIME_STEP = 0.25
@@ -48,7 +48,7 @@ def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> 
         if level:
             height, uplift = _refined(height, SHIFT_CELLS, seed + 2 * level), _refined(uplift, 0.0, 0)
             side *= 2.0
-        for _ in range(STEPS[min(level, len(STEPS) - 1)]):
+        for _ in range(TIME_STEPS[min(level, len(TIME_STEPS) - 1)]):
             order, receiver = drainage(height)
             _cut(height, uplift, order, receiver, 1.0 / side)
             _creep(height)

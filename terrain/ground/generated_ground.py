@@ -16,7 +16,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.ground.erosion import drained
 from terrain.ground.noise import fractal, noise_at, ridged_at
@@ -48,7 +48,7 @@ SEDIMENT, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
 and the share of the ground that the lake covers."""
 
 
-def made_ground(terrain: Terrain) -> MemoryFile:
+def generated_ground(terrain: Terrain) -> MemoryFile:
     """The raster of ``terrain.flat`` or ``terrain.generate`` in memory: heights in metres, float32; kept between calls.
 
     Ground that is generated runs from height 0 to ``relief``. ``ridges`` are mountains that rivers have cut; ``landscape`` has
@@ -59,7 +59,7 @@ def made_ground(terrain: Terrain) -> MemoryFile:
     return _made(spec)
 
 
-@kept("process", 640 * MIB, size_of=len)
+@cached("process", 640 * MIB, size_of=len)
 def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells

@@ -12,7 +12,7 @@ from terrain.ground.elevation import Elevation
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Geolocator:
     """Finds places of a level: on the globe (longitude, latitude) in degrees, in a flat world (east, north) in metres
     from the anchor.
     """

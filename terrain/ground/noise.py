@@ -10,7 +10,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 
-GAIN = 0.5
+OCTAVE_GAIN = 0.5
 """Amplitude of an octave as a share of the octave before."""
 
 
@@ -58,7 +58,7 @@ def fractal_at(x, y, octaves, seed):
         total += amplitude * noise_at(x, y, seed + k)
         # Twice as fine and turned by the angle of the 3-4-5 triangle, whose sine and cosine are exact.
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
-        amplitude *= GAIN
+        amplitude *= OCTAVE_GAIN
     return total
 
 
@@ -75,7 +75,7 @@ def ridged_at(x, y, octaves, seed):
         total += amplitude * crest
         weight = min(2.0 * crest, 1.0)
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
-        amplitude *= GAIN
+        amplitude *= OCTAVE_GAIN
     return total
 
 

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
@@ -36,7 +36,7 @@ of a node of the horizons' grid."""
 LOCAL_DEG = 20.0
 """Rasters in degrees that span less, and leave as much to the poles, are found in the stereographic plane too, which is faster."""
 
-FLAT, DEGREES, STEREOGRAPHIC = 0, 1, 2
+FLAT_PLANE, DEGREES, STEREOGRAPHIC = 0, 1, 2
 """Planes in which cells are found: a flat world's own, longitude and latitude, or the stereographic one round the anchor."""
 
 EQUATOR_M, ECCENTRICITY_SQUARED = WGS84.a, WGS84.es
@@ -81,7 +81,7 @@ class SkyView:
         return pyramid(self.hidden, np.max)
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def sky_view(elevation: Elevation, world: World) -> SkyView:
     """What ground hides of the sky, of a raster and its world; kept for the last eight. Raises ``SourceError``.
 
@@ -100,11 +100,11 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     return SkyView(hidden_sky(height_m, across_m, down_m, world.curvature), level, node_m, _cell_finder(elevation, world))
 
 
-Cells = tuple[float | np.ndarray, float | np.ndarray]
+RowsAndCols = tuple[float | np.ndarray, float | np.ndarray]
 """Their rows and columns."""
 
 
-def _apart_m(elevation: Elevation, world: World, one: Cells, other: Cells) -> np.ndarray:
+def _apart_m(elevation: Elevation, world: World, one: RowsAndCols, other: RowsAndCols) -> np.ndarray:
     """Distances (rows,) of pairs of cells on the earth; where the CRS has no place on it, as in the row of the middle."""
     points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
     apart_m = np.linalg.norm(points[1] - points[0], axis=-1)
@@ -231,7 +231,7 @@ def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
     rim = np.linspace(-0.5, elevation.rows - 0.5, 33), np.linspace(-0.5, elevation.cols - 0.5, 33)
     x, y = elevation.xy(*np.meshgrid(*rim, indexing="ij"))
     if world.flat:
-        plane, count = FLAT, 2
+        plane, count = FLAT_PLANE, 2
         x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
     elif elevation.crs.is_geographic and not _local(elevation.bounds):
         plane, count = DEGREES, 2
@@ -255,7 +255,7 @@ def _cells_at(
     elevation: Elevation, world: World, plane: int, axes: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns in a raster of places in a finder's plane."""
-    if plane == FLAT:
+    if plane == FLAT_PLANE:
         return elevation.cell_of(x / world.metres_per_unit + world.anchor_x, y / world.metres_per_unit + world.anchor_y)
     if plane == DEGREES:
         return elevation.cell_of(x, y)
@@ -268,7 +268,7 @@ def _cells_at(
     return elevation.cell_of(*transformer(LONGITUDE_LATITUDE, elevation.crs).transform(lon, lat))
 
 
-def nodes_of(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     """Rows and columns (..., 2) float64 in the grid ``hidden`` of the ground below frame points (..., 3) with heights (...)."""
     finder = view.finder
     cells = _cells(
@@ -293,7 +293,7 @@ def _cells(position, height, frame_from_earth, origin, plane, axes, first, step,
         px, py, pz = position[n, 0], position[n, 1], position[n, 2]
         x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
-        if plane != FLAT:
+        if plane != FLAT_PLANE:
             z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
             z *= (EQUATOR_M + height[n]) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height[n])
             if plane == DEGREES:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
@@ -29,7 +29,7 @@ EXACT_STRIDE = 64
 """Largest distance between exactly computed nodes, in nodes."""
 
 
-BAND_ROWS = 256
+SURFACE_BAND_ROWS = 256
 """Rows of a window that are worked on at a time."""
 
 
@@ -98,8 +98,8 @@ class Surface:
         point, up = self.world.ground(self.grid.crs, x, y)
         exact = np.stack([(point - origin_earth_m) @ axis_earth, up @ axis_earth], axis=-1)
         out = np.empty((rows, cols), np.float32)
-        for start in range(0, rows, BAND_ROWS):
-            some = slice(start, min(start + BAND_ROWS, rows))
+        for start in range(0, rows, SURFACE_BAND_ROWS):
+            some = slice(start, min(start + SURFACE_BAND_ROWS, rows))
             count = some.stop - start
             placed = _interpolate(exact, first_row, first_col, self._stride, row0 + start, col0, count, cols)
             out[some] = placed[..., 0] + height_m[some] * placed[..., 1]
@@ -159,7 +159,7 @@ def sheet_triangles(rows: int, cols: int, cut: Cut = "SW-NE") -> np.ndarray:
     return _sheet_triangles(rows, cols, cut)
 
 
-@kept("process", 256 * MIB)
+@cached("process", 256 * MIB)
 def _sheet_triangles(rows: int, cols: int, cut: Cut) -> np.ndarray:
     node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
     nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]

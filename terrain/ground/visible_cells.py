@@ -12,10 +12,10 @@ from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.geo.world import transformer
 from terrain.ground.elevation import Elevation
 
-SAMPLES = 17
+EXTENT_SAMPLES = 17
 """Points a side of a view whose cells are found."""
 
-Cells = tuple[tuple[float, float], tuple[float, float]]
+CellRange = tuple[tuple[float, float], tuple[float, float]]
 """First and last row, and first and last column, of a raster, counted in cells from the middle of the first."""
 
 
@@ -24,17 +24,17 @@ def is_block(view: MapView) -> bool:
     return view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0)
 
 
-def whole(elevation: Elevation) -> Cells:
+def full_cell_range(elevation: Elevation) -> CellRange:
     """All cells of a raster."""
     return (-0.5, elevation.rows - 0.5), (-0.5, elevation.cols - 0.5)
 
 
-def cells_shown(elevation: Elevation, view: MapView) -> Cells | None:
+def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
     """The cells that a map view shows and two pixels beyond its rim; all if its pixels are tiles', ``None`` if it shows none."""
-    all_cells = whole(elevation)
+    all_cells = full_cell_range(elevation)
     if view.on_nodes:
         return all_cells
-    across = np.linspace(-0.5, 0.5, SAMPLES)
+    across = np.linspace(-0.5, 0.5, EXTENT_SAMPLES)
     rows, cols = (first + step * ((count - 1) / 2 + across * count) for first, step, count in _axes(view))
     x, y = np.meshgrid(view.grid.x(cols), view.grid.y(rows))
     if view.grid.crs != elevation.crs:
@@ -46,7 +46,7 @@ def cells_shown(elevation: Elevation, view: MapView) -> Cells | None:
     for at, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
         if not np.isfinite(at).all():
             return all_cells
-        pixel = max(np.abs(np.diff(at, axis=k)).max() * (SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
+        pixel = max(np.abs(np.diff(at, axis=k)).max() * (EXTENT_SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
         bend = max(np.abs(np.diff(at, 2, axis=k)).max() for k in (0, 1))  # of the rim between the points
         margin = 1.0 + 2.0 * pixel + bend
         low, high = max(float(at.min() - margin), first), min(float(at.max() + margin), last)
@@ -60,7 +60,7 @@ def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, 
     return (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
 
 
-def parts(cells: Cells, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
+def block_slices(cells: CellRange, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
     """Rows and columns of a grid of some shape, each ``side`` x ``side`` cells, that lie in some cells, and ``more`` round them."""
     rows, cols = (
         slice(min(max(int((first + 0.5) // side) - more, 0), count - 1), min(int((last + 0.5) // side) + 1 + more, count))

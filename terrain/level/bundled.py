@@ -11,7 +11,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.warp import Resampling, calculate_default_transform, reproject
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 
 
 def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:
@@ -25,7 +25,7 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
     return memory
 
 
-@kept("process", 64 * MIB, size_of=len)
+@cached("process", 64 * MIB, size_of=len)
 def _jacksboro() -> MemoryFile:
     """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
     from matplotlib.cbook import get_sample_data
@@ -36,7 +36,7 @@ def _jacksboro() -> MemoryFile:
         return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
 
 
-@kept("process", 64 * MIB, size_of=len)
+@cached("process", 64 * MIB, size_of=len)
 def _jacksboro_utm() -> MemoryFile:
     """The same heights warped to 30 m in UTM zone 16N, bicubic."""
     with _jacksboro().open() as source:

@@ -48,7 +48,7 @@ SUN = "sun"
 
 LightName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
-Choice = dict[str, dict[CasterKind, AlgorithmName]]
+AlgorithmOverride = dict[str, dict[CasterKind, AlgorithmName]]
 """An override of the algorithm: light -> caster kind -> name; whatever it leaves out is chosen by the selector."""
 
 
@@ -102,7 +102,7 @@ class Shadows(Model):
     @field_validator("algorithm")
     @classmethod
     def _known(cls, value: Any) -> Any:
-        algorithm_choice(value, lights_named(value))  # whether the level has such lights is checked there
+        expand_override(value, lights_named(value))  # whether the level has such lights is checked there
         return value
 
 
@@ -135,7 +135,7 @@ class Level(Model):
 
     @model_validator(mode="after")
     def _lights_exist(self) -> Level:
-        algorithm_choice(self.shadows.algorithm, self.light_names)
+        expand_override(self.shadows.algorithm, self.light_names)
         return self
 
     @property
@@ -180,7 +180,7 @@ class LoadedLevel(BaseModel):
         return str((self.path.parent / source).resolve())
 
 
-def algorithm_choice(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,)) -> Choice:
+def expand_override(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,)) -> AlgorithmOverride:
     """Spell out an override: a name, ``{kind: name}`` or ``{light: name}`` or ``{light: {kind: name}}``.
 
     A name alone is for every one of the ``lights``; kinds without a light are the sun's. ``auto`` gives an empty choice.
@@ -224,7 +224,7 @@ def lights_named(value: Any) -> tuple[str, ...]:
 def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, Any]:
     """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``; raises ``InputError``.
 
-    Whether a level has the lights named is for ``algorithm_choice`` to say.
+    Whether a level has the lights named is for ``expand_override`` to say.
     """
     text = text.strip()
     value: str | dict[str, Any] = text
@@ -234,7 +234,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, 
             key, _, name = part.partition("=")
             value[key.strip()] = name.strip()
     try:
-        algorithm_choice(value, lights_named(value))
+        expand_override(value, lights_named(value))
     except PydanticCustomError as error:
         raise InputError(parameter, text, error.message()) from None
     return value

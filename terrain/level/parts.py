@@ -17,9 +17,9 @@ GroundGenerator = Literal["ridges", "landscape"]
 
 Metres = Annotated[float, Field(gt=0, le=1e7)]
 Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
-Point = tuple[Coordinate, Coordinate]
+MapPosition = tuple[Coordinate, Coordinate]
 Position = tuple[Coordinate, Coordinate, Coordinate]
-Pixels = Annotated[int, Field(ge=1, le=16384)]
+PixelCount = Annotated[int, Field(ge=1, le=16384)]
 
 
 TIME_WORDS = "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00"
@@ -170,7 +170,7 @@ class MeshSpec(Model):
     height: str | Annotated[float, Field(gt=0, le=1000)] | None = None
     surface: FileName | None = None
     ground: FileName | None = None
-    at: Point | list[Point] | None = None
+    at: MapPosition | list[MapPosition] | None = None
     scale: float = Field(default=1.0, gt=0, le=1e6)
     turn: float = Field(default=0.0, ge=-1e6, le=1e6)
     color: tuple[float, float, float] | None = None
@@ -193,7 +193,7 @@ class MeshSpec(Model):
         return self
 
     @property
-    def places(self) -> list[Point]:
+    def places(self) -> list[MapPosition]:
         """Where the mesh stands; empty where the file does not say."""
         if self.at is None:
             return []
@@ -269,7 +269,7 @@ class MapSpec(Model):
     kind: Literal["map"]
     bounds: tuple[float, float, float, float] | None = None
     crs: str | None = None
-    size: tuple[Pixels, Pixels] | None = None
+    size: tuple[PixelCount, PixelCount] | None = None
 
     @field_validator("bounds")
     @classmethod
@@ -288,7 +288,7 @@ class PerspectiveSpec(Model):
     eye: Position
     target: Position
     fov: float = Field(default=50.0, ge=0.01, le=179)
-    size: tuple[Pixels, Pixels] = (1280, 1024)
+    size: tuple[PixelCount, PixelCount] = (1280, 1024)
 
     @model_validator(mode="after")
     def _apart(self) -> PerspectiveSpec:

@@ -10,10 +10,10 @@ import numpy as np
 from terrain.errors import LevelError
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
-from terrain.ground.geolocate import Place
+from terrain.ground.geolocate import Geolocator
 from terrain.level.level import LoadedLevel
-from terrain.level.parts import MeshSpec, Point
-from terrain.meshes.body import Body, Placed, moved, srgb_albedo, turn_about_up
+from terrain.level.parts import MapPosition, MeshSpec
+from terrain.meshes.body import Body, PlacedBody, srgb_albedo, transformed, turn_about_up
 from terrain.meshes.buildings import bounds_text, buildings
 from terrain.meshes.models import is_model, read_model
 from terrain.meshes.solids import Solids
@@ -29,8 +29,8 @@ FOOTPRINT_KEYS = ("height", "surface", "ground")
 class Placement:
     """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins)."""
 
-    seen: tuple[Placed, ...]
-    casting: tuple[Placed, ...]
+    seen: tuple[PlacedBody, ...]
+    casting: tuple[PlacedBody, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +41,13 @@ class _Spot:
     earth_from_enu: np.ndarray
 
 
-def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
+def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
     """What a level's meshes are and where they stand, whatever its clock says.
 
     Raises ``LevelError`` for a key that does not fit or a place off the terrain, ``SourceError`` for a file that cannot be used.
     """
-    seen: list[Placed] = []
-    casting: list[Placed] = []
+    seen: list[PlacedBody] = []
+    casting: list[PlacedBody] = []
     for number, spec in enumerate(loaded.level.meshes):
         where = f"{loaded.path}: meshes.{number}"
         if spec.source is not None and not is_model(spec.source):
@@ -55,7 +55,7 @@ def place(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
             standing = stand_ins = buildings(spec, where, loaded, world, elevation)
         else:
             _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
-            places: Sequence[Point | None] = spec.places or [None]
+            places: Sequence[MapPosition | None] = spec.places or [None]
             spots = [_spot(at, where, world, elevation) for at in places]
             standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots)
             if spec.caster is not None:
@@ -87,7 +87,7 @@ def solids(placement: Placement, seconds: float) -> Solids:
     )
 
 
-def _gathered(bodies: Sequence[Placed], seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def _gathered(bodies: Sequence[PlacedBody], seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
     first = np.cumsum([0, *(len(placed.body.vertices_m) for placed in bodies)])
     vertices = [placed.origin_earth_m + placed.body.vertices_m @ _earth_from_body(placed, seconds).T for placed in bodies]
@@ -95,7 +95,7 @@ def _gathered(bodies: Sequence[Placed], seconds: float) -> tuple[np.ndarray, np.
     return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3), np.int32), *triangles])
 
 
-def _earth_from_body(placed: Placed, seconds: float) -> np.ndarray:
+def _earth_from_body(placed: PlacedBody, seconds: float) -> np.ndarray:
     return placed.earth_from_body @ turn_about_up(placed.spin_deg_per_s * seconds)
 
 
@@ -112,16 +112,16 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
     return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color)) for body in bodies]
 
 
-def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot]) -> list[Placed]:
+def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot]) -> list[PlacedBody]:
     """The bodies at every spot; one body at several spots is one value."""
     spin = spec.motion.spin if spec.motion is not None else 0.0
-    turned = [moved(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
-    return [Placed(body, spot.point_earth_m, spot.earth_from_enu, spin) for spot in spots for body in turned]
+    turned = [transformed(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
+    return [PlacedBody(body, spot.point_earth_m, spot.earth_from_enu, spin) for spot in spots for body in turned]
 
 
-def _spot(at: Point | None, where: str, world: World, elevation: Elevation) -> _Spot:
+def _spot(at: MapPosition | None, where: str, world: World, elevation: Elevation) -> _Spot:
     """The ground at a place of a level, without one at the anchor. Raises ``LevelError`` off the terrain."""
-    x, y = (world.anchor_x, world.anchor_y) if at is None else Place(world, elevation).xy(at)
+    x, y = (world.anchor_x, world.anchor_y) if at is None else Geolocator(world, elevation).xy(at)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
         raise LevelError(

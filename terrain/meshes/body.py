@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.srgb import linear_of_srgb
 
@@ -23,10 +23,10 @@ MERGE_SHARE = 1e-8
 """Vertices closer than about this share of a body's size are one place."""
 
 
-Vector = Sequence[float] | np.ndarray
+VectorLike = Sequence[float] | np.ndarray
 
 
-def srgb_albedo(color: Vector) -> np.ndarray:
+def srgb_albedo(color: VectorLike) -> np.ndarray:
     """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]."""
     return linear_of_srgb(np.asarray(color, np.float64)).astype(np.float32)
 
@@ -38,7 +38,7 @@ class Body:
     Attributes
     ----------
     vertices_m
-        float64 (n, 3): east, north, up from the body's origin (for a ``Placed`` one whatever its axes are).
+        float64 (n, 3): east, north, up from the body's origin (for a ``PlacedBody`` one whatever its axes are).
     triangles
         int32 (m, 3), counter-clockwise from outside.
     albedo
@@ -95,7 +95,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedBody:
     """A body on the earth: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``.
 
     ``earth_from_body`` is a rotation (3, 3) float64. ``spin_deg_per_s`` turns the body about its own up axis.
@@ -107,12 +107,12 @@ class Placed:
     spin_deg_per_s: float = 0.0
 
 
-def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), albedo: Vector | None = None) -> Body:
+def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: VectorLike | None = None) -> Body:
     """A box of ``size_m`` (east, north, up) round its centre; ``albedo`` is linear."""
     return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
 
-def moved(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
+def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
     """A body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
     vertices = scale * body.vertices_m @ turn_about_up(turn_deg).T + np.asarray(offset_m, np.float64)
     return Body(vertices, body.triangles, body.albedo)
@@ -126,7 +126,7 @@ def turn_about_up(turn_deg: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _made(mesh: trimesh.Trimesh, centre_m: Vector, albedo: Vector | None) -> Body:
+def _made(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None) -> Body:
     color = srgb_albedo(NEUTRAL) if albedo is None else np.asarray(albedo, np.float32)
     return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
 
@@ -139,7 +139,7 @@ def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return double_area > 1e-12 * longest
 
 
-@kept("scene", 256 * MIB)
+@cached("scene", 256 * MIB)
 def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     places = body.merged_triangles
     count = int(places.max(initial=-1)) + 1

@@ -26,7 +26,7 @@ from terrain.ground.elevation import Elevation
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import MeshSpec
-from terrain.meshes.body import Body, Placed, srgb_albedo
+from terrain.meshes.body import Body, PlacedBody, srgb_albedo
 
 FOOTING_M = 0.5
 """How far walls reach below the lowest ground of their outline."""
@@ -65,7 +65,7 @@ WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58
 ROOF_COLORS = ((0.57, 0.35, 0.27), (0.48, 0.36, 0.30), (0.38, 0.40, 0.43), (0.44, 0.43, 0.42), (0.56, 0.57, 0.57))
 """sRGB: red and brown tile, slate, felt, zinc."""
 
-SHADES = (0.92, 1.06)
+ALBEDO_VARIATION = (0.92, 1.06)
 """How much darker or lighter a building is than its material."""
 
 
@@ -79,7 +79,7 @@ class _Blocks:
     base_m: np.ndarray
 
 
-def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[Placed]:
+def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[PlacedBody]:
     """Closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
 
     Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else an
@@ -233,7 +233,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 
 
-def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None) -> list[Placed]:
+def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None) -> list[PlacedBody]:
     rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
     xy, ring = shapely.get_coordinates(rings, return_index=True)
     kept = np.append(ring[1:] == ring[:-1], False)  # a ring's last point is its first
@@ -250,7 +250,9 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         origin = ground[start] + base_m * up[start]
         vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
         wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
-        placed.append(Placed(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3)))
+        placed.append(
+            PlacedBody(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3))
+        )
         start, first_ring = here.stop, last_ring
     return placed
 
@@ -319,7 +321,7 @@ def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
     step = 1e-6 if crs.is_geographic else 0.1
     bits = zlib.crc32(np.rint(centre / step).astype("<i8").tobytes())
     wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]
-    shade = SHADES[0] + (SHADES[1] - SHADES[0]) * (bits >> 16) / 0xFFFF
+    shade = ALBEDO_VARIATION[0] + (ALBEDO_VARIATION[1] - ALBEDO_VARIATION[0]) * (bits >> 16) / 0xFFFF
     return srgb_albedo(np.array(wall) * shade), srgb_albedo(np.array(roof) * shade)
 
 

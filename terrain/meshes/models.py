@@ -23,7 +23,7 @@ Y_UP_SUFFIXES = (".glb", ".gltf")
 MODEL_SUFFIXES = (".obj", ".ply", *Y_UP_SUFFIXES)
 """Files that are models; anything else is asked of GDAL."""
 
-MAX_TRIANGLES = 5_000_000
+MAX_MODEL_TRIANGLES = 5_000_000
 
 ALLOWED = "a model with triangles: .obj, .ply, .glb or .gltf"
 
@@ -36,7 +36,7 @@ def is_model(source: str) -> bool:
 def read_model(source: str) -> Body:
     """The model in a file as one body: its lowest point at height 0, its origin otherwise the file's.
 
-    Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_TRIANGLES`` or has
+    Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_MODEL_TRIANGLES`` or has
     coordinates that are no numbers.
     """
     if not Path(source).exists():
@@ -44,8 +44,8 @@ def read_model(source: str) -> Body:
     parts = [part for part in _loaded(source).dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
         raise SourceError(source, "no triangle", ALLOWED)
-    if sum(len(part.faces) for part in parts) > MAX_TRIANGLES:
-        raise SourceError(source, f"{sum(len(part.faces) for part in parts)} triangles", f"at most {MAX_TRIANGLES}")
+    if sum(len(part.faces) for part in parts) > MAX_MODEL_TRIANGLES:
+        raise SourceError(source, f"{sum(len(part.faces) for part in parts)} triangles", f"at most {MAX_MODEL_TRIANGLES}")
     y_up = source.lower().endswith(Y_UP_SUFFIXES)
     vertices, triangles, albedo, count = [], [], [], 0
     for part in parts:

@@ -25,7 +25,7 @@ from terrain.errors import SourceError
 from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.elevation import UNIT_WORDS
 from terrain.level.parts import METRES_PER_UNIT
-from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter
+from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
 """Canopy below is no tree, and above no canopy."""
@@ -36,7 +36,7 @@ COARSE_CELL_M = 3.0
 CROWN_CELLS = 1.3
 """Nor do finer ones show trees whose crowns are usually narrower than this, in cells: there would be fewer tops than trees."""
 
-WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
+TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
 """Radius of a top's window: metres, and metres per metre of height. Never less than the eight neighbours. Conifers': that of
 ForestTools' ``vwf`` (A. Plowright). Broadleaved crowns have several humps: half of Popescu and Wynne's width of deciduous crowns,
 3.09632 m + 0.00895 h**2 / m, as a line that keeps within 0.22 m of the half from 8 m to 25 m and does not run away beyond.
@@ -45,7 +45,7 @@ ForestTools' ``vwf`` (A. Plowright). Broadleaved crowns have several humps: half
 NEIGHBOURS = 3
 """Tops whose mean distance is the room that a crown has."""
 
-DENSEST = 1.2
+MAX_CROWN_RATIO = 1.2
 """Largest crown's diameter, in mean distances to those neighbours."""
 
 PACKING = 2.0 / np.sqrt(3.0)
@@ -165,7 +165,7 @@ class Canopy:
     ) -> Iterator[Crowns]:
         """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
 
-        ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops: see ``WINDOW_M``.
+        ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops: see ``TREETOP_WINDOW_M``.
         Canopy too low for its cells to show trees is scattered as dense as such crowns close it. Raises ``SourceError`` where the
         raster is not to be read or has no place in ``crs``.
         """
@@ -250,7 +250,7 @@ class Canopy:
         for number in present.tolist():
             least, most = edges_m[number : number + 2]
             crown_m = crown_of(np.sqrt([least * most]))[0]
-            p = scatter(square, PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
+            p = scatter_trees(square, PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
             inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
             height = np.where(inside, heights[np.where(inside, row, 0), np.where(inside, col, 0)], 0.0)

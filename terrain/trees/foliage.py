@@ -7,22 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from terrain.cache import MIB, kept
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.errors import InputError
 from terrain.srgb import linear_of_srgb, srgb_of_linear
 from terrain.trees.foliage_paint import Clumped, Whorled, paint
 
 THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
-SIZE = 256
-SMALLEST = 4
+TEXTURE_PX = 256
+SMALLEST_MIP_PX = 4
 SUBGRID = 4  # sampling points a texel and axis, where coverage is measured
 DITHERS = (0.0, 0.125, 0.5, 2.0)  # tried in turn, relative to alpha
-CLOSE = 0.004  # coverage this near to the wanted is not improved
+COVERAGE_TOLERANCE = 0.004  # coverage this near to the wanted is not improved
 
 
 @dataclass(frozen=True)
-class Look:
+class TreeVariant:
     """A kind of tree: ``species`` is "conifer" or "broadleaf", ``crown_height`` the share of the tree's height at which the
     level crown quad lies, ``crown_to_height`` the crown's diameter over the height for which the pictures are painted.
     """
@@ -48,9 +48,9 @@ class Foliage:
     levels: tuple[np.ndarray, ...]
 
 
-_KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
+_KINDS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     (
-        Look("spruce", "conifer", 0.2, 0.3),
+        TreeVariant("spruce", "conifer", 0.2, 0.3),
         Whorled(
             radius=0.15,
             crown_base=0.07,
@@ -72,7 +72,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("fir", "conifer", 0.2, 0.36),
+        TreeVariant("fir", "conifer", 0.2, 0.36),
         Whorled(
             radius=0.18,
             crown_base=0.04,
@@ -94,7 +94,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("larch", "conifer", 0.25, 0.34),
+        TreeVariant("larch", "conifer", 0.25, 0.34),
         Whorled(
             radius=0.17,
             crown_base=0.14,
@@ -116,7 +116,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("pine", "conifer", 0.7, 0.4),
+        TreeVariant("pine", "conifer", 0.7, 0.4),
         Clumped(
             radius=0.2,
             crown_base=0.5,
@@ -138,7 +138,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("oak", "broadleaf", 0.5, 0.9),
+        TreeVariant("oak", "broadleaf", 0.5, 0.9),
         Clumped(
             radius=0.45,
             crown_base=0.16,
@@ -160,7 +160,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("beech", "broadleaf", 0.5, 0.62),
+        TreeVariant("beech", "broadleaf", 0.5, 0.62),
         Clumped(
             radius=0.31,
             crown_base=0.12,
@@ -182,7 +182,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("birch", "broadleaf", 0.5, 0.42),
+        TreeVariant("birch", "broadleaf", 0.5, 0.42),
         Clumped(
             radius=0.21,
             crown_base=0.16,
@@ -204,7 +204,7 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
     (
-        Look("maple", "broadleaf", 0.5, 0.72),
+        TreeVariant("maple", "broadleaf", 0.5, 0.72),
         Clumped(
             radius=0.36,
             crown_base=0.2,
@@ -226,25 +226,25 @@ _KINDS: tuple[tuple[Look, Whorled | Clumped], ...] = (
         ),
     ),
 )
-LOOKS: tuple[Look, ...] = tuple(look for look, _ in _KINDS)
+TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(look for look, _ in _KINDS)
 
 
 OUTLINE_CELLS = 16
 """Cells a side of a picture by which its outline is told."""
 
 
-@kept("process", 256 * MIB)
+@cached("process", 256 * MIB)
 def foliage() -> Foliage:
-    """The pictures of ``LOOKS``, painted once in a process and the same on every machine."""
+    """The pictures of ``TREE_VARIANTS``, painted once in a process and the same on every machine."""
     layers = [
         coverage_mips(_texture(view, stands), THRESHOLD)
         for seed, (_, model) in enumerate(_KINDS)
-        for view, stands in zip(paint(model, seed, SIZE), (True, False), strict=True)
+        for view, stands in zip(paint(model, seed, TEXTURE_PX), (True, False), strict=True)
     ]
     return Foliage(levels=tuple(np.stack(level) for level in zip(*layers, strict=True)))
 
 
-@kept("process", MIB)
+@cached("process", MIB)
 def leaf_outlines() -> np.ndarray:
     """For each picture (2 * looks, k, 2) the corners of a convex polygon that holds all of its leaves, the last one repeated: right
     and up from the lower left corner, in [0, 1]; a sixteenth of the picture is what it may be too large by.
@@ -290,14 +290,14 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
     """
     rgba = np.asarray(rgba)
     sides = rgba.shape[:2]
-    if rgba.dtype != np.uint8 or rgba.ndim != 3 or rgba.shape[2] != 4 or any(n < SMALLEST or n & (n - 1) for n in sides):
+    if rgba.dtype != np.uint8 or rgba.ndim != 3 or rgba.shape[2] != 4 or any(n < SMALLEST_MIP_PX or n & (n - 1) for n in sides):
         raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4) with powers of two of at least 4 as h and w")
     if not 0.0 < threshold < 1.0:
         raise InputError("threshold", threshold, "a number above 0 and below 1")
 
     alpha = [rgba[..., 3] / 255.0]
     light = [linear_of_srgb(rgba[..., :3] / 255.0) * alpha[0][..., None]]
-    while min(alpha[-1].shape) > SMALLEST:
+    while min(alpha[-1].shape) > SMALLEST_MIP_PX:
         alpha.append(_halved(alpha[-1]))
         light.append(_halved(light[-1]))
     wanted = _coverage(rgba[..., 3], threshold * 255.0)
@@ -333,7 +333,7 @@ def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
             if abs(share - wanted) < error:
                 best, error = scaled, abs(share - wanted)
             low, high = (middle, high) if share < wanted else (low, middle)
-        if error <= CLOSE:
+        if error <= COVERAGE_TOLERANCE:
             break
     return best
 

@@ -22,13 +22,13 @@ from terrain.geo.world import World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import ForestSpec, Species
-from terrain.trees.canopy import DENSEST, WINDOW_M, Canopy, border_cells, is_raster, room_m
-from terrain.trees.foliage import LOOKS
-from terrain.trees.scatter import HECTARE_M2, Places, joined, point_keys, scatter, shares
+from terrain.trees.canopy import MAX_CROWN_RATIO, TREETOP_WINDOW_M, Canopy, border_cells, is_raster, room_m
+from terrain.trees.foliage import TREE_VARIANTS
+from terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
 from terrain.trees.thinning import thinning_ranks
 from terrain.trees.trees import Trees
 
-MOST_TREES = 5_000_000
+MAX_TREES = 5_000_000
 """Trees that a level may have."""
 
 HEIGHT_M = (8.0, 18.0)
@@ -114,18 +114,18 @@ class Stems:
         )
 
 
-def plant(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | None:
+def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | None:
     """All trees of a level, ``None`` where there are none.
 
     Trees stand on the ground's full resolution; those off the terrain, over holes or under water are left out. Stands of one
     density and seed share their places, so that neighbours never collide; stands that overlap need seeds of their own. Raises
     ``LevelError`` or ``SourceError`` where a stand's file or keys are wrong, a stand is wholly outside, or there are more than
-    ``MOST_TREES``.
+    ``MAX_TREES``.
     """
     site, stands, count = Site(world, elevation), [], 0
     for number, spec in enumerate(loaded.level.forest):
         where = f"{loaded.path}: forest.{number}"
-        stems = _stems(spec, loaded.resolve(spec.source), where, site, MOST_TREES - count)
+        stems = _stems(spec, loaded.resolve(spec.source), where, site, MAX_TREES - count)
         trees = _planted(stems, spec.species, where, site)
         count += len(trees.rank)
         stands.append(trees)
@@ -180,9 +180,9 @@ def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site,
     expected = shapely.area(geometry).sum() * site.unit_m**2 / HECTARE_M2 * spec.density
     if expected > most:
         raise _too_many(where, round(expected), most)
-    stands = [scatter(area, spec.density, spec.seed, site.unit_m) for area in geometry]
+    stands = [scatter_trees(area, spec.density, spec.seed, site.unit_m) for area in geometry]
     owner = np.repeat(index, [len(places) for places in stands])
-    places, first = joined(stands)
+    places, first = join_places(stands)
     owner = owner[first]
     height = _values(spec.height or HEIGHT_M, features, owner, places.key, _HEIGHT)
     crown = None if spec.crown is None else _values(spec.crown, features, owner, places.key, _CROWN)
@@ -218,7 +218,7 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
         if window is None:
             raise _outside(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
         base, slope = _line(CROWN_M, spec.species)
-        window_m = _line(WINDOW_M, spec.species)
+        window_m = _line(TREETOP_WINDOW_M, spec.species)
         for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
             stands.append(piece)
             count += len(piece.places)
@@ -228,10 +228,10 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
             raise SourceError(source, "no height in any cell (all nodata)", "a raster with canopy heights")
     finally:
         canopy.close()
-    places, first = joined([piece.places for piece in stands])
+    places, first = join_places([piece.places for piece in stands])
     height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
     crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, _CROWN)
-    return Stems(places, height, crown, DENSEST * room_m(places.x, places.y, site.unit_m))
+    return Stems(places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m))
 
 
 def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
@@ -263,7 +263,7 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
 
 def _looks(key: np.ndarray, species: Species) -> np.ndarray:
     """Looks uint8 (n,) of a species; of ``mixed`` stands half the trees are conifers."""
-    kinds = {kind: np.array([n for n, look in enumerate(LOOKS) if look.species == kind], np.uint8) for kind in CROWN_M}
+    kinds = {kind: np.array([n for n, look in enumerate(TREE_VARIANTS) if look.species == kind], np.uint8) for kind in CROWN_M}
     share = shares(key, _LOOK)
     drawn = {kind: looks[(share * len(looks)).astype(int)] for kind, looks in kinds.items()}
     if species != "mixed":
@@ -280,8 +280,8 @@ def _line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[floa
 
 def _own_crown_m(height_m: np.ndarray, look: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Diameters of single crowns: their species' usual ones, wider or narrower as the look is among its kin."""
-    kin = {kind: np.mean([k.crown_to_height for k in LOOKS if k.species == kind]) for kind in CROWN_M}
-    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / kin[k.species]) for k in LOOKS]).T[:, look]
+    kin = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
+    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / kin[k.species]) for k in TREE_VARIANTS]).T[:, look]
     return (base + slope * height_m) * wide * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))
 
 
@@ -321,8 +321,8 @@ def _moved(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def _too_many(where: str, count: int, most: int, more: str = "") -> LevelError:
-    rest = "" if most == MOST_TREES else f", {most:,} of which are left for this stand"
-    return LevelError(where, " ".join(f"{count:,} trees {more}".split()), f"at most {MOST_TREES:,} trees in a level{rest}")
+    rest = "" if most == MAX_TREES else f", {most:,} of which are left for this stand"
+    return LevelError(where, " ".join(f"{count:,} trees {more}".split()), f"at most {MAX_TREES:,} trees in a level{rest}")
 
 
 def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:

@@ -61,13 +61,13 @@ def shares(key: np.ndarray, stream: int) -> np.ndarray:
     return _shares(key, stream)
 
 
-def scatter(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
+def scatter_trees(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
     """Trees of a density, on the average exact, in an area of a CRS whose unit is ``unit_m`` metres."""
     pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
     return _gathered([places for part in shapely.get_parts(area) for places in _scattered(part, pitch, seed)])
 
 
-def joined(sets: list[Places]) -> tuple[Places, np.ndarray]:
+def join_places(sets: list[Places]) -> tuple[Places, np.ndarray]:
     """Several sets of places as one, each tree once, in the order of their hashes, and where each was among all."""
     all_places = _gathered(sets)
     key, first = np.unique(all_places.key, return_index=True)

@@ -18,7 +18,7 @@ import trimesh
 from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import EFFECTS
@@ -96,7 +96,7 @@ class Lab:
         """What an effect does in a case."""
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
-        plan = choose(describe(scene, view, "view"), scene.loaded.level)
+        plan = make_plan(describe(scene, view, "view"), scene.loaded.level)
         (on, ran), (off, ran_off) = (self._picture(scene, effect, wish) for wish in ("on", "off"))
         assert not ran_off
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
@@ -109,7 +109,7 @@ class Lab:
         forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: wish}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
-        frame = render_frame(replace(scene, loaded=loaded), view, choose(describe(scene, view, "view"), forced))
+        frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))
         return frame.color.astype(np.int32), effect in frame.plan.runs
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import terrain.effects
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.effects.effect import Block, Effect, Verdict
+from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 
@@ -24,7 +24,7 @@ def facts(scene, view, look) -> dict[str, Fact]:
     return {"highest_m": scene.height_range_m[1]}
 
 
-def settle(albedo: np.ndarray, block: Block) -> None:
+def settle(albedo: np.ndarray, block: ShadingBlock) -> None:
     albedo[block.buffer.height_m > 50.0] = (0.9, 0.8, 0.1)
 
 
@@ -39,7 +39,7 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     raster = write_raster((3.0 * x).astype(np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
     scene = make_scene(raster, 90.0, 40.0)
     view = scene.view(size=(40, 40))
-    plan = choose(describe(scene, view), scene.loaded.level)
+    plan = make_plan(describe(scene, view), scene.loaded.level)
     assert "dust" in plan.runs and "dust" in plan.passes
     frame = render_frame(scene, view, plan)
     assert "dust" in frame.effects
@@ -48,7 +48,7 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     assert (yellow == high)[frame.there].all()
 
     off = scene.loaded.level.model_copy(update={"effects": {"dust": "off"}})
-    left = choose(describe(scene, view), off)
+    left = make_plan(describe(scene, view), off)
     assert "dust" not in left.passes
     assert next(item.reason for item in left.left_out if item.name == "dust").startswith("forced off by the level (the highest")
     assert not (render_frame(scene, view, left).color[..., 0].astype(int) - frame.color[..., 2] > 60)[~high].any()
@@ -59,11 +59,11 @@ def test_where_it_is_not_called_for_its_part_is_not_called(gl, dust, write_raste
     scene = make_scene(raster)
     effect = terrain.effects.EFFECTS["dust"]  # type: ignore[index]
 
-    def fail(albedo: np.ndarray, block: Block) -> None:
+    def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
         raise AssertionError("run though left out")
 
     monkeypatch.setitem(terrain.effects.EFFECTS, "dust", Effect(effect.about, effect.called_for, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))
-    plan = choose(describe(scene, view), scene.loaded.level)
+    plan = make_plan(describe(scene, view), scene.loaded.level)
     assert next(item.reason for item in plan.left_out if item.name == "dust") == "the highest ground is at 12 m"
     assert "dust" not in render_frame(scene, view, plan).effects

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import configs
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import Frame, render_frame
 from terrain.describe import describe
 from terrain.level.level import load_level
@@ -37,7 +37,7 @@ def scene_of():
 def drawn(scene: Scene, name: str) -> Frame:
     spec = scene.loaded.level.views.get(name)
     view = scene.view(name, size=SIZE["map" if spec is None else spec.kind])
-    return render_frame(scene, view, choose(describe(scene, view, name), scene.loaded.level))
+    return render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
 
 
 def views_of(path: Path) -> list[str]:
@@ -70,7 +70,7 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
 def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
     scene = scene_of(next(path for path in LEVELS if path.stem == "jacksboro"))
     view, asked = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
-    frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level, asked))
+    frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, asked))
     words = {word for record in frame.passes for label in record.programs for word in label.split()}
     assert "shadows/maps/sun_disc.frag" in words and "soft_edges" in frame.effects
     reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")

@@ -20,7 +20,7 @@ import pytest
 import trimesh
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
@@ -138,7 +138,7 @@ class Trial:
         level = scene.loaded.level
         if scene.sun_is_up and level.effects == "auto":
             level = level.model_copy(update={"effects": {"cast_shadows": "on", "alpha_test": "on"}})
-        plan = choose(describe(scene, view), level, {"algorithm": self.algorithm, **asked})
+        plan = make_plan(describe(scene, view), level, {"algorithm": self.algorithm, **asked})
         light = light or scene.light_names[0]
         buffer = geometry_of(scene, view)
         casters, log = casters_of(scene, buffer), PassLog()

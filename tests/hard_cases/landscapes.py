@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
-from shadows.algorithm import Settings
+from shadows.algorithm import AlgorithmSettings
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.visibility import fill_steps
@@ -48,7 +48,7 @@ def views_of(trial: Trial, scene: Scene, size: int, **of_map: Any) -> Iterator[V
     yield scene.view("eye", size=(size, size))
 
 
-Change = Callable[[Settings], Settings]
+Change = Callable[[AlgorithmSettings], AlgorithmSettings]
 
 
 def changed(seen: Seen, change: Change) -> Seen:

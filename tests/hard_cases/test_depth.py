@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from shadows.algorithm import Settings
+from shadows.algorithm import AlgorithmSettings
 from shadows.maps.drawing import draw_map
 from shadows.maps.resolve import DEPTH_PX
 from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import DepthMap, distances, steps_of, sun_maps
+from shadows.maps.windows import DepthMap, depth_steps, distances, sun_maps
 from shadows.passes import PassRecord
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.describe import describe
@@ -85,7 +85,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
             for bits in (16, 24, 32):
                 seen = trial.see(scene, view, depth_bits=bits, map_size=2048 if trial.thorough else 512, filter=1)
                 (drawn,) = sun_maps(seen.buffer, scene, settings_of(seen), None)
-                allowed_m = range_m / steps_of(bits) + drawn.uniforms["error_m"]
+                allowed_m = range_m / depth_steps(bits) + drawn.uniforms["error_m"]
                 error = max(error, depth_error_m(seen, drawn, height_m) / allowed_m)
                 reach_m = drawn.uniforms["texel_m"][1] / np.sin(np.radians(altitude)) + drawn.uniforms["texel_m"][0]
                 east = seen.buffer.position_frame_m[..., 0]
@@ -147,7 +147,7 @@ def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, fl
         worst = max(worst, np.count_nonzero(fine.dark != seen.dark) / edges)
         facts, bits = describe(scene, view), settings_of(seen).depth_bits
         assert facts.receivers_light_m is not None
-        least_px = facts.receivers_light_m[2] / steps_of(16) * np.cos(np.radians(altitude)) / facts.pixel_m
+        least_px = facts.receivers_light_m[2] / depth_steps(16) * np.cos(np.radians(altitude)) / facts.pixel_m
         reason = next((each.reason for each in seen.plan.reasons if each.name == f"depth_bits {bits}"), "")
         said = "a 16-bit step" in reason and ("at most" if bits == 16 else "more than") in reason
         unsaid += not said or (bits == 16 and least_px > DEPTH_PX) or (bits > 16 and 1.5 * least_px < DEPTH_PX)
@@ -206,7 +206,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
 def parted_at(far_m: float) -> Change:
     """The first cascade goes that far."""
 
-    def change(its: Settings) -> Settings:
+    def change(its: AlgorithmSettings) -> AlgorithmSettings:
         assert isinstance(its, ShadowMapSettings)
         first, *others = its.cascades
         beyond = [each for each in others if each.far_m is None or each.far_m > far_m]

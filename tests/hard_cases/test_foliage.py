@@ -24,7 +24,7 @@ from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.gl.device import device
 from terrain.scene import Scene
-from terrain.trees.foliage import LOOKS, SIZE, THRESHOLD, Foliage, coverage_mips
+from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.metrics import flicker
@@ -52,10 +52,10 @@ def planted(
 @lru_cache
 def cut_outs(share: float) -> Foliage:
     """Pictures of one coverage: nothing from the side, from above blobs of a few texels. They live on as those of trees do."""
-    field = gaussian_filter(np.random.default_rng(7).random((SIZE, SIZE)), 3.0, mode="wrap")
+    field = gaussian_filter(np.random.default_rng(7).random((TEXTURE_PX, TEXTURE_PX)), 3.0, mode="wrap")
     alpha = np.where(field <= np.quantile(field, share), 255, 0).astype(np.uint8)
     clear, blobs = (coverage_mips(np.dstack([np.full_like(a, 80)] * 3 + [a]), THRESHOLD) for a in (np.zeros_like(alpha), alpha))
-    return Foliage(tuple(np.stack([one, other] * len(LOOKS)) for one, other in zip(clear, blobs, strict=True)))
+    return Foliage(tuple(np.stack([one, other] * len(TREE_VARIANTS)) for one, other in zip(clear, blobs, strict=True)))
 
 
 @contextmanager
@@ -87,7 +87,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
     worst, rng = 0.0, np.random.default_rng(3)
     levels = np.arange(0.0, 5.1, 0.5) if trial.thorough else (0.0, 2.5, 4.5, 5.0)
     for level in levels:
-        texel_m = CROWN_M / SIZE * 2.0**level
+        texel_m = CROWN_M / TEXTURE_PX * 2.0**level
         count = int(np.clip((20_000 if trial.thorough else 6_000) * (texel_m / CROWN_M) ** 2, 4, 400))
         cols = int(np.ceil(np.sqrt(count * NORTH_M / EAST_M)))
         rows = -(-count // cols)
@@ -181,10 +181,10 @@ def coverage_of(seen: Seen, blocks: int) -> tuple[float, float]:
 @contextmanager
 def whole_stands() -> Iterator[None]:
     """No stand is thinned, however small its trees are."""
-    forget = tree_instances.stand_in_perspective.cache.clear, tree_instances.stand_in_map.cache.clear
+    forget = tree_instances.tree_instances_in_perspective.cache.clear, tree_instances.tree_instances_in_map.cache.clear
     [each() for each in forget]
     try:
-        with patch.object(tree_instances, "LEAST_SHARE", 1.0):
+        with patch.object(tree_instances, "MIN_DRAWN_SHARE", 1.0):
             yield
     finally:
         [each() for each in forget]

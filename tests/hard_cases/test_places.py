@@ -11,7 +11,7 @@ from pyproj import Transformer
 from scipy.spatial import ConvexHull
 
 from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.geo.camera import PerspectiveView, look_at
@@ -250,7 +250,7 @@ def _hill(trial: Trial, place: Place, name: str) -> np.ndarray:
     view = view_of(trial, scene, 96)
     if isinstance(view, PerspectiveView):
         view = view.part(30, 30, 36, 36)  # ground alone
-    plan = choose(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
+    plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
     color = render_frame(scene, view, plan).color.astype(int)
     assert np.ptp(color) > 10, "a hill that is lit from one side"
     return color

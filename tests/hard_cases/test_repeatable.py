@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, Case, Trial, failures, hard_case
 from tests.hard_cases.sites import site, views_of
 
@@ -61,7 +61,7 @@ def test_the_same_again(trial: Trial) -> dict[str, float]:
     px = 512 if trial.thorough else 128
     first = pictures(trial.algorithm, trial.folder, px)
     kept = pictures(trial.algorithm, trial.folder, px)
-    forget("light")
+    clear_caches("light")
     again = [kept, pictures(trial.algorithm, trial.folder, px)]
     if trial.thorough:
         again.append(pictures_elsewhere(trial.algorithm, trial.folder, px)[1])

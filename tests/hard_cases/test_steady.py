@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.maps import perspective_shadow_map
 from shadows.maps.drawing import draw_map
 from shadows.maps.lookup import look_up
 from shadows.maps.resolve import EXTENT_STEP
 from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import BORDER_TEXELS, sun_maps
+from shadows.maps.windows import MAP_BORDER_TEXELS, sun_maps
 from shadows.passes import PassRecord
 from shadows.plan import Step
 from terrain.casters.reach import casters_of
@@ -223,9 +223,9 @@ def test_a_full_turn(trial: Trial) -> dict[str, float]:
             facts = describe(scene, near)
             if not facts.bands:
                 continue
-            chosen = choose(facts, scene.loaded.level, {"algorithm": "shadow_map", "map_size": 256, "cascades": 1})
+            chosen = make_plan(facts, scene.loaded.level, {"algorithm": "shadow_map", "map_size": 256, "cascades": 1})
             texel_m = np.array(chosen.settings["sun"]["relief"].cascades[0].texel_m)
-            rungs = np.log(texel_m * (256 - 2 * BORDER_TEXELS)) / np.log(EXTENT_STEP)
+            rungs = np.log(texel_m * (256 - 2 * MAP_BORDER_TEXELS)) / np.log(EXTENT_STEP)
             off += not np.abs(rungs - np.rint(rungs)).max() < 1e-9
             frames, steps = frames + 1, steps + (before is not None and before != texel_m.tolist())
             before = texel_m.tolist()

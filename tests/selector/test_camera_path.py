@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from selector import replanning
-from selector.choices import Pick
+from selector.choices import Choice
 from selector.cost.device_profile import DeviceProfile
-from selector.planner.planner import choose
-from selector.replanning import MOST_CHANGED, PATIENCE, Director, casting, handed_over, next_share
+from selector.planner.planner import make_plan
+from selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mixed_pictures, next_share
 from selector.select import select
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
@@ -173,7 +173,7 @@ def switches(plans: list[Plan]) -> list[int]:
 def test_no_more_switches_than_real_changes(flight, level, sun):
     """At no time of the flight; a plan made anew for each frame goes to and fro."""
     moments = flight(*sun)
-    director = Director(plans=predicted)
+    director = Replanner(plans=predicted)
     plans = [director.plan(each.descriptor, level) for each in moments]
     anew = [predicted(each.descriptor, level) for each in moments]
     cast = [casting(plan)[SUN] for plan in plans]
@@ -191,7 +191,7 @@ def changed(before: np.ndarray, after: np.ndarray) -> float:
 
 def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
     """In the first frames of one: against the mixture of the frame before, drawn from where the camera is now."""
-    director, share, steps, differing = Director(plans=predicted), 0.0, [], []
+    director, share, steps, differing = Replanner(plans=predicted), 0.0, [], []
     for each in flight(200.0, 35.0):
         plan = director.plan(each.descriptor, level)
         if len(steps) == SEEN:
@@ -201,7 +201,7 @@ def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
         old, new = (render_frame(each.scene, each.view, its) for its in (director.handover.plan, plan))
         before, share = share, director.share(old.visibilities, new.visibilities)
         assert share > before
-        steps.append(changed(*(handed_over(old.visibility, new.visibility, shown) for shown in (before, share))))
+        steps.append(changed(*(mixed_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
         differing.append(changed(old.visibility, new.visibility))
     assert len(steps) == SEEN and max(differing) > 3.0 * MOST_CHANGED  # else nothing would be tested
     assert max(steps) <= MOST_CHANGED
@@ -217,15 +217,15 @@ def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(row
     most, share, frames = max(int(MOST_CHANGED * there.sum()), 1), 0.0, 0
     while share < 1.0:
         shown, share, frames = share, next_share(before, after, share), frames + 1
-        classes = [np.stack([handed_over(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
+        classes = [np.stack([mixed_pictures(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
         assert (classes[0] != classes[1]).any(axis=0).sum() <= most
     differ = np.any([(before[k] < 0.5) != (after[k] < 0.5) for k in before], axis=0)
     assert frames == max(np.ceil(differ.sum() / most), 1)
 
 
-def pick(algorithms: str, **settings: int) -> Pick:
+def pick(algorithms: str, **settings: int) -> Choice:
     """Algorithms of relief, meshes and foliage."""
-    return Pick(algorithms, dict(zip(("relief", "meshes", "forest"), algorithms.split(), strict=True)), settings)
+    return Choice(algorithms, dict(zip(("relief", "meshes", "forest"), algorithms.split(), strict=True)), settings)
 
 
 COARSE = pick("shadow_map shadow_map shadow_map", map_size=1024, cascades=1)
@@ -239,13 +239,13 @@ class Turning:
     are expected to be right.
     """
 
-    def __init__(self, *picks: Pick, least_ms: float = 1.0, other_ms: float = 10.0) -> None:
+    def __init__(self, *picks: Choice, least_ms: float = 1.0, other_ms: float = 10.0) -> None:
         self.picks, self.now, self.least_ms, self.other_ms = picks, 0, least_ms, other_ms
 
     def __call__(self, descriptor: Descriptor, wishes: Level, overrides: dict | None) -> Plan:
         taken = {SUN: self.picks[self.now]}
-        plan = choose(descriptor, wishes, overrides, taken)
-        own = chosen(plan) == chosen(choose(descriptor, wishes, None, taken))
+        plan = make_plan(descriptor, wishes, overrides, taken)
+        own = chosen(plan) == chosen(make_plan(descriptor, wishes, None, taken))
         predicted = Predicted(ms=self.least_ms if own else self.other_ms, wrong=0.0, wrong_cast=0.0)
         return plan.model_copy(update={"policy": "predict", "predicted": predicted})
 
@@ -255,7 +255,7 @@ class Turning:
 def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, scene, level, place, pair):
     """Whatever was expected of the two plans; it takes as many frames as that makes, and at its end all is the new plan's."""
     at, policy = moment(scene, place), Turning(*pair)
-    director, pictures = Director(plans=policy), {}
+    director, pictures = Replanner(plans=policy), {}
 
     def drawn(plan: Plan) -> dict[str, np.ndarray]:
         key = repr((plan.algorithm, plan.settings))
@@ -270,7 +270,7 @@ def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, sce
         picture = visibilities[SUN]
         if director.handover is not None:
             left = drawn(director.handover.plan)
-            picture, mixed = handed_over(left[SUN], picture, director.share(left, visibilities)), mixed + 1
+            picture, mixed = mixed_pictures(left[SUN], picture, director.share(left, visibilities)), mixed + 1
         shown.append(picture)
     steps = [changed(before, after) for before, after in pairwise(shown)]
     there = int((~np.isnan(shown[0])).sum())
@@ -283,7 +283,7 @@ def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, sce
 def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, scene, level):
     """When foliage comes into play beside houses, and all goes by another algorithm: leaves cast under both plans."""
     inside, policy = moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE)
-    director = Director(plans=policy)
+    director = Replanner(plans=policy)
     outside = director.plan(moment(scene, OFF).descriptor, level)
     assert (SUN, "forest") not in chosen(outside)
     policy.now = 1
@@ -292,14 +292,14 @@ def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, s
     assert director.handover is not None and chosen(director.handover.plan)[SUN, "forest"][0] == "shadow_map"
     old, new = (render_frame(scene, inside.view, its) for its in (director.handover.plan, plan))
     share = director.share(old.visibilities, new.visibilities)
-    assert changed(old.visibility, handed_over(old.visibility, new.visibility, share)) <= MOST_CHANGED
+    assert changed(old.visibility, mixed_pictures(old.visibility, new.visibility, share)) <= MOST_CHANGED
     assert changed(old.visibility, new.visibility) > MOST_CHANGED
 
 
 def test_casters_that_come_back_are_no_news(scene, level):
     """Foliage that was picked for, left out of view and back: what is no better is not taken."""
     off, across, policy = moment(scene, OFF), moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE, least_ms=1.0, other_ms=1.0)
-    director = Director(plans=policy)
+    director = Replanner(plans=policy)
     plans = [director.plan(off.descriptor, level), director.plan(across.descriptor, level)]
     policy.now = 1
     plans += [director.plan(each.descriptor, level) for each in (off, across)]
@@ -312,7 +312,7 @@ def crossings(descriptor: Descriptor, level: Level, swing: float, frames: int, r
     share than the other, then the other way round.
     """
     policy, plans = Turning(COARSE, CASCADES, least_ms=1.0 - swing, other_ms=1.0), []
-    director = Director(plans=policy)
+    director = Replanner(plans=policy)
     for run in range(runs):
         policy.now = run % 2
         plans += [director.plan(descriptor, level) for _ in range(frames)]
@@ -325,7 +325,7 @@ def test_a_camera_at_a_tie_switches_only_without_hysteresis(scene, level, monkey
     assert crossed() == 0
     monkeypatch.setattr(replanning, "PATIENCE", 1)
     assert crossed() == 0  # the margin alone keeps it
-    monkeypatch.setattr(replanning, "GAIN", 0.0)
+    monkeypatch.setattr(replanning, "SWITCH_TIME_GAIN", 0.0)
     assert crossed() >= 3
 
 

@@ -18,10 +18,10 @@ import shapely
 from api.cli import main as cli
 from api.http.app import create_app
 from api.settings import Settings
-from selector.candidates import MOST, candidates
-from selector.planner.planner import choose
-from shadows.algorithm import GroundKind, Part, ViewKind
-from shadows.registry import ALGORITHMS, able
+from selector.candidates import MAX_CANDIDATES, candidates
+from selector.planner.planner import make_plan
+from shadows.algorithm import GroundKind, Requirement, ViewKind
+from shadows.registry import ALGORITHMS, algorithms_serving
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
@@ -104,7 +104,7 @@ def seen(scene_on):
     return scene_and_view
 
 
-def parts_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Part, ...]:
+def parts_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Requirement, ...]:
     """What an algorithm is asked to serve: a bent map is a map too."""
     return (*(("map",) if kind == "bent map" else ()), kind, light, caster, ground)
 
@@ -146,7 +146,7 @@ def test_every_refusal_is_of_something_that_can_be_asked_for():
 
 def test_whatever_is_asked_for_something_serves_it():
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
-        serve = able(parts_of(light, caster, kind, ground))
+        serve = algorithms_serving(parts_of(light, caster, kind, ground))
         assert "shadow_map" in serve and not {"truth", "none"} & set(serve)
 
 
@@ -175,7 +175,7 @@ def test_refusals_are_these(name, refused):
 def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(level_file):
     scene = build_scene(load_level(level_file("uneven", shadows={"algorithm": "planar"})))
     with pytest.raises(UnsupportedError, match=r"^shadows.algorithm: 'planar for relief under sun'"):
-        choose(describe(scene, scene.view("map")), scene.loaded.level)
+        make_plan(describe(scene, scene.view("map")), scene.loaded.level)
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
@@ -206,7 +206,7 @@ def test_a_comparison_takes_an_algorithm_as_far_as_it_serves(scene_on):
     """Trees and omni lights are left to shadow maps by what cannot serve them; each setting is a plan of its own."""
     scene = scene_on("uneven")
     plans = candidates(scene, scene.view("perspective"), "perspective")
-    assert len({plan.model_dump_json() for plan in plans}) == len(plans) <= MOST
+    assert len({plan.model_dump_json() for plan in plans}) == len(plans) <= MAX_CANDIDATES
     of = {name: [plan for plan in plans if name in plan.algorithm["sun"].values()] for name in ALGORITHMS}
     assert {name for name, found in of.items() if not found} == {"planar", "truth"}
     for name, kinds in (("shadow_volume", 2), ("hybrid", 2), ("perspective_shadow_map", 2), ("sweep", 1)):

@@ -4,43 +4,47 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.expected_loss import LIKELY, MISSED, TIME_SPREAD, Hope, late, wagered
-from selector.ranking import Figures
+from selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, TIME_SPREAD, Forecast, late_chance, least_expected_loss
+from selector.ranking import CandidateFigures
 
 
-def hope(name: str, ms: float, chance: float, error: float = 0.005, interior: float = 0.0) -> Hope:
-    return Hope(Figures(name, ms, error, interior), chance)
+def hope(name: str, ms: float, chance: float, error: float = 0.005, interior: float = 0.0) -> Forecast:
+    return Forecast(CandidateFigures(name, ms, error, interior), chance)
 
 
 def test_a_little_time_is_spent_to_be_sure_and_a_lot_is_not():
     """Missing costs ten times the median, 150 ms: 100 * 0.9 + 1500 * 0.1 = 240 and 100 * 0.98 + 1500 * 0.02 = 128 against 150."""
     sure = hope("sure", 150.0, 0.0)
-    assert wagered([hope("quick", 100.0, 0.10), sure], 0.01).winner.name == "sure"
-    assert wagered([hope("quick", 100.0, 0.02), sure], 0.01).winner.name == "quick"
+    assert least_expected_loss([hope("quick", 100.0, 0.10), sure], 0.01).winner.name == "sure"
+    assert least_expected_loss([hope("quick", 100.0, 0.02), sure], 0.01).winner.name == "quick"
     slow = hope("slow", 1e5, 0.0)
-    assert wagered([hope("quick", 100.0, 0.02), sure, slow], 0.01).winner.name == "quick"  # what nobody would take is no measure
+    assert (
+        least_expected_loss([hope("quick", 100.0, 0.02), sure, slow], 0.01).winner.name == "quick"
+    )  # what nobody would take is no measure
 
 
 def test_what_is_likely_to_miss_is_not_taken_however_quick():
-    verdict = wagered([hope("quick", 1e-3, LIKELY + 0.01, error=0.02), hope("sure", 1e6, LIKELY)], 0.01)
+    verdict = least_expected_loss(
+        [hope("quick", 1e-3, LIKELY_MISS_CHANCE + 0.01, error=0.02), hope("sure", 1e6, LIKELY_MISS_CHANCE)], 0.01
+    )
     assert (verdict.winner.name, verdict.met) == ("sure", True)
 
 
 def test_where_nothing_is_likely_the_nearest_is_taken_and_it_is_said_by_how_much_it_misses():
-    verdict = wagered([hope("far", 1.0, 1.0, error=0.3), hope("near", 9.0, 0.9, error=0.02)], 0.01)
+    verdict = least_expected_loss([hope("far", 1.0, 1.0, error=0.3), hope("near", 9.0, 0.9, error=0.02)], 0.01)
     assert (verdict.winner.name, verdict.met) == ("near", False)
     assert verdict.missed_by == "an error of 2.0 %, 1.0 % more than 1.0 %"
 
 
 def test_of_what_keeps_to_the_time_the_most_accurate_is_taken():
     slow, quick, rough = hope("slow", 500.0, 0.9, 0.01), hope("quick", 20.0, 0.9, 0.02), hope("rough", 10.0, 0.9, 0.3)
-    assert wagered([slow, quick, rough], 1e-4, 50.0).winner.name == "quick"
-    assert wagered([slow, quick, rough], 1e-4).winner.name == "slow"
+    assert least_expected_loss([slow, quick, rough], 1e-4, 50.0).winner.name == "quick"
+    assert least_expected_loss([slow, quick, rough], 1e-4).winner.name == "slow"
 
 
 def test_what_may_well_be_late_gives_way_to_what_is_nearly_as_good():
     at_the_limit, below = hope("at the limit", 50.0, 0.9, 0.010), hope("below", 30.0, 0.9, 0.012)
-    assert wagered([at_the_limit, below], 1e-4, 50.0).winner.name == "below"
+    assert least_expected_loss([at_the_limit, below], 1e-4, 50.0).winner.name == "below"
 
 
 def test_what_is_far_off_but_quick_makes_nobody_shy_of_the_limit():
@@ -49,44 +53,48 @@ def test_what_is_far_off_but_quick_makes_nobody_shy_of_the_limit():
     """
     quick, near, best = hope("quick", 5.0, 1.0, 0.3), hope("near", 40.0, 1.0, 0.010), hope("best", 40.0, 1.0, 0.009)
     limit = 40.0 * 3.0**TIME_SPREAD  # where the chance to be late is a quarter
-    assert late(40.0, limit) == pytest.approx(0.25)
-    assert wagered([quick, near, best], 1e-4, limit).winner.name == "best"
+    assert late_chance(40.0, limit) == pytest.approx(0.25)
+    assert least_expected_loss([quick, near, best], 1e-4, limit).winner.name == "best"
 
 
 def test_where_nothing_keeps_to_the_time_the_nearest_is_taken():
-    verdict = wagered([hope("a", 300.0, 0.0), hope("b", 200.0, 0.0)], 0.01, 10.0)
+    verdict = least_expected_loss([hope("a", 300.0, 0.0), hope("b", 200.0, 0.0)], 0.01, 10.0)
     assert (verdict.winner.name, verdict.met) == ("b", False)
     assert "190 ms more than 10 ms" in verdict.missed_by
 
 
 def test_none_is_taken_only_where_there_is_nothing_else():
     nothing = hope("none", 0.0, 0.0, error=0.0)
-    assert wagered([nothing, hope("map", 50.0, 1.0, error=0.5)], 0.01).winner.name == "map"
-    assert wagered([nothing], 0.01).winner.name == "none"
+    assert least_expected_loss([nothing, hope("map", 50.0, 1.0, error=0.5)], 0.01).winner.name == "map"
+    assert least_expected_loss([nothing], 0.01).winner.name == "none"
     with pytest.raises(ValueError, match="no candidates"):
-        wagered([], 0.01)
+        least_expected_loss([], 0.01)
 
 
 def test_half_of_the_times_are_late_at_the_limit_and_few_well_below():
-    assert late(50.0, None) == 0.0
-    assert late(50.0, 50.0) == pytest.approx(0.5)
-    assert late(40.0, 50.0) == pytest.approx(1.0 / (1.0 + 1.25 ** (1.0 / TIME_SPREAD)))
+    assert late_chance(50.0, None) == 0.0
+    assert late_chance(50.0, 50.0) == pytest.approx(0.5)
+    assert late_chance(40.0, 50.0) == pytest.approx(1.0 / (1.0 + 1.25 ** (1.0 / TIME_SPREAD)))
 
 
 hopes = st.lists(
     st.tuples(st.floats(0.1, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.01)), min_size=1, max_size=12
-).map(lambda rows: [Hope(Figures(f"c{k}", ms, error, inside), chance) for k, (ms, chance, error, inside) in enumerate(rows)])
+).map(
+    lambda rows: [
+        Forecast(CandidateFigures(f"c{k}", ms, error, inside), chance) for k, (ms, chance, error, inside) in enumerate(rows)
+    ]
+)
 
 
 @given(hopes, st.floats(1e-4, 0.2), st.none() | st.floats(0.1, 1e4))
 def test_nobody_else_has_a_smaller_expected_loss(candidates, max_error, max_ms):
-    verdict = wagered(candidates, max_error, max_ms)
-    likely = [one for one in candidates if one.chance_of_missing(max_ms) <= LIKELY]
+    verdict = least_expected_loss(candidates, max_error, max_ms)
+    likely = [one for one in candidates if one.chance_of_missing(max_ms) <= LIKELY_MISS_CHANCE]
     taken = next(one for one in candidates if one.figures == verdict.winner)
     assert not likely or taken in likely
-    missed = MISSED * sorted([one.figures.ms for one in likely] or [0.0])[len(likely) // 2]
+    missed = MISS_PENALTY * sorted([one.figures.ms for one in likely] or [0.0])[len(likely) // 2]
 
-    def loss(one: Hope) -> float:
+    def loss(one: Forecast) -> float:
         chance = one.chance_of_missing(max_ms)
         return (1.0 - chance) * one.figures.ms + chance * missed
 
@@ -95,6 +103,6 @@ def test_nobody_else_has_a_smaller_expected_loss(candidates, max_error, max_ms):
 
 @given(hopes, st.floats(1e-4, 0.2), st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
 def test_times_in_another_unit_change_nothing(candidates, max_error, factor):
-    longer = [Hope(Figures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior), one.chance_of_error)
+    longer = [Forecast(CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior), one.chance_of_error)
               for one in candidates]  # fmt: skip
-    assert wagered(candidates, max_error).winner.name == wagered(longer, max_error).winner.name
+    assert least_expected_loss(candidates, max_error).winner.name == least_expected_loss(longer, max_error).winner.name

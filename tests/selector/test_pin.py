@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from selector.choices import Asked, Pick
-from selector.pin import MARK, pin, pinned, pinned_text, pins
-from selector.planner.planner import choose
+from selector.choices import Choice, StandaloneRequest
+from selector.pin import PIN_COMMENT, pin, pinned, pinned_text, pins
+from selector.planner.planner import make_plan
 from terrain.describe import describe
 from terrain.errors import InputError, LevelError
 from terrain.level.level import load_level, override
@@ -62,7 +62,7 @@ def test_what_is_chosen_is_there_and_all_else_as_it_was(name):
     assert {**new, "shadows": None} == {**old, "shadows": None}
     touched = ("shadows", "algorithm", "map_size", "relief", "filter")
     assert all(any(word in line for word in touched) for line in lines_gone(before, after) if "JSON" not in name)
-    assert after.count(MARK) == 1 and "sweep, for it is exact" in after
+    assert after.count(PIN_COMMENT) == 1 and "sweep, for it is exact" in after
     assert ("\r\n" in before) == ("\r\n" in after) and "\n" not in after.replace("\r\n", "") if "\r\n" in before else True
     for comment in ("# ö", "# said", "# tail", "# small", "# coarse", "# keep", "# after", "# in\n", "# as the water"):
         assert (comment in before) == (comment in after)
@@ -73,7 +73,7 @@ def test_the_next_pin_takes_the_place_of_the_last(name):
     once = pinned_text(FILES[name], CHOSEN, WHY)
     assert once is not None and pinned_text(once, CHOSEN, WHY) == once
     other = pinned_text(once, {"algorithm": {"relief": "hybrid"}}, [WHY[0], "For another reason."])
-    assert other is not None and other.count(MARK) == 1 and "sweep, for it is exact" not in other
+    assert other is not None and other.count(PIN_COMMENT) == 1 and "sweep, for it is exact" not in other
     assert load(other)["shadows"] == {**load(once)["shadows"], "algorithm": {"relief": "hybrid"}, "map_size": "auto"}
     back = pinned_text(other, CHOSEN, WHY)
     assert back == once
@@ -168,18 +168,18 @@ def scene():
 
 def test_of_a_plan_of_the_rules_the_algorithms_are_pinned_alone(scene):
     facts, level = describe(scene, scene.view()), scene.loaded.level
-    plan = choose(facts, level)
+    plan = make_plan(facts, level)
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": plan.algorithm["sun"]}
 
 
 def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
     facts, level = describe(scene, scene.view()), scene.loaded.level
-    pick = Pick("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
-    plan = choose(facts, level, picks={"sun": pick})
+    pick = Choice("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
+    plan = make_plan(facts, level, picks={"sun": pick})
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
-    again = choose(facts, Asked(override(level.shadows, chosen), level.light_names, level.effects))
+    again = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))
     assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
     assert "asked for by the level" in again.reasons[0].reason
 
@@ -188,4 +188,4 @@ def test_at_night_there_is_nothing_to_pin(scene):
     night = scene.with_sun(SunSpec(azimuth=0, altitude=-20))
     facts, level = describe(night, night.view()), night.loaded.level
     with pytest.raises(InputError, match="casts a shadow"):
-        pins(choose(facts, level), facts, level)
+        pins(make_plan(facts, level), facts, level)

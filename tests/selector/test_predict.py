@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from selector.choices import Asked
+from selector.choices import StandaloneRequest
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import Counted, ErrorModel, error_groups
-from selector.formatting import duration, percent
-from selector.planner.planner import Planner, choose, planner_of
-from selector.predict import Option, options_of, predicted_plan
+from selector.cost.error_model import ErrorModel, HillCurve, error_groups
+from selector.formatting import format_duration, format_percent
+from selector.planner.planner import Planner, make_plan, planner_of
+from selector.predict import PredictedChoice, predicted_choices, predicted_plan
 from shadows.plan import Plan
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -25,7 +25,7 @@ from terrain.level.level import SUN, Shadows
 TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"
 
 ERRORS = ErrorModel(
-    counted={kind: Counted(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},
+    counted={kind: HillCurve(most=1.0, half_px=1.0, steepness=1.0) for kind in ("relief", "meshes", "forest")},
     perspective=2.0,
     floor=dict.fromkeys(error_groups(), 1e-4),
     interior=dict.fromkeys(error_groups(), 0.0),
@@ -85,8 +85,8 @@ def cheap_faces(part: str, name: str) -> float:
     return 0.01 if name.startswith("faces") else 1.0
 
 
-def asked(descriptor: Descriptor, **shadows) -> Asked:
-    return Asked(Shadows(**shadows), tuple(descriptor.lights))
+def asked(descriptor: Descriptor, **shadows) -> StandaloneRequest:
+    return StandaloneRequest(Shadows(**shadows), tuple(descriptor.lights))
 
 
 def planned(
@@ -105,10 +105,12 @@ def name_of(plan: Plan, light: str = SUN) -> str:
     return plan.algorithm[light]["meshes"] + ("" if size is None else f" {size}")
 
 
-def option_of(plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERRORS) -> Option:
+def option_of(
+    plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERRORS
+) -> PredictedChoice:
     """The option that a plan took under a light."""
     steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
-    return next(one for one in options_of(planner, light, planner.casting(light), profile, errors) if one.steps == steps)
+    return next(one for one in predicted_choices(planner, light, planner.casting(light), profile, errors) if one.steps == steps)
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +221,7 @@ def test_what_a_device_has_no_rates_for_is_left_out_with_the_reason():
 def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why():
     plan = planned(described(), device(rates_ns={"another part": {"blocks": 1.0}}))
     assert plan.policy == "rules" and plan.predicted is None and plan.target.met is None
-    assert plan.algorithm == choose(described(), asked(described())).algorithm
+    assert plan.algorithm == make_plan(described(), asked(described())).algorithm
     why = next(one.reason for one in plan.reasons if one.name == "policy rules")
     assert why.startswith("nothing can be predicted, so the rules decide: ") and "shadow_map: this device has no rates" in why
 
@@ -235,15 +237,15 @@ def test_an_impossible_target_gives_the_nearest_plan_and_says_by_how_much_it_mis
     (missed,) = (one.reason for one in plan.reasons if one.name == "sun: target missed")
     its = plan.predicted
     over = its.wrong_cast - max_error
-    error = f"an error of {percent(its.wrong_cast)}, {percent(over)} more than {percent(max_error)}"
-    assert missed == f"expected: {error}; {duration(its.ms)}, {duration(its.ms - 1.0)} more than 1.0 ms"
+    error = f"an error of {format_percent(its.wrong_cast)}, {format_percent(over)} more than {format_percent(max_error)}"
+    assert missed == f"expected: {error}; {format_duration(its.ms)}, {format_duration(its.ms - 1.0)} more than 1.0 ms"
     # No other option comes nearer: the larger of both overshoots, each as a share of what is allowed.
     planner = planner_of(view, asked(view))
 
     def overshoot(ms: float, error: float) -> float:
         return max((error - max_error) / 1e-3, ms - 1.0)  # of errors no less than a thousandth counts as allowed
 
-    options = options_of(planner, SUN, ["meshes"], device(), ERRORS)
+    options = predicted_choices(planner, SUN, ["meshes"], device(), ERRORS)
     least = min(overshoot(one.ms, one.errors.wrong_cast) for one in options)
     assert overshoot(its.ms, its.wrong_cast) == pytest.approx(least)
     assert "comes nearest" in next(one.reason for one in plan.reasons if one.name.startswith("sun/meshes"))
@@ -309,21 +311,23 @@ def test_what_is_predicted_of_a_plan_is_what_is_expected_of_the_option_that_is_t
         expected = (taken.ms, taken.errors.wrong, taken.errors.wrong_cast)
         assert (plan.predicted.ms, plan.predicted.wrong, plan.predicted.wrong_cast) == pytest.approx(expected), name
         why = next(one.reason for one in plan.reasons if one.name.startswith(f"{light}/") and "none" not in one.name)
-        assert f"{percent(taken.errors.wrong_cast)} of the cast shadow wrong in {duration(taken.ms)} expected" in why, name
+        assert (
+            f"{format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)} expected" in why
+        ), name
 
 
 def test_lights_are_chosen_for_by_themselves_and_times_add_up():
     """A lamp whose shadows are hardly seen beside a sun: both are given what the target takes, and share the time."""
     lamp = LampFacts(name="lamp", kind="spot", cutoff_deg=45.0, reference_m=50.0)
     view = described(lamps=(lamp,), lights={SUN: casting(), "lamp": casting(0.05)})
-    wishes = Asked(Shadows(max_error=0.01), (SUN, "lamp"))
+    wishes = StandaloneRequest(Shadows(max_error=0.01), (SUN, "lamp"))
     plan = predicted_plan(view, wishes, None, device(), ERRORS)
     planner = planner_of(view, wishes)
     both = [option_of(plan, planner, light, device()) for light in (SUN, "lamp")]
     assert plan.predicted.ms == pytest.approx(sum(one.ms for one in both)) and min(one.ms for one in both) > 0.0
     assert plan.predicted.wrong_cast == pytest.approx(max(one.errors.wrong_cast for one in both))
     assert plan.predicted.wrong == pytest.approx(max(one.errors.wrong for one in both))
-    late = predicted_plan(view, Asked(Shadows(max_error=0.01, max_ms=1e-3), (SUN, "lamp")), None, device(), ERRORS)
+    late = predicted_plan(view, StandaloneRequest(Shadows(max_error=0.01, max_ms=1e-3), (SUN, "lamp")), None, device(), ERRORS)
     assert {one.name for one in late.reasons if one.name.endswith("target missed")} == {"sun: target missed", "lamp: target missed"}
 
 

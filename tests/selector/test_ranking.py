@@ -6,18 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.ranking import ALIKE, Figures, best, overshoot
+from selector.ranking import TIME_TIE_RATIO, CandidateFigures, best, relative_overshoot
 from shadows.truth.metrics import MOST_INTERIOR
 
-SMALL = Figures("small map", 10.0, 0.05, 0.0)
-MIDDLE = Figures("middle map", 20.0, 0.02, 0.0)
-LARGE = Figures("large map", 40.0, 0.004, 0.0)
-LEAKY = Figures("leaky", 5.0, 0.01, 0.004)
-NONE = Figures("none", 0.0, 0.0, 0.0)
+SMALL = CandidateFigures("small map", 10.0, 0.05, 0.0)
+MIDDLE = CandidateFigures("middle map", 20.0, 0.02, 0.0)
+LARGE = CandidateFigures("large map", 40.0, 0.004, 0.0)
+LEAKY = CandidateFigures("leaky", 5.0, 0.01, 0.004)
+NONE = CandidateFigures("none", 0.0, 0.0, 0.0)
 ALL = [SMALL, MIDDLE, LARGE, LEAKY, NONE]
 
 figures = st.builds(
-    Figures, st.sampled_from(["a", "b", "c", "none"]), st.floats(0.01, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 0.05)
+    CandidateFigures, st.sampled_from(["a", "b", "c", "none"]), st.floats(0.01, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 0.05)
 )
 
 
@@ -46,14 +46,14 @@ def test_what_is_missed_is_told_in_numbers():
 
 
 def test_of_times_alike_the_more_accurate_is_taken():
-    close = Figures("close", 20.0 * ALIKE, 0.01, 0.0)
+    close = CandidateFigures("close", 20.0 * TIME_TIE_RATIO, 0.01, 0.0)
     assert best([MIDDLE, close], 0.03).winner is close
-    assert best([MIDDLE, Figures("later", 20.0 * ALIKE + 0.1, 0.01, 0.0)], 0.03).winner is MIDDLE
+    assert best([MIDDLE, CandidateFigures("later", 20.0 * TIME_TIE_RATIO + 0.1, 0.01, 0.0)], 0.03).winner is MIDDLE
     assert best([MIDDLE, close], 0.03, alike=1.0).winner is MIDDLE
 
 
 def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():
-    assert best([NONE, Figures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
+    assert best([NONE, CandidateFigures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
     assert best([NONE], 0.03).winner is NONE
     with pytest.raises(ValueError, match="no candidates"):
         best([], 0.03)
@@ -63,16 +63,18 @@ def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():
 def test_a_target_is_met_if_anything_meets_it(candidates, max_error, max_ms):
     verdict = best(candidates, max_error, max_ms)
     able = [one for one in candidates if one.name != "none"] or candidates
-    meeting = [one for one in able if overshoot(one, max_error, max_ms) == 0.0]
+    meeting = [one for one in able if relative_overshoot(one, max_error, max_ms) == 0.0]
     assert verdict.met is bool(meeting) is (verdict.missed_by is None)
     if meeting:
-        assert verdict.winner in meeting and verdict.winner.ms <= ALIKE * min(one.ms for one in meeting)
+        assert verdict.winner in meeting and verdict.winner.ms <= TIME_TIE_RATIO * min(one.ms for one in meeting)
     elif max_ms is not None and any(one.ms <= max_ms for one in able):
         assert verdict.winner.ms <= max_ms
         if any(one.ms <= max_ms and one.interior <= MOST_INTERIOR for one in able):
             assert verdict.winner.interior <= MOST_INTERIOR
     else:
-        assert overshoot(verdict.winner, max_error, max_ms) == min(overshoot(one, max_error, max_ms) for one in able)
+        assert relative_overshoot(verdict.winner, max_error, max_ms) == min(
+            relative_overshoot(one, max_error, max_ms) for one in able
+        )
 
 
 @given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0))

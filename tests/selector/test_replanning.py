@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from selector.replanning import (
-    GAIN,
     LONGEST,
     MOST_CHANGED,
     PATIENCE,
-    Director,
-    Plans,
-    better,
+    SWITCH_TIME_GAIN,
+    PlanFunction,
+    Replanner,
     casting,
-    frames_of_switch,
-    handed_over,
-    picks_of,
+    choices_of,
+    is_better,
+    mixed_pictures,
+    transition_frames,
 )  # fmt: skip
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
@@ -65,7 +65,7 @@ class Table:
         asked = (overrides or {}).get("algorithm")
         right = [name for name, (_, error) in self.rows.items() if error <= 0.03] or list(self.rows)
         name = asked["sun"]["meshes"] if asked else min(right, key=lambda name: self.rows[name])
-        plan = choose(descriptor, wishes, {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}})
+        plan = make_plan(descriptor, wishes, {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}})
         ms, error = self.rows.get(name, (1.0, 0.0))
         target = plan.target.model_copy(update={"met": error <= 0.03})
         predicted = Predicted(ms=ms, wrong=error / 10.0, wrong_cast=error)
@@ -82,16 +82,16 @@ def switches(names: list[str]) -> int:
 
 def test_what_is_a_little_quicker_is_not_taken(descriptor, level):
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
-    director = Director(plans=table)
+    director = Replanner(plans=table)
     names = algorithms([director.plan(descriptor, level)])
-    table.rows["shadow_volume"] = (10.0 * (1.0 - GAIN) + 0.1, 0.01)
+    table.rows["shadow_volume"] = (10.0 * (1.0 - SWITCH_TIME_GAIN) + 0.1, 0.01)
     names += algorithms([director.plan(descriptor, level) for _ in range(3 * PATIENCE)])
     assert set(names) == {"shadow_map"} and director.handover is None
 
 
 def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descriptor, level):
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
-    director = Director(plans=table)
+    director = Replanner(plans=table)
     director.plan(descriptor, level)
     table.rows["shadow_volume"] = (7.0, 0.01)
     names = algorithms([director.plan(descriptor, level) for _ in range(PATIENCE + 3)])
@@ -101,12 +101,12 @@ def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descript
 def test_a_camera_at_a_border_does_not_flip(descriptor, level):
     """Two algorithms in turns the quicker one by a third, plan for plan; and by a tenth, for many plans."""
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(10.0, 0.01))
-    director, names = Director(plans=table), []
+    director, names = Replanner(plans=table), []
     for number in range(8 * PATIENCE):
         table.rows["shadow_volume"] = (15.0 if number % 2 else 6.6, 0.01)
         names += algorithms([director.plan(descriptor, level)])
     assert switches(names) == 0
-    director, names = Director(plans=table), []
+    director, names = Replanner(plans=table), []
     for number in range(8 * PATIENCE):
         table.rows["shadow_volume"] = (11.0 if number // (2 * PATIENCE) % 2 else 9.0, 0.01)
         names += algorithms([director.plan(descriptor, level)])
@@ -115,7 +115,7 @@ def test_a_camera_at_a_border_does_not_flip(descriptor, level):
 
 def test_a_badly_missed_target_does_not_wait(descriptor, level):
     table = Table(shadow_map=(10.0, 0.02), shadow_volume=(20.0, 0.0))
-    director = Director(plans=table)
+    director = Replanner(plans=table)
     director.plan(descriptor, level)
     table.rows["shadow_map"] = (10.0, 0.032)  # by less than a tenth: nothing is done
     assert algorithms([director.plan(descriptor, level) for _ in range(2 * PATIENCE)]) == ["shadow_map"] * (2 * PATIENCE)
@@ -130,11 +130,11 @@ def test_no_error_at_all_may_be_asked_for(descriptor, level):
     exact = table(descriptor, level, asked | {"algorithm": {"sun": {"meshes": "shadow_volume"}}})
     rough = table(descriptor, level, asked | {"algorithm": {"sun": {"meshes": "shadow_map"}}})
     assert exact.target.max_error == 0.0
-    assert better(exact, rough) and not better(rough, exact)
+    assert is_better(exact, rough) and not is_better(rough, exact)
 
 
 def test_what_is_asked_for_is_taken_at_once(descriptor, level):
-    director = Director("rules")
+    director = Replanner("rules")
     first = director.plan(descriptor, level)
     other = "shadow_volume" if algorithms([first]) != ["shadow_volume"] else "hybrid"
     asked = director.plan(descriptor, level, {"algorithm": {"sun": {"meshes": other}}})
@@ -144,7 +144,7 @@ def test_what_is_asked_for_is_taken_at_once(descriptor, level):
 
 def test_night_falls_at_once_and_once(scene, level):
     """And day breaks: two switches, without a mixture, since what is left could not be drawn."""
-    view, director, names = scene.view("eye"), Director("rules"), []
+    view, director, names = scene.view("eye"), Replanner("rules"), []
     altitudes = [*np.linspace(3.0, -3.0, 13), *np.linspace(-3.0, 3.0, 13)]
     for altitude in altitudes:
         its = scene.with_sun(SunSpec(azimuth=200, altitude=float(altitude)))
@@ -156,22 +156,22 @@ def test_night_falls_at_once_and_once(scene, level):
 
 def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, level):
     """The map is kept, its texels are those that a plan of the view alone has with such a map."""
-    director = Director(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
+    director = Replanner(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
     first = director.plan(descriptor, level)
-    picks = picks_of(first)
-    assert first.settings == choose(descriptor, level, picks=picks).settings
+    picks = choices_of(first)
+    assert first.settings == make_plan(descriptor, level, picks=picks).settings
     near = replace(scene.view("eye"), eye_earth_m=scene.view("eye").eye_earth_m + np.array([14.0, 22.0, -8.0]))
     closer = describe(scene, near, "eye")
-    kept, alone = director.plan(closer, level), choose(closer, level, picks=picks)
-    assert picks_of(kept) == picks
+    kept, alone = director.plan(closer, level), make_plan(closer, level, picks=picks)
+    assert choices_of(kept) == picks
     assert (kept.settings, kept.passes, kept.runs) == (alone.settings, alone.passes, alone.runs)
     assert kept.settings != first.settings
 
 
 def test_picks_are_what_a_plan_chose(descriptor, level):
     for name in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "none"):
-        plan = choose(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
-        again = choose(descriptor, level, picks=picks_of(plan))
+        plan = make_plan(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
+        again = make_plan(descriptor, level, picks=choices_of(plan))
         if name != "none":  # which nothing picks
             assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
         assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
@@ -181,8 +181,8 @@ def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
     """Between a coarse map and volumes: from frame to frame no more than is allowed, and at its end everything is the new one."""
     view = scene.view("eye")
     table = Table(shadow_map=(10.0, 0.03), shadow_volume=(20.0, 0.0))
-    coarse: Plans = lambda *given: table(*given[:2], {"map_size": 64, **(given[2] or {})})  # noqa: E731
-    director = Director(plans=coarse)
+    coarse: PlanFunction = lambda *given: table(*given[:2], {"map_size": 64, **(given[2] or {})})  # noqa: E731
+    director = Replanner(plans=coarse)
     before = render_frame(scene, view, director.plan(descriptor, level)).visibility
     table.rows["shadow_volume"] = (5.0, 0.0)
     shown, seen, mixed = before, [], 0
@@ -190,12 +190,12 @@ def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
         frame = render_frame(scene, view, director.plan(descriptor, level)).visibility
         if director.handover is not None:
             left = render_frame(scene, view, director.handover.plan).visibility
-            frame, mixed = handed_over(left, frame, director.handover.share), mixed + 1
+            frame, mixed = mixed_pictures(left, frame, director.handover.share), mixed + 1
         seen.append(changed(shown, frame))
         shown = frame
     whole = changed(before, shown)
     assert whole > MOST_CHANGED  # else nothing would be tested
-    assert mixed + 1 == frames_of_switch(
+    assert mixed + 1 == transition_frames(
         *(table(descriptor, level, {"algorithm": {"sun": {"meshes": name}}}) for name in table.rows)
     )
     assert max(seen) < 1.5 * whole / (mixed + 1)
@@ -212,19 +212,19 @@ def changed(before: np.ndarray, after: np.ndarray) -> float:
 def test_a_mixture_is_spread_evenly_and_only_grows(rows, cols, share, more):
     before, after = np.zeros((rows, cols)), np.ones((rows, cols))
     less, most = sorted((share, more))
-    mixed, later = handed_over(before, after, less), handed_over(before, after, most)
+    mixed, later = mixed_pictures(before, after, less), mixed_pictures(before, after, most)
     assert (later >= mixed).all()
-    assert handed_over(before, after, 1.0).all() and not handed_over(before, after, 0.0).any()
+    assert mixed_pictures(before, after, 1.0).all() and not mixed_pictures(before, after, 0.0).any()
     assert abs(mixed.mean() - less) < 0.05 + 2.0 / np.sqrt(rows * cols)
-    colours = handed_over(np.zeros((rows, cols, 3)), np.ones((rows, cols, 3)), less)
+    colours = mixed_pictures(np.zeros((rows, cols, 3)), np.ones((rows, cols, 3)), less)
     assert (colours == mixed[..., None]).all()
 
 
 def test_a_switch_takes_the_frames_that_its_errors_need(descriptor, level):
     plans = [
-        choose(descriptor, level).model_copy(update={"predicted": Predicted(ms=1.0, wrong=w, wrong_cast=w)})
+        make_plan(descriptor, level).model_copy(update={"predicted": Predicted(ms=1.0, wrong=w, wrong_cast=w)})
         for w in (0.0, 0.003, 1.0)
     ]
-    assert frames_of_switch(plans[0], plans[0]) == 1
-    assert frames_of_switch(plans[0], plans[1]) == 2 and frames_of_switch(plans[1], plans[1]) == 3
-    assert frames_of_switch(plans[1], plans[2]) == LONGEST
+    assert transition_frames(plans[0], plans[0]) == 1
+    assert transition_frames(plans[0], plans[1]) == 2 and transition_frames(plans[1], plans[1]) == 3
+    assert transition_frames(plans[1], plans[2]) == LONGEST

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.layers import LAYERS, PASS_LAYERS, layer_of, viewable, write_layer
+from api.layers import LAYERS, PASS_LAYERS, frame_layer, viewable, write_layer
 from shadows import layer_collector
-from shadows.layer_collector import KeptLayers, beside_one_another
+from shadows.layer_collector import LayerCollector, tiled_pictures
 from shadows.passes import PassLog
 from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
@@ -81,8 +81,8 @@ def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
 
 def test_pictures_are_laid_out_beside_one_another():
     one, two, three = np.full((2, 3), 1.0, np.float32), np.full((3, 1), 2.0, np.float32), np.full((1, 1), 3.0, np.float32)
-    np.testing.assert_array_equal(beside_one_another([one]), one)
-    out = beside_one_another([one, two, three])
+    np.testing.assert_array_equal(tiled_pictures([one]), one)
+    out = tiled_pictures([one, two, three])
     assert out.shape == (6, 6) and out.dtype == np.float32
     np.testing.assert_array_equal(out[:2, :3], one)
     np.testing.assert_array_equal(out[:3, 3:4], two)
@@ -91,7 +91,7 @@ def test_pictures_are_laid_out_beside_one_another():
 
 def test_pictures_of_pixels_lie_where_their_blocks_do():
     """Samples of pixels below a block's own rows are left out; what no block covers is 0 or NaN."""
-    kept = KeptLayers((4, 5))
+    kept = LayerCollector((4, 5))
     ours, theirs = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
     block = np.arange(20, dtype=np.uint8).reshape(5, 4)
     kept.add({("stencil", SUN): [block], ("shadow-height", SUN): [block.astype(np.float32)]}, ours, theirs)
@@ -103,7 +103,7 @@ def test_pictures_of_pixels_lie_where_their_blocks_do():
 
 def test_more_texels_than_a_picture_holds_are_refused(monkeypatch):
     monkeypatch.setattr(layer_collector, "MAX_TEXELS", 100)
-    kept, nowhere = KeptLayers((4, 4)), (slice(0, 0), slice(0, 0))
+    kept, nowhere = LayerCollector((4, 4)), (slice(0, 0), slice(0, 0))
     kept.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, nowhere, nowhere)
     with pytest.raises(InputError, match="shadow-map.*100 texels"):
         kept.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, nowhere, nowhere)
@@ -122,7 +122,7 @@ def test_every_light_leaves_its_maps(gl, scene):
         assert picture.dtype == np.float32 and np.nanmin(picture) >= 0.0 and np.nanmax(picture) == 1.0
         assert np.isfinite(picture).sum() == texels[light] and (picture < 1.0).any()
     assert maps["spot"].shape == (256, 256) and maps["omni"].shape == (512, 768)
-    assert layer_of(scene, frame.under("omni"), "shadow-map") is maps["omni"]
+    assert frame_layer(scene, frame.under("omni"), "shadow-map") is maps["omni"]
 
 
 def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
@@ -285,9 +285,9 @@ def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, 
 
 def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
     frame = with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
-    assert layer_of(scene, frame.under("spot"), "stencil").max() == 2
+    assert frame_layer(scene, frame.under("spot"), "stencil").max() == 2
     with pytest.raises(InputError, match="light: 'sun'.*layer stencil: spot"):
-        layer_of(scene, frame, "stencil")
+        frame_layer(scene, frame, "stencil")
 
 
 def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):

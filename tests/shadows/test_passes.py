@@ -18,7 +18,7 @@ import shapely
 from shadows.passes import PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.cache import MIB, Cache, forget
+from terrain.cache import MIB, Cache, clear_caches
 from terrain.gl import device as gl_module
 from terrain.gl.programs import Linked, note_draw
 from terrain.level.level import load_level
@@ -60,7 +60,7 @@ def build(tmp_path_factory) -> Build:
 
 def drawn(scene: Scene, view: str = "eye", **asked: Any) -> Frame:
     """A frame of which nothing was kept from before."""
-    forget("light")
+    clear_caches("light")
     return again(scene, view, plan_of(scene, scene.view(view), **asked))
 
 
@@ -161,7 +161,7 @@ def test_every_call_that_draws_is_on_record(gl, build, monkeypatch, view, trees,
     """Counted where OpenGL is called: none beside the record, none twice, nor one that was never made."""
     scene = build(trees, lights={"spot": SPOT} if asked["algorithm"] != "truth" else {})
     plan = plan_of(scene, scene.view(view), **asked)
-    forget("light")
+    clear_caches("light")
     calls: list[moderngl.Program] = []
     original = moderngl.VertexArray.render
     monkeypatch.setattr(
@@ -187,7 +187,7 @@ def test_what_runs_without_opengl_opens_no_device_and_draws_nothing(write_raster
 def test_a_kept_map_is_not_drawn(gl, build):
     scene = build(trees=True)
     plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map", map_size=256)
-    forget("light")
+    clear_caches("light")
     first, second = (record_of(again(scene, "eye", plan), "depth map") for _ in range(2))
     assert first.draws > 0 and first.programs and first.textures
     assert (second.draws, second.programs, second.textures, second.kept > 0) == (0, (), (), True)

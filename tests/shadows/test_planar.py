@@ -22,7 +22,7 @@ from shadows.render import render_frame
 from shadows.truth.truth import TruthSettings, truth_of
 from shadows.truth.truth import fill as truth_fill
 from terrain.casters.reach import NO_CASTERS, casters_of
-from terrain.gbuffer.antialias import sampled
+from terrain.gbuffer.antialias import multisampled
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.ground.generated_ground import ENGINEERING
@@ -175,7 +175,7 @@ def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
     places = [[x, y] for x in (-18, -6, 6, 18) for y in (-12, 0, 12, 24)]
     scene = build(meshes=[{"source": "box.obj", "at": places}], **LIGHTS[light])
     view = scene.view("back")
-    buffer = sampled(scene, view).buffer
+    buffer = multisampled(scene, view).buffer
     assert len(buffer.there) > view.rows
     kinds = scene.population.kinds
     found = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
@@ -200,11 +200,11 @@ def test_what_is_covered_twice_is_as_dark_as_what_is_covered_once(gl, build):
     ground = frame.height_m == 0.0
     both = ground & (single[0].visibility == 0.0) & (single[1].visibility == 0.0)
     assert both.sum() > 100
-    assert stencil.dtype == np.uint8 and set(np.unique(stencil)) == {planar.NO_GROUND, planar.LIT, planar.SHADED}
-    assert (stencil[both] == planar.SHADED).all() and (frame.visibility[both] == 0.0).all()
+    assert stencil.dtype == np.uint8 and set(np.unique(stencil)) == {planar.NO_GROUND_VALUE, planar.LIT_VALUE, planar.SHADED_VALUE}
+    assert (stencil[both] == planar.SHADED_VALUE).all() and (frame.visibility[both] == 0.0).all()
     assert set(np.unique(frame.visibility)) == {0.0, 1.0}
     np.testing.assert_array_equal(frame.color[both], np.broadcast_to(frame.color[both][0], (both.sum(), 3)))
-    np.testing.assert_array_equal(stencil == planar.NO_GROUND, ~ground)
+    np.testing.assert_array_equal(stencil == planar.NO_GROUND_VALUE, ~ground)
 
 
 def test_nothing_falls_on_the_casters_themselves(gl, build):
@@ -276,7 +276,9 @@ def test_the_ground_s_rim_ends_the_shadow(gl, build):
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"), layers=frozenset({"stencil"}))
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     stencil = frame.layers["stencil"][SUN]
-    assert (stencil[100, (x > 45) & (x < 59.5)] == planar.SHADED).all() and (stencil[:, x > 61.2] == planar.NO_GROUND).all()
+    assert (stencil[100, (x > 45) & (x < 59.5)] == planar.SHADED_VALUE).all() and (
+        stencil[:, x > 61.2] == planar.NO_GROUND_VALUE
+    ).all()
     assert np.isnan(frame.visibility[:, x > 61.2]).all()
 
 

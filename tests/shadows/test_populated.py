@@ -17,7 +17,7 @@ from affine import Affine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
@@ -291,8 +291,8 @@ def test_descriptor_and_plan_survive_json(build, kind, algorithm):
     back = Descriptor.model_validate_json(descriptor.model_dump_json())
     assert back == descriptor and [lamp.name for lamp in back.lamps] == ["spot", "omni"]
     asked = {"algorithm": algorithm}
-    plan = choose(descriptor, scene.loaded.level, asked)
-    assert choose(back, scene.loaded.level, asked) == plan
+    plan = make_plan(descriptor, scene.loaded.level, asked)
+    assert make_plan(back, scene.loaded.level, asked) == plan
     again = Plan.model_validate_json(plan.model_dump_json())
     assert again == plan and again.steps == plan.steps and type(again.settings) is type(plan.settings)
     assert again.model_dump() == plan.model_dump()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from api.layers import layer_of, viewable
+from api.layers import frame_layer, viewable
 from shadows.render import render_frame
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
@@ -39,7 +39,7 @@ def test_map_views(gl, level, sun, layer, request):
     azimuth, altitude = SUNS[sun]
     scene = build_scene(load_level(f"configs/{level}.yaml")).with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     frame = render(scene, scene.view(size=(300, 300)))
-    picture = layer_of(scene, frame, layer)
+    picture = frame_layer(scene, frame, layer)
     assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -49,7 +49,7 @@ def test_algorithms_in_perspective(gl, level, view, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(view, size=(360, 288)), algorithm=algorithm)
     assert frame.plan.headline == algorithm
-    picture = layer_of(scene, frame, "color")[..., :3]
+    picture = frame_layer(scene, frame, "color")[..., :3]
     assert_golden(f"{level}-{view}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -59,7 +59,7 @@ def test_algorithms_in_maps(gl, level, bounds, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(bounds=bounds, size=(256, 256)), algorithm=algorithm)
     assert frame.plan.headline == algorithm
-    picture = layer_of(scene, frame, "mask")
+    picture = frame_layer(scene, frame, "mask")
     assert_golden(f"{level}-map-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -71,7 +71,7 @@ def test_layers_of_volumes(gl, algorithm, layer, request):
     scene = build_scene(load_level("configs/thesis_street_sun.yaml"))
     view = scene.view("main", size=(360, 288))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=algorithm), layers=frozenset({layer}))
-    picture = viewable(layer, layer_of(scene, frame, layer), frame.color)
+    picture = viewable(layer, frame_layer(scene, frame, layer), frame.color)
     assert_golden(f"thesis_street_sun-{layer}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -79,7 +79,7 @@ def test_tiles_of_a_block(gl, request):
     """Four tiles round the corner of a ridge at zoom 13, cut from their block."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.58, 13).part(256, 256, 512, 512)
-    picture = layer_of(scene, render(scene, view), "color")
+    picture = frame_layer(scene, render(scene, view), "color")
     assert_golden("jacksboro-tiles-13", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shadows.passes import PassLog
-from shadows.visibility import fill_steps, looked_for, under_sky
+from shadows.visibility import fill_steps, with_apparent_sun, without_hidden_points
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
 from terrain.level.level import load_level
@@ -37,7 +37,7 @@ def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.
     buffer = geometry_of(scene, view)
     steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
     found = fill_steps(steps, buffer, scene, casters_of(scene, buffer), effects, PassLog())
-    hidden = buffer.there & ~looked_for(buffer, scene, "sun", {"haze"}).there
+    hidden = buffer.there & ~without_hidden_points(buffer, scene, "sun", {"haze"}).there
     return found[buffer.there], hidden[buffer.there]
 
 
@@ -58,7 +58,7 @@ def test_a_lamp_is_looked_for_however_thick_the_air(gl, hazy):
 
 def test_a_map_is_seen_from_no_distance(hazy):
     buffer = geometry_of(hazy, hazy.view(size=(32, 32)))
-    assert looked_for(buffer, hazy, "sun", {"haze"}) is buffer
+    assert without_hidden_points(buffer, hazy, "sun", {"haze"}) is buffer
 
 
 def test_kinds_that_are_filled_apart_multiply(gl, hazy):
@@ -77,5 +77,5 @@ def test_kinds_that_are_filled_apart_multiply(gl, hazy):
 def test_without_refraction_the_sun_is_where_it_is(write_raster, make_scene):
     raster = write_raster(np.zeros((8, 8), np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
     scene = make_scene(raster).with_sun(SunSpec(time="2024-06-21T20:30:00+02:00"))
-    assert under_sky(scene, {"refraction"}) is scene
-    assert under_sky(scene, ()).sun.altitude_deg < scene.sun.altitude_deg - 0.05
+    assert with_apparent_sun(scene, {"refraction"}) is scene
+    assert with_apparent_sun(scene, ()).sun.altitude_deg < scene.sun.altitude_deg - 0.05

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.cache import MISSING, Cache, bytes_of, caches, forget, forget_scene, kept
+from terrain.cache import MISSING, Cache, bytes_of, cached, caches, clear_caches, clear_scene_caches
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -62,7 +62,7 @@ def test_what_is_let_go_is_released_and_the_newest_one_is_not():
 
 
 def test_a_value_goes_with_what_it_was_made_from():
-    @kept("scene", 1000)
+    @cached("scene", 1000)
     def double(ground: Ground, row: np.ndarray, factor: int) -> np.ndarray:
         return factor * row
 
@@ -78,7 +78,7 @@ def test_a_value_goes_with_what_it_was_made_from():
 def test_a_value_may_be_none_and_keys_may_be_named():
     calls = []
 
-    @kept("process", 1000)
+    @cached("process", 1000)
     def nothing(number: int, word: str = "") -> None:
         calls.append((number, word))
 
@@ -88,7 +88,7 @@ def test_a_value_may_be_none_and_keys_may_be_named():
 
 
 def test_a_key_of_ones_own():
-    @kept("process", 1000, key=lambda number: (number % 2,))
+    @cached("process", 1000, key=lambda number: (number % 2,))
     def parity(number: int) -> str:
         return f"like {number}"
 
@@ -107,12 +107,12 @@ def test_what_lasts_for_a_light_is_forgotten_by_itself_and_a_scene_with_what_sta
                 cache.put(part, "something", value=1.0)
 
     fill()
-    forget_scene(mine)
+    clear_scene_caches(mine)
     assert [len(cache) for cache in all_of_them] == [2, 2, 4]
     fill()
-    forget("light")
+    clear_caches("light")
     assert [len(cache) for cache in all_of_them] == [0, 4, 4]
-    forget("light", "scene")
+    clear_caches("light", "scene")
     assert [len(cache) for cache in all_of_them] == [0, 0, 4]
 
 

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from selector.choices import Asked
-from selector.planner.planner import choose
+from selector.choices import StandaloneRequest
+from selector.planner.planner import make_plan
 from terrain.describe import describe
 from terrain.facts.coarse_view import nearest_triangles
 from terrain.facts.descriptor import Descriptor
@@ -131,7 +131,7 @@ def test_nothing_else_need_be_known():
     descriptor = Descriptor.model_validate(MINIMAL)
     assert descriptor.pixels == 1024**2 and descriptor.stands == () and descriptor.lights == {}
     assert Descriptor.model_validate(MINIMAL | {"rows": 100, "cols": 200}).pixels == 20_000
-    plan = choose(descriptor, Asked(Shadows(), ("sun",)))
+    plan = make_plan(descriptor, StandaloneRequest(Shadows(), ("sun",)))
     assert set(plan.algorithm["sun"]) == {"relief"}
 
 
@@ -139,7 +139,7 @@ def test_the_example_of_the_page_is_valid():
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
     descriptor = Descriptor.model_validate_json(example)
-    assert choose(descriptor, Asked(Shadows(), ("sun",))).algorithm["sun"].keys() == {"relief", "meshes"}
+    assert make_plan(descriptor, StandaloneRequest(Shadows(), ("sun",))).algorithm["sun"].keys() == {"relief", "meshes"}
 
 
 def test_the_page_names_every_field():

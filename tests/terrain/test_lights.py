@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from api.layers import layer_of
+from api.layers import frame_layer
 from shadows.attached import attached
-from terrain.effects.effect import Block
-from terrain.effects.lamps import shine
+from terrain.effects.effect import ShadingBlock
+from terrain.effects.lamps import apply_lamps
 from terrain.errors import InputError, LevelError
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.world import geocentric
@@ -62,7 +62,7 @@ def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
     buffer = geometry_of(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
     lamplight = np.zeros((*buffer.there.shape, 3), np.float32)
-    shine(lamplight, Block(scene, view, buffer, shines))
+    apply_lamps(lamplight, ShadingBlock(scene, view, buffer, shines))
     return shade(buffer, scene, shines.get("sun", np.zeros(buffer.there.shape, np.float32)), lamplight=lamplight)
 
 
@@ -173,9 +173,9 @@ def test_a_frame_under_another_light(gl, floor, make_scene, post):
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert frame.under(None) is frame
     under = frame.under("lamp")
-    np.testing.assert_array_equal(layer_of(scene, under, "visibility"), frame.visibilities["lamp"])
-    np.testing.assert_array_equal(layer_of(scene, frame, "visibility"), frame.visibilities[SUN])
-    assert (layer_of(scene, under, "mask") != layer_of(scene, frame, "mask")).any()
+    np.testing.assert_array_equal(frame_layer(scene, under, "visibility"), frame.visibilities["lamp"])
+    np.testing.assert_array_equal(frame_layer(scene, frame, "visibility"), frame.visibilities[SUN])
+    assert (frame_layer(scene, under, "mask") != frame_layer(scene, frame, "mask")).any()
     np.testing.assert_array_equal(under.color, frame.color)
     with pytest.raises(InputError, match="light: 'moon'.*sun, lamp") as caught:
         frame.under("moon")

@@ -13,7 +13,7 @@ import rasterio
 import shapely
 
 from configs import LEVELS_FOLDER
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.level.level import load_level
@@ -82,7 +82,7 @@ def test_a_real_place_is_planned_and_drawn(scene_of, name):
     town, scene = PLACES[name], scene_of(name)
     assert scene.population.kinds == town.casters
     for view in (scene.view("air"), scene.view("map", size=(128, 128))):
-        plan = choose(describe(scene, view, "view"), scene.loaded.level, {})
+        plan = make_plan(describe(scene, view, "view"), scene.loaded.level, {})
         assert tuple(plan.algorithm["sun"]) == town.casters
         frame = render_frame(scene, view, plan)
         assert frame.there.mean() > 0.5

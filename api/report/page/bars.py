@@ -10,11 +10,11 @@ from math import floor, log10
 from api.report.page.marks import COLOURS, stage_colours
 from api.report.page.markup import tag
 from api.report.page.scales import round_time
-from api.report.summary import Figures
-from selector.formatting import duration
+from api.report.summary import RowFigures
+from selector.formatting import format_duration
 
-WIDTH, STEP, TOP, BAR = 1180.0, 21.0, 26.0, 14.0
-NAME_PX, CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
+BARS_WIDTH, BAR_STEP, BARS_TOP, BAR = 1180.0, 21.0, 26.0, 14.0
+NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
 REST = "not in a stage"
 MIN_REST = 0.02
 """A smaller share of a row's time outside of all stages is not shown."""
@@ -29,33 +29,33 @@ class Axis:
 
     def px(self, ms: float, whole_ms: float) -> float:
         """Width of a part of a bar that stands for ``whole_ms``."""
-        return ms * (WIDTH - self.left - TIME_PX) / max(self.end_ms, whole_ms)
+        return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, whole_ms)
 
 
-def bars(figures: list[Figures]) -> str:
+def bars(figures: list[RowFigures]) -> str:
     """An SVG element, 1180 wide: stacked bars from 0, each with its name, which links to the table, and its median time."""
     order = sorted(range(len(figures)), key=lambda k: (figures[k]["ms_median"], figures[k]["name"]))
-    names_px = [len(f["name"]) * (BOLD_PX if f["pareto"] else CHARACTER_PX) + 12.0 for f in figures]
+    names_px = [len(f["name"]) * (BOLD_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]
     axis = Axis(max([NAME_PX, *names_px]), _end_ms(figures))
     colours = _colours(figures)
-    bottom = TOP + STEP * len(figures)
+    bottom = BARS_TOP + BAR_STEP * len(figures)
     return tag(
         "svg",
         *_grid(axis, bottom),
-        *(_bar(k, figures[k], TOP + STEP * place, axis, colours) for place, k in enumerate(order)),
-        viewBox=f"0 0 {WIDTH:g} {bottom + 6:g}",
+        *(_bar(k, figures[k], BARS_TOP + BAR_STEP * place, axis, colours) for place, k in enumerate(order)),
+        viewBox=f"0 0 {BARS_WIDTH:g} {bottom + 6:g}",
         role="group",
         aria_label="Time of every row by its stages",
         class_="bars",
     )
 
 
-def too_long(figures: list[Figures]) -> bool:
+def too_long(figures: list[RowFigures]) -> bool:
     """Whether any bar is longer than the axis."""
     return max(map(_whole_ms, figures), default=0.0) > _end_ms(figures)
 
 
-def bars_legend(figures: list[Figures]) -> str:
+def bars_legend(figures: list[RowFigures]) -> str:
     """A list of the stages and their colours."""
     return tag("ul", *(tag("li", _swatch(colour), escape(name)) for name, colour in _colours(figures).items()), class_="legend")
 
@@ -64,24 +64,24 @@ def _swatch(colour: str) -> str:
     return tag("svg", tag("path", d="M2 2H14V14H2Z", fill=colour), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
-def stages_of(figures: Figures) -> dict[str, float]:
+def stages_of(figures: RowFigures) -> dict[str, float]:
     """Milliseconds of a row's stages, and what is left of its median time where that counts."""
     stages = {name: ms for name, ms in figures["stages"].items() if ms > 0.0}
     rest = figures["ms_median"] - sum(stages.values())
     return stages | ({REST: rest} if rest > MIN_REST * figures["ms_median"] else {})
 
 
-def _colours(figures: list[Figures]) -> dict[str, str]:
+def _colours(figures: list[RowFigures]) -> dict[str, str]:
     found = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
     colours = stage_colours([name for name in found if name != REST])
     return colours | ({REST: COLOURS["gray"]} if REST in found else {})
 
 
-def _whole_ms(figures: Figures) -> float:
+def _whole_ms(figures: RowFigures) -> float:
     return sum(stages_of(figures).values())
 
 
-def _end_ms(figures: list[Figures]) -> float:
+def _end_ms(figures: list[RowFigures]) -> float:
     """The longest time, but no more than twice what four fifths of the rows keep: a few slow ones would hide all others."""
     times = sorted(map(_whole_ms, figures)) or [0.0]
     common = 2.0 * times[(4 * (len(times) - 1)) // 5]
@@ -93,21 +93,21 @@ def _grid(axis: Axis, bottom: float) -> Iterator[str]:
     step = next(f * power for f in (1, 2, 5, 10) if f * power >= axis.end_ms / 8.0)
     for k in range(floor(axis.end_ms / step) + 1):
         x = f"{axis.left + axis.px(k * step, 0.0):.1f}"
-        yield tag("line", x1=x, x2=x, y1=TOP - 6, y2=bottom, class_="grid" if k else "axis")
-        yield tag("text", escape(round_time(k * step)), x=x, y=TOP - 11, text_anchor="middle")
+        yield tag("line", x1=x, x2=x, y1=BARS_TOP - 6, y2=bottom, class_="grid" if k else "axis")
+        yield tag("text", escape(round_time(k * step)), x=x, y=BARS_TOP - 11, text_anchor="middle")
 
 
-def _bar(k: int, figures: Figures, y: float, axis: Axis, colours: dict[str, str]) -> str:
+def _bar(k: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
     stages, whole, line = stages_of(figures), _whole_ms(figures), y + BAR - 3.0
     x, parts = axis.left, []
     for name, ms in stages.items():
         width = axis.px(ms, whole)
-        title = tag("title", escape(f"{figures['name']}, {name}: {duration(ms)}"))
+        title = tag("title", escape(f"{figures['name']}, {name}: {format_duration(ms)}"))
         parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR, fill=colours[name]))
         x += width
     if whole > axis.end_ms:
         parts.append(tag("path", d=f"M{x - 17:.1f} {y + BAR + 2:g}l6 {-BAR - 4:g}m5 0l-6 {BAR + 4:g}", class_="cut"))
-    time = duration(figures["ms_median"])
+    time = format_duration(figures["ms_median"])
     return tag(
         "a",
         tag("text", escape(figures["name"]), x=f"{axis.left - 10:.1f}", y=line, text_anchor="end", class_="name"),
@@ -115,6 +115,6 @@ def _bar(k: int, figures: Figures, y: float, axis: Axis, colours: dict[str, str]
         tag("text", escape(time), x=f"{x + 7:.1f}", y=line),
         href=f"#row-{k}",
         data_row=k,
-        aria_label=f"{figures['name']}: {time}; " + ", ".join(f"{name} {duration(ms)}" for name, ms in stages.items()),
+        aria_label=f"{figures['name']}: {time}; " + ", ".join(f"{name} {format_duration(ms)}" for name, ms in stages.items()),
         class_="bar front" if figures["pareto"] else "bar",
     )

@@ -58,7 +58,7 @@ def mark_of(family: str) -> Mark:
 
 SPARE = Mark("cross", "black")
 
-STAGES = (
+STAGE_COLOURS = (
     *(COLOURS[name] for name in ("blue", "orange", "green", "vermilion", "sky", "purple")),
     *("#8c6d31", "#f0e442", "#332288", "#88ccee", "#999933", "#44aa99"),
 )
@@ -66,4 +66,4 @@ STAGES = (
 
 def stage_colours(stages: list[str]) -> dict[str, str]:
     """A colour for each stage, in order; past a dozen they begin anew."""
-    return {name: STAGES[k % len(STAGES)] for k, name in enumerate(stages)}
+    return {name: STAGE_COLOURS[k % len(STAGE_COLOURS)] for k, name in enumerate(stages)}

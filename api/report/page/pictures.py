@@ -14,10 +14,10 @@ from io import BytesIO
 import numpy as np
 from PIL import Image
 
-LEVELS = 16
+GRAY_LEVELS = 16
 """Steps of visibility from dark to lit."""
-RIGHT, FALSE_SHADOW, MISSED_SHADOW = range(3)
-"""Classes; a colour's index is its level of visibility + ``LEVELS`` times its class."""
+CORRECT, FALSE_SHADOW, MISSED_SHADOW = range(3)
+"""Classes; a colour's index is its level of visibility + ``GRAY_LEVELS`` times its class."""
 
 MAX_SIDE_PX = 4096
 """Of a larger picture browsers refuse to make a canvas."""
@@ -40,7 +40,7 @@ class Pictures:
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class ErrorPicture:
     """What is drawn of a row: cast visibility uint8 (rows, cols) 0 dark to 255 lit, and its false and missed shadow, bool."""
 
     visibility: np.ndarray
@@ -48,7 +48,7 @@ class Errors:
     missed_shadow: np.ndarray
 
 
-def pictures(ground: np.ndarray, rows: list[Errors], most: int) -> Pictures:
+def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> Pictures:
     """Pictures of at most so many characters, shrunk by the least whole factor that does it.
 
     ``ground`` is uint8 (rows, cols, 3). Visibility is averaged; a pixel that stands for a wrong one is wrong: none vanishes.
@@ -59,23 +59,23 @@ def pictures(ground: np.ndarray, rows: list[Errors], most: int) -> Pictures:
     return found
 
 
-def indexes(row: Errors, factor: int = 1) -> np.ndarray:
+def indexes(row: ErrorPicture, factor: int = 1) -> np.ndarray:
     """The palette's indexes uint8 of a row's picture, shrunk by a whole factor."""
-    level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((LEVELS - 1) / 255.0))
+    level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((GRAY_LEVELS - 1) / 255.0))
     false, missed = (_blocks(wrong, factor).sum(axis=(1, 3)) for wrong in (row.false_shadow, row.missed_shadow))
-    wrong = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, RIGHT))
-    return (level + LEVELS * wrong).astype(np.uint8)
+    wrong = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
+    return (level + GRAY_LEVELS * wrong).astype(np.uint8)
 
 
 def palette() -> np.ndarray:
     """Colours uint8 (3 * LEVELS, 3): grays of visibility, then reds and blues too near one another for the eye to tell apart."""
-    level = np.arange(LEVELS)
-    grays = np.repeat(np.rint(160 + level * (85 / (LEVELS - 1)))[:, None], 3, axis=1)
+    level = np.arange(GRAY_LEVELS)
+    grays = np.repeat(np.rint(160 + level * (85 / (GRAY_LEVELS - 1)))[:, None], 3, axis=1)
     reds, blues = (np.array(colour) + level[:, None] * (0, 1, 0) for colour in ((214, 30, 30), (30, 70, 214)))
     return np.concatenate([grays, reds, blues]).astype(np.uint8)
 
 
-def _at(ground: np.ndarray, rows: list[Errors], factor: int, most: int) -> Pictures:
+def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, most: int) -> Pictures:
     """The pictures at a factor, or as many of them as show that they are too big."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
     whole, of_rows = _webp(small, quality=80, method=4), []

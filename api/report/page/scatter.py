@@ -10,46 +10,53 @@ from itertools import pairwise
 from api.report.page.marks import drawn, mark_of
 from api.report.page.markup import tag
 from api.report.page.scales import Scale, round_time, scale_of
-from api.report.summary import FLOORS, Figures, casts, family, on_front
-from selector.formatting import duration, percent
+from api.report.summary import FLOORS, RowFigures, algorithm_family, casts, on_front
+from selector.formatting import format_duration, format_percent
 from selector.measure.compare import Comparison
-from shadows.registry import ALGORITHMS, NOTHING
+from shadows.registry import ALGORITHMS, NO_SHADOWS
 
-WIDTH, HEIGHT = 860.0, 540.0
-LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 14.0, 56.0
+SCATTER_WIDTH, SCATTER_HEIGHT = 860.0, 540.0
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 84.0, 16.0, 14.0, 56.0
 HEAD_PX, LEGEND_PX, LEGEND_COLUMNS = 54.0, 14.0, 2
 """Of the picture by itself: what its title takes, where its legend begins, and names of that in a line."""
-CHARACTER_PX, LINE_PX = 8.3, 16.0
+LABEL_CHARACTER_PX, LINE_PX = 8.3, 16.0
 """Of labels, a little more than any font takes."""
 
-Box = tuple[float, float, float, float]
+TextBox = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Point:
+class ScatterPoint:
     """A row in the plot: which it is, its figures, and where it lies."""
 
     row: int
-    figures: Figures
+    figures: RowFigures
     x: float
     y: float
 
 
-def scatter(comparison: Comparison) -> str:
+def scatter_plot(comparison: Comparison) -> str:
     """An SVG element of 860 x 540; time to the right and error upwards, both logarithmic with a place for zero.
 
     A row that casts nothing is left out beside others: in no time all wrong, it would only take their room.
     """
     label = "Error against time of every row"
-    return tag("svg", _plot(comparison), viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}", role="group", aria_label=label, class_="scatter")
+    return tag(
+        "svg",
+        _plot(comparison),
+        viewBox=f"0 0 {SCATTER_WIDTH:g} {SCATTER_HEIGHT:g}",
+        role="group",
+        aria_label=label,
+        class_="scatter",
+    )
 
 
 def _plot(comparison: Comparison) -> str:
     shown = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
     shown = shown or {k: row.figures for k, row in enumerate(comparison.rows)}
-    x = scale_of([f["ms_median"] for f in shown.values()], LEFT, WIDTH - RIGHT)
-    y = scale_of([f[comparison.error] for f in shown.values()], HEIGHT - BOTTOM, TOP)
-    points = [Point(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in shown.items()]
+    x = scale_of([f["ms_median"] for f in shown.values()], MARGIN_LEFT, SCATTER_WIDTH - MARGIN_RIGHT)
+    y = scale_of([f[comparison.error] for f in shown.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
+    points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in shown.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
     stairs = _stairs([point for point in points if on_front(point.figures, comparison.light)])
     return "".join([
@@ -64,11 +71,11 @@ def _plot(comparison: Comparison) -> str:
 def still(comparison: Comparison, title: list[str], style: str) -> str:
     """The scatter as a picture of its own, an SVG file: with lines of a title, the legend and a style (CSS)."""
     names = _families(comparison)
-    foot = HEAD_PX + HEIGHT + 8.0
+    foot = HEAD_PX + SCATTER_HEIGHT + 8.0
     keys = []
     for k, name in enumerate(names):
         down, across = divmod(k, LEGEND_COLUMNS)
-        x, y = LEGEND_PX + across * (WIDTH - LEGEND_PX) / LEGEND_COLUMNS, foot + 1.4 * LINE_PX * down
+        x, y = LEGEND_PX + across * (SCATTER_WIDTH - LEGEND_PX) / LEGEND_COLUMNS, foot + 1.4 * LINE_PX * down
         keys.append(tag("g", drawn(mark_of(name), 8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})"))
     height = foot + 1.4 * LINE_PX * -(-len(names) // LEGEND_COLUMNS)
     return tag(
@@ -79,8 +86,8 @@ def still(comparison: Comparison, title: list[str], style: str) -> str:
         tag("g", _plot(comparison), transform=f"translate(0 {HEAD_PX:g})", class_="scatter"),
         *keys,
         xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {WIDTH:g} {height:g}",
-        width=f"{WIDTH:g}",
+        viewBox=f"0 0 {SCATTER_WIDTH:g} {height:g}",
+        width=f"{SCATTER_WIDTH:g}",
         height=f"{height:g}",
     )
 
@@ -92,9 +99,9 @@ def legend(comparison: Comparison) -> str:
 
 
 def _families(comparison: Comparison) -> list[str]:
-    found = {family(row.figures, comparison.light) for row in comparison.rows}
+    found = {algorithm_family(row.figures, comparison.light) for row in comparison.rows}
     ranks = {name: k for k, name in enumerate(ALGORITHMS)}
-    return sorted(found - {NOTHING} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
+    return sorted(found - {NO_SHADOWS} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
 
 
 def swatch(name: str) -> str:
@@ -103,52 +110,59 @@ def swatch(name: str) -> str:
 
 
 def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
-    bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
+    bottom, right = SCATTER_HEIGHT - MARGIN_BOTTOM, SCATTER_WIDTH - MARGIN_RIGHT
     for value in y.ticks():
         at = y(value)
-        yield tag("line", x1=LEFT, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}", class_="grid")
-        yield _text(LEFT - 9, at + 4.5, f"{100.0 * value:g} %", "end")
+        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}", class_="grid")
+        yield _text(MARGIN_LEFT - 9, at + 4.5, f"{100.0 * value:g} %", "end")
     for value in x.ticks():
         at = x(value)
-        yield tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=TOP, y2=bottom, class_="grid")
+        yield tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=MARGIN_TOP, y2=bottom, class_="grid")
         yield _text(at, bottom + 20, round_time(value), "middle")
     if y.zero_px is not None:
-        yield tag("line", x1=LEFT, x2=right, y1=y.start_px, y2=y.start_px, class_="break")
-        yield _text(LEFT - 9, y.zero_px + 4.5, "0 %", "end")
+        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=y.start_px, y2=y.start_px, class_="break")
+        yield _text(MARGIN_LEFT - 9, y.zero_px + 4.5, "0 %", "end")
     if x.zero_px is not None:
-        yield tag("line", x1=x.start_px, x2=x.start_px, y1=TOP, y2=bottom, class_="break")
+        yield tag("line", x1=x.start_px, x2=x.start_px, y1=MARGIN_TOP, y2=bottom, class_="break")
         yield _text(x.zero_px, bottom + 20, "0 ms", "middle")
-    yield tag("path", d=f"M{LEFT:g} {TOP:g}V{bottom:g}H{right:g}", class_="axis")
-    yield _text((LEFT + right) / 2, HEIGHT - 10, "time of the shadows in a frame, median", "middle", "title")
-    middle = (TOP + bottom) / 2
+    yield tag("path", d=f"M{MARGIN_LEFT:g} {MARGIN_TOP:g}V{bottom:g}H{right:g}", class_="axis")
+    yield _text((MARGIN_LEFT + right) / 2, SCATTER_HEIGHT - 10, "time of the shadows in a frame, median", "middle", "title")
+    middle = (MARGIN_TOP + bottom) / 2
     yield tag("text", escape(error), transform=f"translate(13 {middle:g}) rotate(-90)", text_anchor="middle", class_="title")
 
 
 def _floor(y: Scale, exact_to: float) -> Iterator[str]:
     """The band of errors that truth cannot tell from none, where any of it is in sight."""
-    top, bottom = y(exact_to), HEIGHT - BOTTOM
+    top, bottom = y(exact_to), SCATTER_HEIGHT - MARGIN_BOTTOM
     if exact_to > y.low:
-        yield tag("rect", x=LEFT, y=f"{top:.1f}", width=WIDTH - RIGHT - LEFT, height=f"{bottom - top:.1f}", class_="floor")
-        yield _text(WIDTH - RIGHT - 6, min(top + 15, bottom - 5), "truth cannot tell", "end", "remark")
+        yield tag(
+            "rect",
+            x=MARGIN_LEFT,
+            y=f"{top:.1f}",
+            width=SCATTER_WIDTH - MARGIN_RIGHT - MARGIN_LEFT,
+            height=f"{bottom - top:.1f}",
+            class_="floor",
+        )
+        yield _text(SCATTER_WIDTH - MARGIN_RIGHT - 6, min(top + 15, bottom - 5), "truth cannot tell", "end", "remark")
 
 
-def _stairs(front: list[Point]) -> list[tuple[float, float]]:
+def _stairs(front: list[ScatterPoint]) -> list[tuple[float, float]]:
     """Corners of the line through the front: what lies above and right of it is slower and less accurate than something else."""
     steps = sorted((point.x, point.y) for point in front)
-    corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, TOP), *steps], strict=False)]
+    corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, MARGIN_TOP), *steps], strict=False)]
     line = [place for pair in zip(corners, steps, strict=True) for place in pair]
-    return [*line, (WIDTH - RIGHT, line[-1][1])] if line else []
+    return [*line, (SCATTER_WIDTH - MARGIN_RIGHT, line[-1][1])] if line else []
 
 
-def _mark(point: Point, comparison: Comparison) -> str:
+def _mark(point: ScatterPoint, comparison: Comparison) -> str:
     figures = point.figures
-    said = f"{figures['name']}: {percent(figures[comparison.error])} in {duration(figures['ms_median'])}"
+    said = f"{figures['name']}: {format_percent(figures[comparison.error])} in {format_duration(figures['ms_median'])}"
     said += ", on the front" if figures["pareto"] else ""
     return tag(
         "a",
         tag("title", escape(said)),
         tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
-        drawn(mark_of(family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
+        drawn(mark_of(algorithm_family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
         href=f"#row-{point.row}",
         data_row=point.row,
         aria_label=said,
@@ -156,13 +170,13 @@ def _mark(point: Point, comparison: Comparison) -> str:
     )
 
 
-def _names(points: list[Point], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
+def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
     """Names of the front's rows, each where it covers neither a mark, a line, another name nor the frame; else none."""
-    taken: list[Box] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
+    taken: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
     taken += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
     for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
         lines = point.figures["name"].replace(",", ",\n").split("\n")
-        width, more = CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
+        width, more = LABEL_CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
         for anchor, right, down in PLACES:
             left = point.x + right - (width if anchor == "end" else 0.0)
             line = point.y + down - (more if down < 0.0 else 0.0)
@@ -187,11 +201,16 @@ PLACES = (
 """Where a name may stand beside its mark, best first: its anchor, pixels right and down. Below and left of the front is room."""
 
 
-def _inside(box: Box) -> bool:
-    return box[0] > LEFT and box[2] < WIDTH - RIGHT and box[1] > TOP and box[3] < HEIGHT - BOTTOM
+def _inside(box: TextBox) -> bool:
+    return (
+        box[0] > MARGIN_LEFT
+        and box[2] < SCATTER_WIDTH - MARGIN_RIGHT
+        and box[1] > MARGIN_TOP
+        and box[3] < SCATTER_HEIGHT - MARGIN_BOTTOM
+    )
 
 
-def _overlap(one: Box, other: Box) -> bool:
+def _overlap(one: TextBox, other: TextBox) -> bool:
     return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 

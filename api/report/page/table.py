@@ -10,8 +10,8 @@ from typing import Any
 from api.report.page.bars import stages_of
 from api.report.page.markup import breakable, definitions, tag
 from api.report.page.scatter import swatch
-from api.report.summary import Figures, family
-from selector.formatting import duration
+from api.report.summary import RowFigures, algorithm_family
+from selector.formatting import format_duration
 from selector.measure.compare import Comparison
 
 
@@ -66,7 +66,7 @@ COLUMNS = [
 GLOSSARY = {f"{c.heading} ({c.unit})" if c.unit else c.heading: c.meaning for c in COLUMNS}
 
 
-def table(comparison: Comparison) -> str:
+def rows_table(comparison: Comparison) -> str:
     """The table, the least error first, as its headings say; they become buttons where there is a script."""
     figures = [row.figures for row in comparison.rows]
     order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
@@ -79,10 +79,10 @@ def table(comparison: Comparison) -> str:
     return tag("table", tag("thead", tag("tr", *head)), tag("tbody", *lines))
 
 
-def details(figures: Figures, light: str) -> str:
+def details(figures: RowFigures, light: str) -> str:
     """Settings under a light, stages, counters and notes of a row."""
     parts = [(f"Settings: {kinds}", definitions(its)) for kinds, its in _settings(figures, light).items()]
-    parts.append(("Stages", definitions({name: duration(ms) for name, ms in stages_of(figures).items()})))
+    parts.append(("Stages", definitions({name: format_duration(ms) for name, ms in stages_of(figures).items()})))
     parts.append(("Counters", definitions({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
     parts.append(("Notes", "".join(tag("p", escape(note)) for note in figures["notes"])))
     times = "time" if figures["runs"] == 1 else "times"
@@ -91,7 +91,7 @@ def details(figures: Figures, light: str) -> str:
     return tag("div", *sections, tag("p", runs), class_="particulars")
 
 
-def _settings(figures: Figures, light: str) -> dict[str, dict[str, str]]:
+def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
     """Settings by kinds of casters; kinds that share them stand together."""
     kinds: dict[str, list[str]] = {}
     settings: dict[str, dict[str, str]] = {}
@@ -134,9 +134,9 @@ def _heading(column: Column, sorted_by: bool) -> str:
     )
 
 
-def _line(k: int, figures: Figures, light: str) -> str:
+def _line(k: int, figures: RowFigures, light: str) -> str:
     front, name = figures["pareto"], figures["name"]
-    title = tag("summary", swatch(family(figures, light)), tag("span", breakable(name)))
+    title = tag("summary", swatch(algorithm_family(figures, light)), tag("span", breakable(name)))
     cells = [
         tag(
             "td",
@@ -150,6 +150,6 @@ def _line(k: int, figures: Figures, light: str) -> str:
     return tag("tr", *cells, id=f"row-{k}", data_row=k, class_="front" if front else None)
 
 
-def _figure(column: Column, figures: Figures) -> str:
+def _figure(column: Column, figures: RowFigures) -> str:
     cold = figures["cold"] and column.unit == "ms" and figures[column.key] > 0.0
     return escape(column.written(figures[column.key])) + ("?" if cold else "")

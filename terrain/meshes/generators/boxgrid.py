@@ -7,9 +7,9 @@ from itertools import product
 from terrain.meshes.body import Body
 from terrain.meshes.generators.shapes import cuboid
 
-COUNT = 10
+BOXES_PER_SIDE = 10
 PITCH_M = 3.0
-SIDE_M = 0.9
+BOX_SIDE_M = 0.9
 LOWEST_M = 12.0
 
 LOW_COLOR, HIGH_COLOR = (0.62, 0.33, 0.22), (0.90, 0.80, 0.66)
@@ -17,12 +17,12 @@ LOW_COLOR, HIGH_COLOR = (0.62, 0.33, 0.22), (0.90, 0.80, 0.66)
 
 def boxgrid() -> list[Body]:
     """10 x 10 x 10 boxes, 12 triangles each: terracotta at the bottom to sand at the top."""
-    first = -PITCH_M * (COUNT - 1) / 2
+    first = -PITCH_M * (BOXES_PER_SIDE - 1) / 2
     bodies = []
-    for layer, row, col in product(range(COUNT), repeat=3):
-        low = (first + col * PITCH_M - SIDE_M / 2, first + row * PITCH_M - SIDE_M / 2, LOWEST_M + layer * PITCH_M)
-        share = layer / (COUNT - 1)
+    for layer, row, col in product(range(BOXES_PER_SIDE), repeat=3):
+        low = (first + col * PITCH_M - BOX_SIDE_M / 2, first + row * PITCH_M - BOX_SIDE_M / 2, LOWEST_M + layer * PITCH_M)
+        share = layer / (BOXES_PER_SIDE - 1)
         red, green, blue = (a + (b - a) * share for a, b in zip(LOW_COLOR, HIGH_COLOR, strict=True))
-        high = (low[0] + SIDE_M, low[1] + SIDE_M, low[2] + SIDE_M)
+        high = (low[0] + BOX_SIDE_M, low[1] + BOX_SIDE_M, low[2] + BOX_SIDE_M)
         bodies.append(cuboid(low, high, (red, green, blue)))
     return bodies

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, moved
+from terrain.meshes.body import Body, transformed
 from terrain.meshes.generators.shapes import Colour, Vector, block, cuboid, lathe, loft, tube
 
 OAK, WALNUT, BRASS = (0.66, 0.50, 0.34), (0.42, 0.30, 0.22), (0.70, 0.58, 0.36)
 LINEN, PAINT = (0.72, 0.69, 0.62), (0.85, 0.84, 0.80)
-CLAY, LEAF = (0.68, 0.42, 0.30), (0.27, 0.42, 0.22)
-ORANGE, GLAZE = (0.85, 0.52, 0.18), (0.36, 0.50, 0.56)
+CLAY, LEAF_GREEN = (0.68, 0.42, 0.30), (0.27, 0.42, 0.22)
+ORANGE_PEEL, GLAZE = (0.85, 0.52, 0.18), (0.36, 0.50, 0.56)
 SPINES = (
     (0.55, 0.25, 0.22),
     (0.28, 0.36, 0.45),
@@ -38,7 +38,7 @@ def dining_table() -> list[Body]:
         (0.045, 0.7),
         (0.0, 0.7),
     ]
-    top = moved(block((2.1, 1.0, 0.05), (14, 8, 2), OAK, 16.0), (0, 0, TABLE_M - 0.025))
+    top = transformed(block((2.1, 1.0, 0.05), (14, 8, 2), OAK, 16.0), (0, 0, TABLE_M - 0.025))
     legs = [lathe(leg, 12, OAK, (i * 0.9, j * 0.38, 0.0)) for i in (-1, 1) for j in (-1, 1)]
     aprons = [cuboid((-0.9, j * 0.38 - 0.015, 0.6), (0.9, j * 0.38 + 0.015, 0.72), OAK) for j in (-1, 1)]
     aprons += [cuboid((i * 0.9 - 0.015, -0.38, 0.6), (i * 0.9 + 0.015, 0.38, 0.72), OAK) for i in (-1, 1)]
@@ -47,7 +47,7 @@ def dining_table() -> list[Body]:
 
 def chair() -> list[Body]:
     """A chair with a spindle back, its back to the north."""
-    seat = moved(block((0.46, 0.44, 0.045), (5, 5, 1), WALNUT, 5.0), (0, 0, SEAT_M - 0.022))
+    seat = transformed(block((0.46, 0.44, 0.045), (5, 5, 1), WALNUT, 5.0), (0, 0, SEAT_M - 0.022))
     feet = [(i * 0.21, j * 0.20, 0.0) for i in (-1, 1) for j in (-1, 1)]
     legs = [tube([foot, (foot[0] * 0.78, foot[1] * 0.78, SEAT_M - 0.02)], [0.013, 0.019], 6, WALNUT) for foot in feet]
     stays = [tube([(i * 0.185, -0.178, 0.2), (i * 0.185, 0.178, 0.2)], 0.011, 6, WALNUT) for i in (-1, 1)]
@@ -100,14 +100,14 @@ def sofa() -> list[Body]:
     """A sofa for three, its back to the north."""
 
     def cushion(size_m: Vector, at_m: Vector, cells: tuple[int, int, int], color: Colour = LINEN) -> Body:
-        return moved(block(size_m, cells, color, 6.0), at_m)
+        return transformed(block(size_m, cells, color, 6.0), at_m)
 
     seats = [cushion((0.68, 0.72, 0.2), (x, -0.04, 0.38), (5, 5, 2)) for x in (-0.66, 0.0, 0.66)]
     backs = [cushion((0.66, 0.2, 0.46), (x, 0.3, 0.68), (5, 2, 4)) for x in (-0.66, 0.0, 0.66)]
     arms = [cushion((0.18, 0.9, 0.46), (x, 0.0, 0.39), (2, 6, 3)) for x in (-1.06, 1.06)]
     pillows = [
-        moved(block((0.42, 0.14, 0.42), (5, 2, 5), GLAZE, 3.0), (-0.72, 0.12, 0.7), 12.0),
-        moved(block((0.4, 0.13, 0.4), (5, 2, 5), CLAY, 3.0), (0.7, 0.14, 0.68), -15.0),
+        transformed(block((0.42, 0.14, 0.42), (5, 2, 5), GLAZE, 3.0), (-0.72, 0.12, 0.7), 12.0),
+        transformed(block((0.4, 0.13, 0.4), (5, 2, 5), CLAY, 3.0), (0.7, 0.14, 0.68), -15.0),
     ]
     frame = [cuboid((-1.1, -0.38, 0.14), (1.1, 0.42, 0.3), LINEN), cuboid((-1.1, 0.34, 0.2), (1.1, 0.46, 0.82), LINEN)]
     feet = [
@@ -140,18 +140,18 @@ def fruit_bowl() -> list[Body]:
         (-0.077, 0.024, 0.1),
         (0.0, 0.0, 0.15),
     ):
-        bodies.append(lathe(ball, 12, ORANGE, at))
+        bodies.append(lathe(ball, 12, ORANGE_PEEL, at))
     return bodies
 
 
-def plant(leaves: int, height_m: float, seed: int) -> list[Body]:
+def potted_plant(leaves: int, height_m: float, seed: int) -> list[Body]:
     """A plant in a pot: stalks with long bent leaves."""
     pot = [(0.0, 0.0), (0.13, 0.0), (0.17, 0.26), (0.19, 0.27), (0.19, 0.32), (0.165, 0.32), (0.155, 0.27), (0.0, 0.27)]
     rng = np.random.default_rng(seed)
     bodies = [lathe(pot, 24, CLAY)]
     for number in range(leaves):
         reach, top = rng.uniform(0.25, 0.55) * height_m, rng.uniform(0.55, 1.0) * height_m
-        bodies.append(moved(_leaf(reach, top), (0.0, 0.0, 0.24), number * 137.508 + rng.uniform(-12, 12)))
+        bodies.append(transformed(_leaf(reach, top), (0.0, 0.0, 0.24), number * 137.508 + rng.uniform(-12, 12)))
     return bodies
 
 
@@ -174,4 +174,4 @@ def _leaf(reach_m: float, top_m: float) -> Body:
         ],
         axis=1,
     )
-    return loft(loops, LEAF)
+    return loft(loops, LEAF_GREEN)

@@ -9,7 +9,7 @@ from terrain.meshes.generators.shapes import hull
 
 FIGURE_M = 30.0
 HOVER_M = 3.0
-TOUCH_M = 1.5
+TIP_OVERLAP_M = 1.5
 """How far the figure's tips run into each other."""
 
 WOOD_M = (170.0, 110.0)
@@ -21,7 +21,7 @@ WOOD_CORNERS = 11
 
 def tetrahedra() -> list[Body]:
     """Two regular tetrahedra tip to tip, 30 m high, hovering: the upper one is the lower upside down."""
-    height = FIGURE_M / 2 + TOUCH_M / 2
+    height = FIGURE_M / 2 + TIP_OVERLAP_M / 2
     radius = height / np.sqrt(2)  # from a face's middle to its corners
     turn = np.radians([90, 210, 330])
     foot = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(3)])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, moved
-from terrain.meshes.generators.shapes import Vector, cell_box, rounded, solid
+from terrain.meshes.body import Body, transformed
+from terrain.meshes.generators.shapes import Vector, cell_box, solid, superellipsoid
 
 RINGS = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, -9.0, 201.0), (10.0, -41.0, 293.0))
 """East, north, and turn in degrees of each ring."""
@@ -24,17 +24,17 @@ UPRIGHT_CELLS, LINTEL_CELLS = (4, 5, 10), (4, 8, 4)
 SEATED_M = 0.3
 """How deep a lintel sits on its uprights."""
 
-ROUNDING = 5.0
+SUPERELLIPSOID_EXPONENT = 5.0
 TAPER = 0.18
 WEAR_M = 0.13
 WAVES = 24
-GRAY, MOSS = np.array((0.60, 0.58, 0.55)), np.array((0.48, 0.49, 0.41))
+STONE_GRAY, MOSS = np.array((0.60, 0.58, 0.55)), np.array((0.48, 0.49, 0.41))
 
 
 def rocks() -> list[Body]:
     """Five turned copies of one ring of 33 stones: 63,600 triangles."""
     ring = _ring()
-    return [moved(stone, (east, north, 0.0), turn) for east, north, turn in RINGS for stone in ring]
+    return [transformed(stone, (east, north, 0.0), turn) for east, north, turn in RINGS for stone in ring]
 
 
 def _ring() -> list[Body]:
@@ -43,12 +43,14 @@ def _ring() -> list[Body]:
     stones = []
     for i in range(SLOTS):
         if i in FALLEN:
-            stones.append(_on_circle(moved(_standing(LYING_M, LINTEL_CELLS, i), turn_deg=35.0), RADIUS_M + 3.6, i * slot + 11.0))
+            stones.append(
+                _on_circle(transformed(_standing(LYING_M, LINTEL_CELLS, i), turn_deg=35.0), RADIUS_M + 3.6, i * slot + 11.0)
+            )
         else:
             stones.append(_on_circle(_standing(UPRIGHT_M, UPRIGHT_CELLS, i), RADIUS_M, i * slot))
         if not {i, (i + 1) % SLOTS} & set(FALLEN) and i != UNROOFED:
             stones.append(_on_circle(_lintel(UPRIGHT_M[2], SLOTS + i), chord, (i + 0.5) * slot))
-    lost = moved(_standing(LYING_M, LINTEL_CELLS, UNROOFED + SLOTS), turn_deg=-50.0)
+    lost = transformed(_standing(LYING_M, LINTEL_CELLS, UNROOFED + SLOTS), turn_deg=-50.0)
     stones.append(_on_circle(lost, RADIUS_M - 3.0, (UNROOFED + 2.5) * slot))
     for seed, middle in enumerate(TRILITHONS_DEG, start=100):
         for side in (-1, 1):
@@ -61,14 +63,14 @@ def _ring() -> list[Body]:
 
 def _on_circle(stone: Body, radius_m: float, at_deg: float) -> Body:
     """A stone on a circle, its first axis outwards; the angle is counter-clockwise from east."""
-    return moved(moved(stone, (radius_m, 0.0, 0.0)), turn_deg=at_deg)
+    return transformed(transformed(stone, (radius_m, 0.0, 0.0)), turn_deg=at_deg)
 
 
 def _standing(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
     """A stone that stands on the ground: its foot is flat, above it it tapers, and its head is round."""
     cube, triangles = cell_box(cells)
     high = (cube[:, 2:] + 1) / 2
-    worn = rounded(np.column_stack([cube[:, :2], np.maximum(cube[:, 2], 0)]), ROUNDING)
+    worn = superellipsoid(np.column_stack([cube[:, :2], np.maximum(cube[:, 2], 0)]), SUPERELLIPSOID_EXPONENT)
     shape = np.column_stack([worn[:, :2] * (1 - TAPER * high), np.where(cube[:, 2] > 0, worn[:, 2], cube[:, 2])])
     points = shape * np.asarray(size_m) / 2 + [0, 0, size_m[2] / 2]
     wear = _weathering(points, worn, seed)
@@ -79,7 +81,7 @@ def _standing(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
 def _lintel(upright_m: float, seed: int) -> Body:
     """A stone that lies across two uprights of a height."""
     cube, triangles = cell_box(LINTEL_CELLS)
-    shape = rounded(cube, ROUNDING)
+    shape = superellipsoid(cube, SUPERELLIPSOID_EXPONENT)
     points = shape * np.asarray(LINTEL_M) / 2 + [0, 0, upright_m + LINTEL_M[2] / 2 - SEATED_M]
     return solid(points + _weathering(points, shape, seed), triangles, _stone_color(seed))
 
@@ -96,4 +98,4 @@ def _weathering(points_m: np.ndarray, outward: np.ndarray, seed: int) -> np.ndar
 
 def _stone_color(seed: int) -> Vector:
     share = np.random.default_rng(seed).uniform()
-    return tuple(GRAY + (MOSS - GRAY) * share)
+    return tuple(STONE_GRAY + (MOSS - STONE_GRAY) * share)

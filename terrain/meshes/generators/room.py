@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from terrain.meshes.body import Body, moved
+from terrain.meshes.body import Body, transformed
 from terrain.meshes.generators import furniture as made
 from terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
 from terrain.meshes.generators.shapes import cuboid, loft, tube, wall
 
 HALF_EAST_M, HALF_NORTH_M, HIGH_M = 4.0, 3.0, 3.0
-WALL_M = 0.25
+WALL_THICKNESS_M = 0.25
 LATTICE_NORTH_M = 1.5
 """North of this line the ceiling is solid."""
 
-WINDOW_M, DOOR_M = (1.7, 0.8, 4.1, 2.4), (1.0, 0.0, 1.9, 2.15)
+WINDOW_OPENING_M, DOOR_M = (1.7, 0.8, 4.1, 2.4), (1.0, 0.0, 1.9, 2.15)
 """From, sill, to and head: the window counts from the west wall's south end, the door from the north wall's west end."""
 
 BEAMS_M = (-1.9, 0.2, 2.3)
@@ -31,9 +31,9 @@ def room() -> list[Body]:
 
 def _walls() -> list[Body]:
     """West with a window, north with a door, east closed, south open between slender posts."""
-    e, n, t = HALF_EAST_M, HALF_NORTH_M, WALL_M
+    e, n, t = HALF_EAST_M, HALF_NORTH_M, WALL_THICKNESS_M
     past = t + 0.02  # the side walls end a little beyond the north wall, which runs into them
-    west = _pierced(2 * n + past, WINDOW_M)
+    west = _pierced(2 * n + past, WINDOW_OPENING_M)
     north = _pierced(2 * e + 0.2, DOOR_M)
     posts = [cuboid((x - 0.06, -n + 0.02, 0.0), (x + 0.06, -n + 0.14, 2.75), OAK) for x in (-1.35, 1.35)]
     return [
@@ -62,7 +62,7 @@ def _ceiling() -> list[Body]:
 
 def _window() -> list[Body]:
     """Frame and glazing bars of the west window, and its sill."""
-    first, low, last, high = WINDOW_M
+    first, low, last, high = WINDOW_OPENING_M
     south, north, east = first - HALF_NORTH_M, last - HALF_NORTH_M, -HALF_EAST_M - 0.1
     bars = [
         cuboid((east - 0.06, y - 0.03, low), (east, y + 0.03, high), PAINT)
@@ -81,9 +81,9 @@ def _curtains() -> list[Body]:
     fold = 0.04 * np.sin(y * 2 * np.pi / 0.11)
     section = [(-0.006, 0.06), (-0.006, 2.62), (0.006, 2.62), (0.006, 0.06)]
     curtain = loft(np.stack([np.column_stack([fold + out, y, np.full(len(y), up)]) for out, up in section], axis=1), LINEN)
-    first, _, last, _ = WINDOW_M
+    first, _, last, _ = WINDOW_OPENING_M
     ends = (first - HALF_NORTH_M - 0.5, last - HALF_NORTH_M - 0.05)
-    hung = [moved(curtain, (-HALF_EAST_M + 0.1, y, 0.0)) for y in ends]
+    hung = [transformed(curtain, (-HALF_EAST_M + 0.1, y, 0.0)) for y in ends]
     return [*hung, tube([(-HALF_EAST_M + 0.1, ends[0] - 0.1, 2.62), (-HALF_EAST_M + 0.1, ends[1] + 0.65, 2.62)], 0.018, 10, BRASS)]
 
 
@@ -100,8 +100,8 @@ def _furniture() -> list[Body]:
         *(_at(made.chair(), x + east, y + north, pile, turn) for east, north, turn in chairs),
         _at(made.bookshelf(), 1.7, HALF_NORTH_M - 0.32),
         _at(made.sofa(), HALF_EAST_M - 0.5, -0.5, turn=-90.0),
-        _at(made.plant(26, 1.5, 3), 3.4, 1.5),
-        _at(made.plant(20, 1.15, 4), -3.45, -2.3),
+        _at(made.potted_plant(26, 1.5, 3), 3.4, 1.5),
+        _at(made.potted_plant(20, 1.15, 4), -3.45, -2.3),
         _at([made.vase(0.5, GLAZE)], -3.78, -0.5, 0.5),
         _at([made.vase(0.36, PAINT)], -3.8, 0.1, 0.5),
         _at([made.vase(0.62, CLAY)], -3.76, 0.65, 0.5),
@@ -121,4 +121,4 @@ def _furniture() -> list[Body]:
 
 
 def _at(bodies: list[Body], east: float, north: float, up: float = 0.0, turn: float = 0.0) -> list[Body]:
-    return [moved(body, (east, north, up), turn) for body in bodies]
+    return [transformed(body, (east, north, up), turn) for body in bodies]

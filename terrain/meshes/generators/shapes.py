@@ -107,10 +107,10 @@ def block(size_m: Vector, cells: tuple[int, int, int], color: Colour, power: flo
     A superellipsoid of exponent ``power``: the higher, the sharper the edges.
     """
     points, triangles = cell_box(cells)
-    return solid(rounded(points, power) * np.asarray(size_m) / 2, triangles, color)
+    return solid(superellipsoid(points, power) * np.asarray(size_m) / 2, triangles, color)
 
 
-def rounded(points: np.ndarray, power: float) -> np.ndarray:
+def superellipsoid(points: np.ndarray, power: float) -> np.ndarray:
     """Points (n, 3) of cubes about the origin moved onto superellipsoids of an exponent, towards the middle."""
     longest = np.abs(points).max(axis=1, keepdims=True)
     length = (np.abs(points) ** power).sum(axis=1, keepdims=True) ** (1 / power)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from terrain.meshes.body import Body, moved
+from terrain.meshes.body import Body, transformed
 from terrain.meshes.generators.shapes import Colour, cuboid, gable, hull
 
 PLASTER = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.52, 0.42), (0.88, 0.86, 0.80))
@@ -69,11 +69,11 @@ def _furniture() -> list[Body]:
     return [
         cuboid((-1.1, 29.4, 0.0), (1.1, 31.6, 2.3), STONE),
         _pyramid((0.0, 30.5), 1.6, 2.25, 4.0, TILES),
-        moved(lamp, (-4.2, -15.0, 0.0)),
-        moved(lamp, (4.2, -1.5, 0.0)),
+        transformed(lamp, (-4.2, -15.0, 0.0)),
+        transformed(lamp, (4.2, -1.5, 0.0)),
         cuboid((4.6, -31.0, 0.0), (5.4, -28.2, 1.3), HEDGE),
-        moved(bench, (-4.6, 9.4, 0.0)),
-        moved(lamp, (-4.2, 12.0, 0.0)),
+        transformed(bench, (-4.6, 9.4, 0.0)),
+        transformed(lamp, (-4.2, 12.0, 0.0)),
     ]
 
 

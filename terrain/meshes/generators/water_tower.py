@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, moved
+from terrain.meshes.body import Body, transformed
 from terrain.meshes.generators.shapes import arc, circle, hull, lathe, ring, tube
 
 LEGS = 6
@@ -67,7 +67,7 @@ def _legs() -> list[Body]:
     foot = np.array([(i * s, j * s, up) for s, up in ((0.95, 0.0), (0.6, 0.9)) for i in (-1, 1) for j in (-1, 1)])
     bodies = []
     for turn in _turns():
-        bodies.append(moved(moved(hull(foot, CONCRETE), (FOOT_RADIUS_M, 0.0, 0.0)), turn_deg=turn))
+        bodies.append(transformed(transformed(hull(foot, CONCRETE), (FOOT_RADIUS_M, 0.0, 0.0)), turn_deg=turn))
         bodies.append(tube([_on_leg(0.5, turn), _on_leg(GALLERY_M + 1.0, turn)], [0.34, 0.26], 16, STEEL))
     return bodies
 

@@ -13,7 +13,7 @@ import pytest
 
 from api.catalogue import bundled_levels
 from api.cli import main as cli
-from api.report.plan_text import expectation, in_words, overshoot
+from api.report.plan_text import format_expectation, format_overshoot, format_plan
 from scripts.write_schemas import DOCS, MODELS, schema_text
 from selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
 from shadows.plan import Plan, Predicted, Target
@@ -75,7 +75,7 @@ def test_each_bundled_level_has_a_plan_in_words(gl, run, path):
 def test_every_reason_of_a_plan_is_told_once(gl, run):
     _, out, _ = run("select", "thesis_room", "--view", "main", "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
-    told = " ".join(in_words(plan, "A plan.").split())
+    told = " ".join(format_plan(plan, "A plan.").split())
     for one in (*plan.reasons, *plan.effects, *plan.left_out):
         assert one.reason.lower() in told.lower(), one
 
@@ -170,14 +170,14 @@ def made(predicted: Predicted | None, **target) -> Plan:
 
 
 def test_the_target_is_told_met_or_missed_and_by_how_much():
-    assert "not predicted" in expectation(made(None)) and "at most 3 %" in expectation(made(None))
+    assert "not predicted" in format_expectation(made(None)) and "at most 3 %" in format_expectation(made(None))
     figures = Predicted(ms=55.0, wrong=0.01, wrong_cast=0.05)
-    met = expectation(made(figures, max_error=0.06, max_ms=60, met=True))
+    met = format_expectation(made(figures, max_error=0.06, max_ms=60, met=True))
     assert "55 ms" in met and "5.0 %" in met and "meets the target" in met and "within 60 ms" in met
     missed = made(figures, max_ms=40, met=False)
-    assert overshoot(missed) == "2.0 % of the cast shadow and 15 ms"
-    assert "misses the target" in expectation(missed) and overshoot(missed) in expectation(missed)
-    assert overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
+    assert format_overshoot(missed) == "2.0 % of the cast shadow and 15 ms"
+    assert "misses the target" in format_expectation(missed) and format_overshoot(missed) in format_expectation(missed)
+    assert format_overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
 
 
 def profile(**changes) -> DeviceProfile:

@@ -16,10 +16,10 @@ from PIL import Image
 from api.cli.snapshot import snapshot
 from api.http.app import create_app
 from api.http.served_levels import ServedLevels
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_of
+from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.jobs import LevelKey
-from api.workers.render_worker import MAX_PROCESS_BYTES, Scenes, resident_bytes
+from api.workers.render_worker import MAX_PROCESS_BYTES, SceneCache, resident_bytes
 from terrain.level.parts import SunSpec
 from tests.api.conftest import Client, running
 from tests.api.http.test_problems import check_problem
@@ -88,9 +88,9 @@ def test_a_snapshot_is_what_is_drawn_in_this_process(yards: Client, yard: Path, 
     asked |= {} if size is None else {"size": "64x48"}
     for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
         answer = yards.get(f"{YARD}.{format}", params={**asked, "layer": layer})
-        assert answer.content == encode_picture(picture_of(frame, layer), f".{format}"), (layer, format)
+        assert answer.content == encode_picture(picture_layer(frame, layer), f".{format}"), (layer, format)
     lamp = yards.get(f"{YARD}.png", params={**asked, "layer": "mask", "light": "lamp"})
-    assert lamp.content == encode_picture(picture_of(frame.under("lamp"), "mask"), ".png")
+    assert lamp.content == encode_picture(picture_layer(frame.under("lamp"), "mask"), ".png")
 
 
 def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):
@@ -360,7 +360,7 @@ def test_a_changed_forest_is_another_picture(tmp_path: Path):
 
 def test_a_process_that_grows_keeps_only_the_level_that_it_draws(tmp_path: Path):
     grown = False
-    scenes = Scenes(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if grown else 0)
+    scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if grown else 0)
     keys = [LevelKey(path=write_yard(tmp_path, name), version="1") for name in ("a", "b")]
     first, second = (scenes.get(key) for key in keys)
     assert scenes.get(keys[0]) is first

@@ -11,7 +11,7 @@ import pytest
 from api.device_calibration import digest_of
 from api.settings import Settings
 from api.workers.jobs import Tiles
-from api.workers.render_worker import Desk, TilePlans, block_view, tiles_view
+from api.workers.render_worker import TilePlanCache, WorkerState, block_view, tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
 from shadows.plan import Plan
@@ -232,7 +232,7 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     ]
     plans = [plan_of_view(scene, block_view(job), policy="rules") for job in jobs]
     assert plans[0] == plans[1]
-    desk = Desk("a renderer")
+    desk = WorkerState("a renderer")
     made = [_plan_of_tiles(job, scene, desk) for job in jobs]
     assert made[0] is made[1]
     assert made[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
@@ -243,7 +243,7 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
 
 
 def test_plans_that_were_not_used_for_long_are_forgotten():
-    kept, made = TilePlans(limit_bytes=2 * bytes_of("plan 1")), []
+    kept, made = TilePlanCache(limit_bytes=2 * bytes_of("plan 1")), []
 
     def plan_of(key: int) -> str:
         return kept.get(key, lambda: made.append(key) or f"plan {key}")  # type: ignore[arg-type,return-value]

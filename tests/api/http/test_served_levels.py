@@ -10,7 +10,7 @@ from api.catalogue import bundled_levels
 from api.errors import exit_status
 from api.http.served_levels import ServedLevels
 from api.workers.jobs import LevelKey
-from api.workers.render_worker import Scenes
+from api.workers.render_worker import SceneCache
 from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError
 from tests.api.conftest import write_level
 
@@ -125,7 +125,7 @@ def test_two_levels_of_one_name(path: Path, tmp_path: Path):
 
 
 def test_scenes_are_kept_until_their_version_changes(path: Path):
-    scenes = Scenes()
+    scenes = SceneCache()
     first = scenes.get(LevelKey(path=path, version="1"))
     assert scenes.get(LevelKey(path=path, version="1")) is first
     raise_ground(path, 100)
@@ -134,7 +134,7 @@ def test_scenes_are_kept_until_their_version_changes(path: Path):
 
 
 def test_scenes_are_bounded(tmp_path: Path):
-    scenes = Scenes(limit=2)
+    scenes = SceneCache(limit=2)
     keys = [LevelKey(path=write_level(tmp_path, name), version="1") for name in ("a", "b", "c")]
     first, second, _ = (scenes.get(key) for key in keys)
     assert len(scenes) == 2
@@ -144,7 +144,7 @@ def test_scenes_are_bounded(tmp_path: Path):
 
 
 def test_a_scene_that_cannot_be_opened_is_asked_for_again(path: Path):
-    scenes, text = Scenes(), path.read_text()
+    scenes, text = SceneCache(), path.read_text()
     path.write_text("version: 7", encoding="utf-8")
     with pytest.raises(LevelError):
         scenes.get(LevelKey(path=path, version="1"))

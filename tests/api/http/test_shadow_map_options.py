@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from api.cli import main as cli
-from api.http.parameters import wishes
+from api.http.parameters import picture_query
 from api.workers.jobs import Overrides
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
@@ -72,7 +72,7 @@ def test_other_values_are_refused_with_those_that_are_right(settings_of, key: st
 def test_a_request_s_wishes_hold_them():
     given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
     given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
-    asked = asyncio.run(wishes(**given))
+    asked = asyncio.run(picture_query(**given))
     assert asked.overrides == Overrides.of(given)
     assert given == asked.overrides.for_selector()
     assert asked.query() == "&".join(f"{key}={value}" for key, value in given.items())

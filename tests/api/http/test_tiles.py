@@ -12,7 +12,7 @@ from morecantile import tms as matrix_sets
 from PIL import Image
 
 from api.http.tiles import encode
-from api.layers import picture_of
+from api.layers import picture_layer
 from terrain.level.level import load_level
 from terrain.scene import build_scene
 from tests.api.conftest import CORNER, ZOOM, Client
@@ -73,7 +73,7 @@ def test_tiles_of_four_blocks_are_a_direct_render_of_them_all(client: Client, hi
     frame = render(scene, scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512)))
     assert frame.there.any() and (frame.visibility == 0).any()
     for layer in ("color", "shadow", "mask"):
-        whole = picture_of(frame, layer)
+        whole = picture_layer(frame, layer)
         for row in range(2):
             for col in range(2):
                 answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})

@@ -22,12 +22,21 @@ from PIL import Image
 
 from api.report.page.bars import REST, bars, stages_of
 from api.report.page.marks import mark_of
-from api.report.page.pictures import FALSE_SHADOW, LEVELS, MISSED_SHADOW, RIGHT, Errors, indexes, palette, pictures
+from api.report.page.pictures import (
+    CORRECT,
+    FALSE_SHADOW,
+    GRAY_LEVELS,
+    MISSED_SHADOW,
+    ErrorPicture,
+    indexes,
+    palette,
+    report_pictures,
+)
 from api.report.page.scales import scale_of
-from api.report.page.scatter import HEIGHT, WIDTH, scatter
-from api.report.report import MOST_BYTES, report, write_report, write_scatter
-from api.report.summary import casts, family
-from selector.measure.compare import Comparison, Row, false_colours
+from api.report.page.scatter import SCATTER_HEIGHT, SCATTER_WIDTH, scatter_plot
+from api.report.report import MAX_PAGE_BYTES, report_html, write_report, write_scatter
+from api.report.summary import algorithm_family, casts
+from selector.measure.compare import Comparison, ComparisonRow, false_colours
 from shadows.registry import ALGORITHMS
 from terrain.geo.camera import PerspectiveView
 from tests.api.report.test_summary import COLS, NONE, ROWS, comparison, figures
@@ -90,7 +99,7 @@ def rows() -> Comparison:
 
 @pytest.fixture(scope="module")
 def text(rows: Comparison) -> str:
-    return report(rows, BASE, ABOUT)
+    return report_html(rows, BASE, ABOUT)
 
 
 def data_of(text: str) -> dict[str, Any]:
@@ -172,16 +181,16 @@ def test_the_table_is_sorted_by_the_error_and_says_so(rows: Comparison, text: st
 
 def test_pictures_hold_every_class_and_level(rows: Comparison, text: str) -> None:
     data = data_of(text)
-    assert (data["rows"], data["cols"], data["levels"]) == (ROWS, COLS, LEVELS)
+    assert (data["rows"], data["cols"], data["levels"]) == (ROWS, COLS, GRAY_LEVELS)
     assert np.array_equal(np.array(data["palette"]), palette())
     page = Page(text)
     order = [int(its["data-row"]) for its in page.of("a") if its.get("class") is None]
     assert sorted(order) == list(range(len(rows.rows)))
     for k, picture in zip(order, page.of("img"), strict=True):
         row, found = rows.rows[k], indexes_of(picture["src"])
-        assert np.array_equal(found // LEVELS == FALSE_SHADOW, row.false_shadow)
-        assert np.array_equal(found // LEVELS == MISSED_SHADOW, row.missed_shadow)
-        assert np.array_equal(found % LEVELS, np.rint(row.visibility / 255.0 * (LEVELS - 1)))
+        assert np.array_equal(found // GRAY_LEVELS == FALSE_SHADOW, row.false_shadow)
+        assert np.array_equal(found // GRAY_LEVELS == MISSED_SHADOW, row.missed_shadow)
+        assert np.array_equal(found % GRAY_LEVELS, np.rint(row.visibility / 255.0 * (GRAY_LEVELS - 1)))
     assert np.abs(decoded(data["ground"]).astype(int) - BASE).mean() < 12
     assert (data["left"], data["right"]) == (1, 4), "the front's fastest that casts, and its most accurate"
 
@@ -189,29 +198,29 @@ def test_pictures_hold_every_class_and_level(rows: Comparison, text: str) -> Non
 def test_what_no_light_can_reach_is_no_cast_shadow() -> None:
     rows = comparison(NONE, figures("sweep", 1.0, 0.1))
     rows.rows[0].visibility[:, -1] = 0
-    text = report(rows, BASE, ABOUT)
+    text = report_html(rows, BASE, ABOUT)
     images = {its["alt"].split()[2].rstrip(":"): indexes_of(its["src"]) for its in Page(text).of("img")}
-    assert (images["none"] == LEVELS - 1).all()
-    assert (images["sweep"][:, -1] == LEVELS - 1).all() and (images["sweep"][:, -2] == 0).all()
+    assert (images["none"] == GRAY_LEVELS - 1).all()
+    assert (images["sweep"][:, -1] == GRAY_LEVELS - 1).all() and (images["sweep"][:, -2] == 0).all()
 
 
 def test_errors_have_the_colours_of_false_colours() -> None:
     nowhere = np.zeros((1, 1), bool)
     for wrong, kind in (((True, False), FALSE_SHADOW), ((False, True), MISSED_SHADOW)):
-        row = Row({}, np.zeros((1, 1), np.uint8), nowhere | wrong[0], nowhere | wrong[1])
+        row = ComparisonRow({}, np.zeros((1, 1), np.uint8), nowhere | wrong[0], nowhere | wrong[1])
         colour = false_colours(np.zeros((1, 1)), row)[0, 0].astype(int)
-        assert np.abs(palette()[LEVELS * kind : LEVELS * (kind + 1)].astype(int) - colour).max() < LEVELS
-    assert len(np.unique(palette(), axis=0)) == 3 * LEVELS == len(palette())
+        assert np.abs(palette()[GRAY_LEVELS * kind : GRAY_LEVELS * (kind + 1)].astype(int) - colour).max() < GRAY_LEVELS
+    assert len(np.unique(palette(), axis=0)) == 3 * GRAY_LEVELS == len(palette())
 
 
 @given(arrays(np.uint8, (7, 5)), arrays(np.int8, (7, 5), elements=st.integers(0, 2)), st.integers(1, 8))
 def test_no_wrong_pixel_vanishes_in_a_shrunk_picture(visibility: np.ndarray, wrong: np.ndarray, factor: int) -> None:
-    small = indexes(Errors(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
+    small = indexes(ErrorPicture(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
     assert small.shape == (-(-7 // factor), -(-5 // factor))
     for i, j in np.ndindex(small.shape):
         block = np.s_[i * factor : (i + 1) * factor, j * factor : (j + 1) * factor]
-        assert (small[i, j] // LEVELS != RIGHT) == wrong[block].any()
-        assert small[i, j] // LEVELS in (wrong[block] if wrong[block].any() else [RIGHT])
+        assert (small[i, j] // GRAY_LEVELS != CORRECT) == wrong[block].any()
+        assert small[i, j] // GRAY_LEVELS in (wrong[block] if wrong[block].any() else [CORRECT])
 
 
 def test_forty_noisy_pictures_fit() -> None:
@@ -219,10 +228,10 @@ def test_forty_noisy_pictures_fit() -> None:
     side = 320
     ground = rng.integers(0, 256, (side, side, 3), dtype=np.uint8)
     noise = [rng.integers(0, 256, (side, side), dtype=np.uint8) for _ in range(8)]
-    rows = [Errors(visibility, rng.random((side, side)) < 0.1, visibility > 250) for visibility in noise] * 5
-    whole = pictures(ground, rows, 10**9)
+    rows = [ErrorPicture(visibility, rng.random((side, side)) < 0.1, visibility > 250) for visibility in noise] * 5
+    whole = report_pictures(ground, rows, 10**9)
     assert whole.factor == 1 and len(whole.of_rows) == 40
-    drawn = pictures(ground, rows, 400_000)
+    drawn = report_pictures(ground, rows, 400_000)
     assert drawn.size <= 400_000 < whole.size and 1 < drawn.factor < 8
     assert len(drawn.of_rows) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.of_rows[0]).shape[:2]
 
@@ -232,32 +241,32 @@ def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk(monkeypatch: py
     view = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, 400, 500)
     noise = rng.integers(0, 256, (400, 500), dtype=np.uint8)
     blank = comparison(*(figures(f"sweep-{k}", 1.0 + k, 0.1 / (1 + k)) for k in range(3)))
-    made = [Row(row.figures, noise, noise > 250, noise < 5) for row in blank.rows]
+    made = [ComparisonRow(row.figures, noise, noise > 250, noise < 5) for row in blank.rows]
     rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, [])
     ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
-    assert "pixels of the view" in report(rows, ground, ABOUT)
+    assert "pixels of the view" in report_html(rows, ground, ABOUT)
     monkeypatch.setattr("api.report.report.MOST_BYTES", 200_000)
-    text = report(rows, ground, ABOUT)
-    assert len(text.encode()) < 200_000 < MOST_BYTES
+    text = report_html(rows, ground, ABOUT)
+    assert len(text.encode()) < 200_000 < MAX_PAGE_BYTES
     assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500
 
 
 def test_a_long_remark_is_folded() -> None:
     names = ", ".join(f"shadow_map-{k}" for k in range(40))
-    page = Page(report(comparison(NONE, remarks=["nothing is lit", f"left out: {names}"]), BASE, ABOUT))
+    page = Page(report_html(comparison(NONE, remarks=["nothing is lit", f"left out: {names}"]), BASE, ABOUT))
     assert names in page.text and "Nothing is lit." in page.text
     assert len(page.of("details")) == 2, "the remark and the row's settings"
 
 
 @pytest.mark.parametrize("rows", [(), (NONE,), (figures("sweep", 0.0, 0.0),)], ids=["no rows", "none alone", "all zero"])
 def test_little_to_show(rows: tuple[dict[str, Any], ...]) -> None:
-    page = Page(report(comparison(*rows, remarks=["the view shows no surface: there is nothing to compare"]), BASE, ABOUT))
+    page = Page(report_html(comparison(*rows, remarks=["the view shows no surface: there is nothing to compare"]), BASE, ABOUT))
     assert "The view shows no surface: there is nothing to compare." in page.text
     assert len(page.of("table")) == bool(rows)
 
 
 def test_points_lie_where_time_and_error_say(rows: Comparison) -> None:
-    page = Page(scatter(rows))
+    page = Page(scatter_plot(rows))
     assert "none" not in page.text, "it would only take room"
     points = {int(its["data-row"]): its for its in page.of("a")}
     halos = page.of("circle", class_="halo")
@@ -266,7 +275,7 @@ def test_points_lie_where_time_and_error_say(rows: Comparison) -> None:
     assert by == sorted(places, key=lambda k: places[k][0]), "slower is further right"
     by = sorted(places, key=lambda k: rows.rows[k].figures["wrong_cast"])
     assert by == sorted(places, key=lambda k: -places[k][1]), "less wrong is lower"
-    assert all(0 < x < WIDTH and 0 < y < HEIGHT for x, y in places.values())
+    assert all(0 < x < SCATTER_WIDTH and 0 < y < SCATTER_HEIGHT for x, y in places.values())
     for k, its in points.items():
         assert its["aria-label"].startswith(rows.rows[k].figures["name"] + ":")
         assert its["aria-label"].endswith("on the front") == rows.rows[k].figures["pareto"]
@@ -326,6 +335,6 @@ def test_the_scatter_alone_is_a_picture_of_its_own(rows, tmp_path) -> None:
     root = ElementTree.parse(path).getroot()
     texts = {"".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")}
     casting = [row.figures for row in rows.rows if casts(row.figures, rows.light)]
-    assert {"First", NASTY} <= texts and {family(each, rows.light) for each in casting} <= texts
+    assert {"First", NASTY} <= texts and {algorithm_family(each, rows.light) for each in casting} <= texts
     assert len(list(root.iter("{http://www.w3.org/2000/svg}a"))) == len(casting) > 1
     assert "http" not in path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.report.summary import family, in_words
-from selector.formatting import duration, listed, percent
-from selector.measure.compare import Comparison, Row
+from api.report.summary import algorithm_family, format_summary
+from selector.formatting import format_duration, format_list, format_percent
+from selector.measure.compare import Comparison, ComparisonRow
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.geo.camera import PerspectiveView
 
@@ -56,7 +56,7 @@ def comparison(*rows: dict[str, Any], **more: Any) -> Comparison:
     dark, lit = np.zeros((ROWS, COLS), np.uint8), np.full((ROWS, COLS), 255, np.uint8)
     lit[:, COLS // 2 :] = dark[:, COLS // 2 :]
     nowhere = np.zeros((ROWS, COLS), bool)
-    made = [Row(f, np.full_like(lit, 255) if f["name"] == "none" else lit, nowhere.copy(), nowhere.copy()) for f in rows]
+    made = [ComparisonRow(f, np.full_like(lit, 255) if f["name"] == "none" else lit, nowhere.copy(), nowhere.copy()) for f in rows]
     whole = Comparison(VIEW, "sun", made, ~nowhere, "wrong_cast", 0.02, 0.001, 0.0, [])
     return replace(whole, **more)
 
@@ -66,11 +66,11 @@ NONE = figures("none", 0.0, 1.0)
 
 @pytest.mark.parametrize("rows", [[], [NONE]], ids=["no rows", "none alone"])
 def test_says_nothing_where_nothing_casts(rows: list[dict[str, Any]]) -> None:
-    assert in_words(comparison(*rows)) == []
+    assert format_summary(comparison(*rows)) == []
 
 
 def test_one_row() -> None:
-    assert in_words(comparison(NONE, figures("sweep", 40.0, 0.0123))) == [
+    assert format_summary(comparison(NONE, figures("sweep", 40.0, 0.0123))) == [
         "sweep is the only one that casts shadows here: 1.2 % of the cast shadow wrong, in 40 ms."
     ]
 
@@ -78,7 +78,7 @@ def test_one_row() -> None:
 def test_fastest_most_accurate_and_each_halving_between() -> None:
     fast, middle, best = (figures(f"shadow_map-{k}", *at) for k, at in enumerate([(10.0, 0.08), (20.0, 0.035), (100.0, 0.001)]))
     between = figures("shadow_map-3", 15.0, 0.06)  # on the front, but less than a halving
-    assert in_words(comparison(NONE, best, between, middle, fast)) == [
+    assert format_summary(comparison(NONE, best, between, middle, fast)) == [
         "The fastest is shadow_map-0: 8.0 % of the cast shadow wrong, in 10 ms.",
         "The most accurate is shadow_map-2: 0.10 % of the cast shadow wrong, in 100 ms, 10 times the time.",
         "Halving the error from 8.0 % costs 2.0 times the time (shadow_map-0 to shadow_map-1).",
@@ -87,22 +87,24 @@ def test_fastest_most_accurate_and_each_halving_between() -> None:
 
 
 def test_none_is_never_the_fastest() -> None:
-    said = " ".join(in_words(comparison(NONE, figures("sweep", 40.0, 0.01), figures("hybrid", 80.0, 0.001))))
+    said = " ".join(format_summary(comparison(NONE, figures("sweep", 40.0, 0.01), figures("hybrid", 80.0, 0.001))))
     assert "fastest is sweep" in said and "none" not in said
 
 
 def test_errors_up_to_three_noise_floors_are_exact() -> None:
     rows = figures("sweep", 10.0, 0.02), figures("hybrid", 20.0, 0.0029), figures("shadow_volume", 30.0, 0.0)
-    said = in_words(comparison(*rows, noise_floor=0.001))
+    said = format_summary(comparison(*rows, noise_floor=0.001))
     assert "2 rows are exact to what truth can tell; the fastest of them is hybrid, in 20 ms, 2.0 times the time." in said
     assert "Bringing the error from 2.0 % down to what truth can tell costs 2.0 times the time (sweep to hybrid)." in said
     assert not any("hybrid to shadow_volume" in text for text in said)
-    assert "The most accurate is shadow_volume" in " ".join(in_words(comparison(*rows, noise_floor=0.0009))), "not at 2.9 of them"
+    assert "The most accurate is shadow_volume" in " ".join(format_summary(comparison(*rows, noise_floor=0.0009))), (
+        "not at 2.9 of them"
+    )
 
 
 @pytest.mark.parametrize(("count", "others"), [(2, "; 1 more is as accurate"), (3, "; 2 more are as accurate")])
 def test_all_exact(count: int, others: str) -> None:
-    said = in_words(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
+    said = format_summary(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
     assert said == [f"sweep-0 is both the fastest and the most accurate: exact to what truth can tell, in 10 ms{others}."]
 
 
@@ -117,7 +119,7 @@ def test_failures_of_small_error_are_told(more: list[float], words: str) -> None
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
     aliased = figures("shadow_map", 30.0, 0.004, interior=MOST_INTERIOR)
-    told = [text for text in in_words(comparison(*rows, plainly_wrong, aliased)) if "fail" in text]
+    told = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "fail" in text]
     assert len(told) == 1 and told[0].startswith(words)
 
 
@@ -127,18 +129,18 @@ def test_failures_of_small_error_are_told(more: list[float], words: str) -> None
 )
 def test_what_is_never_on_the_front(lost: list[str], words: str) -> None:
     rows = figures("sweep", 10.0, 0.01), figures("shadow_map-64", 50.0, 0.001), figures("shadow_map-32", 60.0, 0.02)
-    told = [text for text in in_words(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text]
+    told = [text for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text]
     assert len(told) == 1 and told[0].startswith(words), "shadow_map is on the front by one of its settings"
 
 
 def test_where_none_beats_all_nobody_is_told_to_be_never_on_the_front() -> None:
     rows = comparison(figures("none", 0.0, 0.0), figures("sweep", 10.0, 0.0), figures("hybrid", 20.0, 0.1))
-    assert not any("never" in text for text in in_words(rows))
+    assert not any("never" in text for text in format_summary(rows))
 
 
 def test_the_error_that_counts_is_told() -> None:
     row = figures("sweep", 10.0, 0.5, coverage=0.031)
-    assert "3.1 % off in shadow share" in in_words(comparison(row, error="coverage"))[0]
+    assert "3.1 % off in shadow share" in format_summary(comparison(row, error="coverage"))[0]
 
 
 def test_algorithms_of_the_light_that_is_looked_at() -> None:
@@ -148,7 +150,7 @@ def test_algorithms_of_the_light_that_is_looked_at() -> None:
         "lamp": {"relief": "shadow_map", "meshes": "none"},
         "dark": {"relief": "none"},
     }
-    assert [family(row, light) for light in ("sun", "lamp", "dark", "moon")] == [
+    assert [algorithm_family(row, light) for light in ("sun", "lamp", "dark", "moon")] == [
         "sweep + shadow_volume",
         "shadow_map",
         "none",
@@ -167,14 +169,14 @@ def test_algorithms_of_the_light_that_is_looked_at() -> None:
 )
 def test_any_times_and_errors_are_told_without_a_division_by_zero(rows: list[Any], floor: float, error: str) -> None:
     made = [figures(f"sweep-{k}", ms, wrong, coverage=wrong) for k, (ms, wrong) in enumerate(rows)]
-    said = in_words(comparison(NONE, *made, noise_floor=floor, error=error))
+    said = format_summary(comparison(NONE, *made, noise_floor=floor, error=error))
     assert said and all(text.endswith(".") and "nan" not in text and "inf" not in text for text in said)
     assert len(said) == len(set(said))
 
 
 @given(st.floats(1e-7, 1.0))
 def test_shares_are_written_to_two_digits(share: float) -> None:
-    text = percent(share)
+    text = format_percent(share)
     if share < 1e-5:
         assert text == "under 0.001 %"
     else:
@@ -182,8 +184,8 @@ def test_shares_are_written_to_two_digits(share: float) -> None:
 
 
 def test_units() -> None:
-    assert [percent(x) for x in (0.0, 0.0012, 0.09996, 0.5, 1.0)] == ["0 %", "0.12 %", "10 %", "50 %", "100 %"]
-    assert [duration(x) for x in (0.0, 0.4249, 9.96, 435.4, 999.6, 2100.0)] == [
+    assert [format_percent(x) for x in (0.0, 0.0012, 0.09996, 0.5, 1.0)] == ["0 %", "0.12 %", "10 %", "50 %", "100 %"]
+    assert [format_duration(x) for x in (0.0, 0.4249, 9.96, 435.4, 999.6, 2100.0)] == [
         "0 ms",
         "0.42 ms",
         "10 ms",
@@ -194,7 +196,7 @@ def test_units() -> None:
 
 
 def test_lists() -> None:
-    assert [listed(list("abcde"[:n])) for n in range(1, 6)] == [
+    assert [format_list(list("abcde"[:n])) for n in range(1, 6)] == [
         "a",
         "a and b",
         "a, b and c",

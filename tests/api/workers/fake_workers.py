@@ -9,7 +9,7 @@ from multiprocessing.synchronize import Semaphore
 
 import numpy as np
 
-from api.workers.jobs import Block, BlockJob, Failure, PlanAnswer, Ready
+from api.workers.jobs import BlockJob, Failure, PlanAnswer, Ready, RenderedBlock
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
 from terrain.geo.grid import BLOCK_PX
@@ -74,7 +74,7 @@ def leaky(pipe: Connection, config: WorkerConfig) -> None:
         pipe.send(Failure.of(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
-def _answer(order: str) -> Block | PlanAnswer | Failure:
+def _answer(order: str) -> RenderedBlock | PlanAnswer | Failure:
     if order == "refuse":
         return Failure.of(InputError("view", order, "another order"))
     if order == "fail":
@@ -84,7 +84,7 @@ def _answer(order: str) -> Block | PlanAnswer | Failure:
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
     side = BLOCK_PX
-    return Block(
+    return RenderedBlock(
         np.zeros((side, side, 3), np.uint8), np.ones((side, side), np.float32), "{}", "none",
         (("geometry", 1.0),), 0.0, 0.0, False, RENDERER,
     )  # fmt: skip

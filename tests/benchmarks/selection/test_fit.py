@@ -7,9 +7,9 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from benchmarks.selection.fit import KINDS, MAPS, START, Case, _model, _Terms, cases_of, fitted
+from benchmarks.selection.fit import KINDS, MAP_ALGORITHMS, START, FitCase, _model, _Terms, cases_of, fit_model
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
-from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, Counted, ErrorModel, error_groups
+from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, error_groups
 from shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
 from shadows.plan import Step
 from shadows.sweep.settings import SweepSettings
@@ -24,9 +24,9 @@ SIZES = (512, 1024, 2048, 4096)
 
 TRUE = ErrorModel(
     counted={
-        "relief": Counted(most=0.8, half_px=2.0, steepness=1.5),
-        "meshes": Counted(most=1.4, half_px=6.0, steepness=0.9),
-        "forest": Counted(most=0.9, half_px=0.8, steepness=1.1),
+        "relief": HillCurve(most=0.8, half_px=2.0, steepness=1.5),
+        "meshes": HillCurve(most=1.4, half_px=6.0, steepness=0.9),
+        "forest": HillCurve(most=0.9, half_px=0.8, steepness=1.1),
     },
     perspective=1.7,
     floor=dict.fromkeys(error_groups(), 0.0) | {"shadow_map": 2e-3, "perspective_shadow_map": 1e-3},
@@ -53,12 +53,12 @@ def described(kind: CasterKind, far_px: float) -> Descriptor:
     )  # fmt: skip
 
 
-def case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> Case:
+def case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> FitCase:
     """A row that has the error that ``TRUE`` makes, or another one."""
     view = {"light": SUN, "error": "wrong_cast"}
     if error is None:
-        error = Case(view, descriptor, (step,), {}).expected(TRUE).wrong_cast
-    return Case(view, descriptor, (step,), {"wrong_cast": error, "wrong": error * CAST, "interior": inside * error * CAST})
+        error = FitCase(view, descriptor, (step,), {}).expected(TRUE).wrong_cast
+    return FitCase(view, descriptor, (step,), {"wrong_cast": error, "wrong": error * CAST, "interior": inside * error * CAST})
 
 
 def uniform(kind: CasterKind, texel_m: float) -> Step:
@@ -66,7 +66,7 @@ def uniform(kind: CasterKind, texel_m: float) -> Step:
     return Step(SUN, (kind,), "shadow_map", ShadowMapSettings(map_size=1024, depth_bits=16, filter=3, cascades=cascades))
 
 
-def made() -> list[Case]:
+def made() -> list[FitCase]:
     """Maps of each kind of casters, from textures far finer than a pixel to far coarser ones."""
     cases = []
     for kind in KINDS:
@@ -79,7 +79,7 @@ def made() -> list[Case]:
 
 
 def test_errors_that_known_constants_made_give_them_back():
-    found = fitted(made())
+    found = fit_model(made())
     for kind in get_args(CasterKind):
         its, true = found.counted[kind], TRUE.counted[kind]
         assert (its.most, its.half_px, its.steepness) == pytest.approx((true.most, true.half_px, true.steepness), rel=0.1), kind
@@ -93,7 +93,7 @@ def test_errors_that_known_constants_made_give_them_back():
 
 
 def test_what_nothing_was_measured_of_stays_where_it_starts():
-    found = fitted([one for one in made() if "meshes" in one.descriptor.casters])
+    found = fit_model([one for one in made() if "meshes" in one.descriptor.casters])
     of_forest = found.counted["forest"]
     assert (of_forest.most, of_forest.half_px, of_forest.steepness) == pytest.approx(START[6:9], rel=1e-3)
     assert found.counted["meshes"].half_px == pytest.approx(6.0, rel=0.1)
@@ -110,7 +110,7 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
     swept = Step(SUN, ("relief",), "sweep", SweepSettings())
     rows = [case(descriptor, volumes, float(error), 0.25) for error in errors]
     rows += [case(bare, swept, 0.004, 0.1) for _ in range(5)]
-    found = fitted([*made(), *rows])
+    found = fit_model([*made(), *rows])
     assert found.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
     assert found.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
     assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == LEAST_SPREAD
@@ -135,7 +135,9 @@ def test_the_sum_taken_apart_is_that_of_the_error_model(kept, perspective):
     """On rows of views of every kind, for constants anywhere about where the fit starts."""
     views, _ = kept
     some = [*{view["family"]: view for view in views}.values(), *views[::10]]
-    cases = [one for view in some for one in cases_of(view) if one.algorithms & set(MAPS) and "planar" not in one.algorithms]
+    cases = [
+        one for view in some for one in cases_of(view) if one.algorithms & set(MAP_ALGORITHMS) and "planar" not in one.algorithms
+    ]
     assert {kind for one in cases for step in one.steps for kind in step.kinds} == set(KINDS)
     assert {one.descriptor.view_kind for one in cases} == {"map", "perspective"} and {one.light for one in cases} > {SUN}
     terms, random = _Terms(cases), np.random.default_rng(0)

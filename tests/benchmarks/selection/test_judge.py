@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from benchmarks.selection.judge import (
     GOALS,
-    MISSED,
+    PAR_FACTOR,
     WORST,
     Goal,
-    Instance,
+    GoalInstance,
     instances_of,
     judged,
     marginal,
@@ -37,8 +37,8 @@ def viewed(rows: Figures, picks: dict[str, str] | None = None, name: str = "view
     return {"name": name, "error": "wrong_cast", "noise_floor": 0.0, "rows": rows, "picks": names}
 
 
-def asked(view: Figures, max_error: float, max_ms: float | None = None) -> Instance:
-    return Instance(view, Goal(f"{max_error:g}", max_error), max_ms)
+def asked(view: Figures, max_error: float, max_ms: float | None = None) -> GoalInstance:
+    return GoalInstance(view, Goal(f"{max_error:g}", max_error), max_ms)
 
 
 SIZES = viewed({"small": row(10.0, 0.05), "middle": row(20.0, 0.02), "large": row(40.0, 0.004), "leaky": row(5.0, 0.01, 0.004)})
@@ -226,7 +226,7 @@ views = st.lists(measured, min_size=2, max_size=6).map(lambda rows: viewed({f"ro
 goals = st.sampled_from(GOALS)
 
 
-def best_of(one: Instance) -> str:
+def best_of(one: GoalInstance) -> str:
     losses = one.losses()
     return min(losses, key=losses.__getitem__)
 
@@ -240,7 +240,7 @@ def test_the_virtual_best_has_a_loss_of_one(view, goal):
     assert not met or best_of(one) in met
     # Nothing that misses comes near to anything that meets the target.
     assert all(
-        losses[name] >= MISSED * max(losses[each] for each in met) * (1 - 1e-9) for name in losses if met and name not in met
+        losses[name] >= PAR_FACTOR * max(losses[each] for each in met) * (1 - 1e-9) for name in losses if met and name not in met
     )
 
 
@@ -263,8 +263,8 @@ def test_the_virtual_best_closes_all_of_the_gap_and_the_single_best_none(several
 
 @given(views, measured, goals, st.none() | st.floats(0.1, 1e4))
 def test_another_row_never_makes_the_best_slower_nor_a_target_harder(view, more, goal, max_ms):
-    before = Instance(view, goal, max_ms)
+    before = GoalInstance(view, goal, max_ms)
     assume(any(map(before.meets, before.rows)))
-    after = Instance(view | {"rows": view["rows"] | {"more": more}}, goal, max_ms)
+    after = GoalInstance(view | {"rows": view["rows"] | {"more": more}}, goal, max_ms)
     assert after.meets(best_of(after))
     assert after.rows[best_of(after)]["ms"] <= before.rows[best_of(before)]["ms"]

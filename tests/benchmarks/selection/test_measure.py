@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from benchmarks.selection.measure import rows_of
-from selector.choices import Asked
-from selector.planner.planner import choose
+from selector.choices import StandaloneRequest
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
 from terrain.level.level import SUN, Shadows
 from tests.selector.cost.test_cost_model import described
@@ -12,7 +12,7 @@ from tests.selector.cost.test_cost_model import described
 
 def split_at(far_m: float) -> Plan:
     """Two maps, of which the nearer ends there."""
-    plan = choose(described(), Asked(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), picks={})
+    plan = make_plan(described(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), picks={})
     (kinds,) = (plan.settings[light] for light in plan.settings)
     near, far = next(iter(kinds.values())).cascades
     its = {

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.selection.fit import cases_of, fitted
+from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.page import END, START, page, with_tables
 from benchmarks.selection.table import read_table
 from selector.cost.error_model import ErrorModel
-from selector.cost.error_model import fitted as of_the_package
+from selector.cost.error_model import packaged_model as of_the_package
 
 PAGE = Path(__file__).parents[3] / "docs" / "selection.md"
 
@@ -35,7 +35,7 @@ def test_the_constants_are_those_that_fit_what_was_measured():
 
 
 def _fitted(views) -> ErrorModel:
-    return fitted([case for view in views for case in cases_of(view)])
+    return fit_model([case for view in views for case in cases_of(view)])
 
 
 def _numbers(value) -> list[float]:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks.selection.table import COLUMNS, DIGITS, TABLE, read_table, write_table
-from selector.choices import Asked
+from benchmarks.selection.table import DIGITS, ROW_COLUMNS, TABLE, read_table, write_table
+from selector.choices import StandaloneRequest
 from selector.cost.device_profile import DeviceProfile
 from selector.planner.planner import planner_of
-from selector.portfolio import MOST, portfolio
+from selector.portfolio import MAX_CHOICES, portfolio
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CastBand, Casting, LightFacts
 from terrain.level.level import SUN, Shadows
@@ -38,7 +38,7 @@ def described() -> Descriptor:
 
 def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
     rows = {
-        f"shadow_map-{number}": dict(zip(COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
+        f"shadow_map-{number}": dict(zip(ROW_COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
         for number in range(count)
     }
     picks = {f"shadow_map {number}": row for number, row in enumerate(rows)} | {"rules 0.03": "shadow_map-0"}
@@ -87,7 +87,7 @@ def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
         assert line["light"] in descriptor.lights and line["renderer"] == device["renderer"], line["name"]
         assert line["error"] in ("wrong_cast", "wrong") and line["noise_floor"] >= 0.0 and line["plan_ms"] > 0.0
         for row in line["rows"].values():
-            its = dict(zip(COLUMNS, row, strict=True))
+            its = dict(zip(ROW_COLUMNS, row, strict=True))
             assert its["bytes"] >= 0 and (its["ms"] > 0.0) == bool(its["algorithms"]), line["name"]
             assert 0.0 <= its["interior"] <= its["wrong"] <= its["wrong_cast"] <= 1.0, line["name"]
             assert 0.0 <= its["coverage"] <= 1.0, line["name"]
@@ -98,10 +98,10 @@ def test_enough_views_are_kept_with_every_pick_and_no_more_than_there_may_be(kep
     views, _ = kept
     assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
     picks = {view["name"]: {pick for pick in view["picks"] if not pick.startswith("rules ")} for view in views}
-    assert max(map(len, picks.values())) <= MOST == 40
+    assert max(map(len, picks.values())) <= MAX_CHOICES == 40
     for view in views:
         descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
-        casting = planner_of(descriptor, Asked(Shadows(), tuple(descriptor.lights))).casting(light)
+        casting = planner_of(descriptor, StandaloneRequest(Shadows(), tuple(descriptor.lights))).casting(light)
         assert picks[view["name"]] <= {pick.name for pick in portfolio(descriptor, light, casting)}, view["name"]
     assert all(any(pick.startswith("rules ") for pick in view["picks"]) for view in views)
 

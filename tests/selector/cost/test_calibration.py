@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from selector.cost import calibration
 from selector.cost.calibration import calibrate, fitted_rates
-from selector.cost.calibration_scenes import described, stages
-from selector.cost.cost_model import part_ms
-from selector.cost.device_profile import DeviceProfile, load_profile, profile_path, save_profile, why_none
+from selector.cost.calibration_scenes import calibration_levels, calibration_views
+from selector.cost.cost_model import counts_to_ms
+from selector.cost.device_profile import DeviceProfile, load_profile, missing_profile_reason, profile_path, save_profile
 
 RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
 
@@ -39,7 +39,9 @@ def test_rates_that_made_the_times_are_found_again(rates, seed):
     names = ("blocks", "pixels", "texels")
     counts = np.random.default_rng(seed).uniform(1.0, 1e5, (12, 3))
     truth = dict(zip(names, rates, strict=True))
-    rows = [(dict(zip(names, its, strict=True)), "planar", part_ms(truth, dict(zip(names, its, strict=True)))) for its in counts]
+    rows = [
+        (dict(zip(names, its, strict=True)), "planar", counts_to_ms(truth, dict(zip(names, its, strict=True)))) for its in counts
+    ]
     assert fitted_rates(rows)["planar"] == pytest.approx(truth, rel=1e-6)
 
 
@@ -53,10 +55,10 @@ def test_rates_are_never_negative_and_go_by_relative_errors():
 
 
 def test_a_profile_is_found_by_its_device_and_driver_alone(profile):
-    assert load_profile(RENDERER, VERSION) is None and "not calibrated" in why_none(RENDERER, VERSION)
+    assert load_profile(RENDERER, VERSION) is None and "not calibrated" in missing_profile_reason(RENDERER, VERSION)
     path = save_profile(profile)
     assert path == profile_path(RENDERER, VERSION) and path.name.startswith("llvmpipe-llvm-15-0-6-256-bits-")
-    assert load_profile(RENDERER, VERSION) == profile and why_none(RENDERER, VERSION) is None
+    assert load_profile(RENDERER, VERSION) == profile and missing_profile_reason(RENDERER, VERSION) is None
     assert load_profile(RENDERER, "4.5 Mesa 23") is None and load_profile("another", VERSION) is None
     assert [each.name for each in path.parent.iterdir()] == [path.name]  # nothing half written is left
 
@@ -89,19 +91,19 @@ def test_a_profile_that_cannot_be_counts_as_none_for_a_reason(profile, change, w
     path = save_profile(profile)
     path.write_text(json.dumps(json.loads(path.read_text()) | change), encoding="utf-8")
     assert load_profile(RENDERER, VERSION) is None
-    reason = why_none(RENDERER, VERSION)
+    reason = missing_profile_reason(RENDERER, VERSION)
     assert why in reason and str(path) in reason and "skugga calibrate" in reason and "\n" not in reason
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema_version": 1}'])
 def test_a_broken_file_counts_as_none(profile, text):
     save_profile(profile).write_bytes(text)
-    assert load_profile(RENDERER, VERSION) is None and "skugga calibrate" in why_none(RENDERER, VERSION)
+    assert load_profile(RENDERER, VERSION) is None and "skugga calibrate" in missing_profile_reason(RENDERER, VERSION)
 
 
 def test_a_folder_in_the_files_place_counts_as_none():
     profile_path(RENDERER, VERSION).mkdir(parents=True)
-    assert load_profile(RENDERER, VERSION) is None and "cannot be read" in why_none(RENDERER, VERSION)
+    assert load_profile(RENDERER, VERSION) is None and "cannot be read" in missing_profile_reason(RENDERER, VERSION)
     profile_path(RENDERER, VERSION).rmdir()
 
 
@@ -109,10 +111,10 @@ def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
     """One small stage: the profile is the device's, and its rates explain the times of every algorithm that ran."""
 
     def smallest(folder):
-        yield replace(next(each for each in stages(folder) if each.name == "few_balls_small"), grid="few")
+        yield replace(next(each for each in calibration_views(folder) if each.name == "few_balls_small"), grid="few")
 
     monkeypatch.setattr(calibration, "stages", smallest)
-    monkeypatch.setattr(calibration, "TURNS", 2)
+    monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
     steps = []
     found = calibrate(lambda done, total: steps.append((done, total)))
     assert [done for done, _ in steps] == list(range(1, steps[-1][1] + 1)) and len({total for _, total in steps}) == 1
@@ -127,7 +129,7 @@ def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
 
 def test_the_made_scenes_show_every_kind_of_work(tmp_path):
     names, views, lights, kinds = zip(
-        *((name, view, light, kinds) for name, _, view, _, light, kinds, _ in described(tmp_path)), strict=True
+        *((name, view, light, kinds) for name, _, view, _, light, kinds, _ in calibration_levels(tmp_path)), strict=True
     )
     assert len(set(names)) == len(names)
     assert set(views) == {"main", "map"} and set(lights) == {"sun", "lamp"}

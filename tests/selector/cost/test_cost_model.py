@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.choices import Asked
+from selector.choices import StandaloneRequest
 from selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.unmeasured import UnmeasuredError
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from selector.portfolio import portfolio
 from shadows.hybrid.settings import HybridSettings
 from shadows.maps.resolve import sun_map_settings
@@ -186,7 +186,7 @@ def test_a_part_without_rates_is_refused_by_name():
 def test_a_changed_calibration_changes_every_prediction():
     descriptor, factor = described(), 2.5
     for pick in portfolio(descriptor, SUN, descriptor.casters):
-        plan = choose(descriptor, Asked(Shadows(), (SUN,)), picks={SUN: pick})
+        plan = make_plan(descriptor, StandaloneRequest(Shadows(), (SUN,)), picks={SUN: pick})
         for step in plan.steps:
             about = step.light, step.kinds, step.algorithm, step.settings
             one = predicted_ms(all_at(1.0, descriptor, *about), descriptor, *about)

@@ -12,16 +12,16 @@ from selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
-    UNKNOWN,
-    Counted,
+    UNKNOWN_CASTING,
     ErrorModel,
-    Errors,
+    ExpectedErrors,
+    HillCurve,
     error_group_of,
     error_groups,
     expected_errors,
-    fitted,
     kinds_of_step,
-    pooled,
+    packaged_model,
+    smoothed_ladder,
     texel_px_of,
 )
 from shadows.hybrid.settings import HybridSettings
@@ -42,9 +42,9 @@ PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
 
 MODEL = ErrorModel(
     counted={
-        "relief": Counted(most=1.0, half_px=4.0, steepness=1.0),
-        "meshes": Counted(most=2.0, half_px=4.0, steepness=2.0),
-        "forest": Counted(most=0.5, half_px=1.0, steepness=1.0),
+        "relief": HillCurve(most=1.0, half_px=4.0, steepness=1.0),
+        "meshes": HillCurve(most=2.0, half_px=4.0, steepness=2.0),
+        "forest": HillCurve(most=0.5, half_px=1.0, steepness=1.0),
     },
     perspective=2.0,
     floor={name: 0.001 * number for number, name in enumerate(error_groups())},
@@ -178,7 +178,7 @@ def test_a_maps_error_is_what_differs_and_counts_by_bands_over_the_cast_shadow()
     ],
 )
 def test_between_texels_of_the_ladder_and_beyond_them(texel_px, differs):
-    model = MODEL.model_copy(update={"counted": dict.fromkeys(MODEL.counted, Counted(most=1.0, half_px=1e-6, steepness=1.0))})
+    model = MODEL.model_copy(update={"counted": dict.fromkeys(MODEL.counted, HillCurve(most=1.0, half_px=1e-6, steepness=1.0))})
     alone = {"meshes": Casting(share=0.2, bands=(band(),))}
     view = described(lights={SUN: LightFacts(cast_share=0.2, casts=alone)})
     drawn = step("shadow_map", cascades((0.1 * texel_px, 0.1 * texel_px)))
@@ -214,9 +214,9 @@ def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("meshes", "forest"))
     assert [kind for kind, _ in kinds_of_step(described(), SUN, drawn)] == ["meshes"]
     unknown = described(lights={})
-    assert kinds_of_step(unknown, SUN, drawn) == [("meshes", UNKNOWN), ("forest", UNKNOWN)]
+    assert kinds_of_step(unknown, SUN, drawn) == [("meshes", UNKNOWN_CASTING), ("forest", UNKNOWN_CASTING)]
     assert expected_errors(unknown, SUN, [drawn], MODEL).wrong_cast > MODEL.floor["shadow_map"]
-    assert expected_errors(described(), SUN, [], MODEL) == Errors(0.0, 0.0, 0.0, LEAST_SPREAD, LEAST_SPREAD)
+    assert expected_errors(described(), SUN, [], MODEL) == ExpectedErrors(0.0, 0.0, 0.0, LEAST_SPREAD, LEAST_SPREAD)
 
 
 def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
@@ -231,19 +231,19 @@ def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
     assert expected_errors(coarse, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("relief",))
     assert error_group_of(coarse, drawn) == "shadow_map"  # which draws the ground that is shown
-    assert fitted().floor[DECIMATED] > 100.0 * fitted().floor["sweep"]
+    assert packaged_model().floor[DECIMATED] > 100.0 * packaged_model().floor["sweep"]
 
 
 def test_proportional_ladders_stay_as_they_are_and_lone_hits_are_spread():
-    assert pooled(PROPORTIONAL) == pytest.approx(PROPORTIONAL)
-    one_hit = pooled((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
+    assert smoothed_ladder(PROPORTIONAL) == pytest.approx(PROPORTIONAL)
+    one_hit = smoothed_ladder((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
     # Texels of 0.5, 1 and 2 pixels are 3.5 wide together, in which 0.007 was seen: a five-hundredth a pixel.
     assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=len(TEXEL_LADDER_PX), max_size=len(TEXEL_LADDER_PX)))
 def test_pooling_keeps_shares_between_those_that_it_joins(differs):
-    found = pooled(tuple(differs))
+    found = smoothed_ladder(tuple(differs))
     assert all(0.0 <= each <= 1.0 for each in found) and found[-1] == pytest.approx(differs[-1])
     a_pixel = [share / px for share, px in zip(differs, TEXEL_LADDER_PX, strict=True)]
     for k, (share, px) in enumerate(zip(found, TEXEL_LADDER_PX, strict=True)):
@@ -260,8 +260,8 @@ def test_larger_texels_are_never_expected_to_be_better(texel_m, times):
     assert 0.0 <= few <= many * (1 + 1e-12) and many <= 1.0
 
 
-def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> Errors:
-    return Errors(0.2 * wrong_cast, wrong_cast, interior, spread, 0.4)
+def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> ExpectedErrors:
+    return ExpectedErrors(0.2 * wrong_cast, wrong_cast, interior, spread, 0.4)
 
 
 def test_chances_are_even_at_what_is_expected_and_sure_far_away():
@@ -291,7 +291,7 @@ def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(exp
 
 
 def test_the_constants_that_come_with_the_package_are_those_of_every_manner():
-    model = fitted()
+    model = packaged_model()
     for its in (model.floor, model.interior, model.spread, model.interior_spread):
         assert set(its) == set(error_groups()) and min(its.values()) >= 0.0
     assert min(model.spread.values()) >= LEAST_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}

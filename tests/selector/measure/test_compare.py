@@ -10,15 +10,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from api.catalogue import find_level
-from selector.candidates import MOST, candidates, name_of
-from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure, run_light
+from selector.candidates import MAX_CANDIDATES, candidates, name_of
+from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure_plan, run_light
 from selector.measure.footprint import texel_footprint_px
 from shadows.attached import attached
 from shadows.maps.texels import texel_on_level_ground_m
 from shadows.passes import PassLog
 from shadows.render import render_frame
-from shadows.visibility import fill_steps, looked_for
-from terrain.cache import forget
+from shadows.visibility import fill_steps, without_hidden_points
+from terrain.cache import clear_caches
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
@@ -69,7 +69,7 @@ def test_a_plan_is_timed_after_its_first_run_or_by_it_alone(gl, scene):
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=64)
     for repeats, runs, cold in ((0, 1, True), (1, 1, False), (4, 4, False)):
-        figures = measure(scene, view, plan, repeats=repeats).figures
+        figures = measure_plan(scene, view, plan, repeats=repeats).figures
         assert (figures["runs"], figures["cold"]) == (runs, cold)
         assert figures["ms_p95"] >= figures["ms_median"] > 0.0
         assert list(figures["stages"]) == ["depth map", "visibility"]
@@ -84,7 +84,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     pictures = drawn_on(scene, view)
     run = run_light(scene, pictures, plan, "sun")
-    forget("light")
+    clear_caches("light")
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
     assert len(picture.buffer.there) > picture.rows == view.rows
@@ -114,7 +114,7 @@ def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
     plans = [plan_of(hazy, view, **each) for each in asked]
     compared = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
     buffer = geometry_of(hazy, view)
-    hidden = buffer.there & ~looked_for(buffer, hazy, "sun", {"haze"}).there
+    hidden = buffer.there & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).there
     for row, plan in zip(compared.rows, plans, strict=True):
         frame = render_frame(hazy, view, plan)
         shown = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
@@ -123,7 +123,7 @@ def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
         assert min(np.count_nonzero((clear < 0.5) & there) for there in (hidden, buffer.there & ~hidden)) > 50
         assert not (row.false_shadow | row.missed_shadow)[hidden].any()
         assert not compared.there[hidden].any()
-        assert row.figures["wrong_cast"] == measure(hazy, view, plan).figures["wrong_cast"]
+        assert row.figures["wrong_cast"] == measure_plan(hazy, view, plan).figures["wrong_cast"]
 
 
 def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):
@@ -173,7 +173,7 @@ def test_candidates_of_bundled_levels(level, view, light, expected):
     scene = build_scene(load_level(find_level(level)))
     plans = candidates(scene, scene.view(view), view, light)
     names = [name_of(plan, light) for plan in plans]
-    assert len(plans) <= MOST and len(set(names)) == len(names)
+    assert len(plans) <= MAX_CANDIDATES and len(set(names)) == len(names)
     assert len({repr((plan.algorithm[light], plan.settings.get(light))) for plan in plans}) == len(plans)
     assert all(any(name == part or name.startswith(part + ",") for name in names) for part in expected)
     if light != "sun":
@@ -218,4 +218,4 @@ def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
 def test_everything_that_is_a_candidate_is_a_row(gl, scene, compared):
     plans = candidates(scene, scene.view("eye"), "eye")
     assert [row.figures["name"] for row in compared.rows] == [name_of(plan) for plan in plans]
-    assert 30 <= len(plans) <= MOST
+    assert 30 <= len(plans) <= MAX_CANDIDATES

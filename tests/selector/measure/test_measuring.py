@@ -1,4 +1,4 @@
-"""The policy ``measure``: thinned views are parts of the full ones, and who wins on them is who meets the target."""
+"""The policy ``measure_plan``: thinned views are parts of the full ones, and who wins on them is who meets the target."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from selector.choices import Pick
+from selector.choices import Choice
 from selector.measure import measuring, trials
-from selector.measure.compare import measure
-from selector.measure.measuring import Measured, Wanted, confirmed, measured_plan, measured_rows, winners
-from selector.measure.subsampled import thin_truth, thinned
+from selector.measure.compare import measure_plan
+from selector.measure.measuring import LightTrials, TargetBounds, confirm_winners, measured_plan, measured_rows, winners
+from selector.measure.subsampled import subsampled_truth, subsampled_view
 from selector.measure.trials import Candidate, Trial, part_of, shadow_ms
 from selector.measure.view_truth import truth_of_view
-from selector.ranking import Figures
+from selector.ranking import CandidateFigures
 from shadows.render import render_frame
 from shadows.truth.metrics import errors_of
 from terrain.describe import describe
@@ -46,7 +46,7 @@ def scene(tmp_path_factory) -> Scene:
 @pytest.mark.parametrize("name", ["eye", "map"])
 def test_a_thinned_view_shows_pixels_of_the_full_one(gl, scene, name):
     view = scene.view(name)
-    full, few = geometry_of(scene, view), geometry_of(scene, thinned(view, 3))
+    full, few = geometry_of(scene, view), geometry_of(scene, subsampled_view(view, 3))
     same = full.there[::3, ::3] == few.there
     assert same.mean() > 0.999
     apart_m = np.linalg.norm(full.position_frame_m[::3, ::3] - few.position_frame_m, axis=-1)
@@ -59,7 +59,7 @@ def test_with_every_pixel_errors_are_those_of_the_metrics(gl, scene, name):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=64, filter=1)
     visibility = render_frame(scene, view, plan).visibility
     pixel_m = describe(scene, view, name).pixel_m
-    thin = thin_truth(truth_of_view(scene, view, "sun"), 1)
+    thin = subsampled_truth(truth_of_view(scene, view, "sun"), 1)
     found = thin.errors(visibility, plan.steps, pixel_m)
     plain = errors_of(visibility, thin.truth, pixel_m, 0.0)
     assert (found.wrong, found.wrong_cast) == (plain.wrong, plain.wrong_cast)
@@ -72,11 +72,11 @@ def test_every_third_pixel_tells_the_error_of_all(gl, scene):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256, filter=1, cascades=1)
     found, real = {}, truth_of_view(scene, view, "sun")
     for every in (1, 3):
-        thin = thin_truth(real, every)
+        thin = subsampled_truth(real, every)
         found[every] = thin.errors(render_frame(scene, thin.buffer.view, plan).visibility, plan.steps, 1.0)
     assert found[1].wrong_cast > 0.01 and found[1].spread == 0.0 < found[3].spread < 0.2 * found[1].wrong_cast
     assert abs(found[3].wrong_cast - found[1].wrong_cast) < 3.0 * found[3].spread
-    wide = thinned(view, 3)
+    wide = subsampled_view(view, 3)
     naive = errors_of(render_frame(scene, wide, plan).visibility, truth_of_view(scene, wide, "sun").whole, 1.0)
     assert naive.wrong_cast < 0.6 * found[1].wrong_cast
 
@@ -90,8 +90,8 @@ def test_the_plan_is_the_cheapest_that_keeps_to_the_error(gl, scene):
     assert reason.startswith("measured: ") and "the cheapest that keeps to 10 %" in reason
     assert rows["sun"].not_tried == () and len(rows["sun"].trials) > 10
     assert render_frame(scene, view, plan).passes  # it can be drawn
-    tight = winners(rows, Wanted(1e-4))["sun"]
-    loose = winners(rows, Wanted(0.5))["sun"]
+    tight = winners(rows, TargetBounds(1e-4))["sun"]
+    loose = winners(rows, TargetBounds(0.5))["sun"]
     assert tight.met and loose.met and loose.winner.ms <= tight.winner.ms * 1.05
 
 
@@ -117,17 +117,19 @@ def test_night_needs_no_measurement(gl, scene, monkeypatch):
 
 
 def test_larger_maps_are_not_run_where_smaller_ones_decide(gl, scene, monkeypatch):
-    monkeypatch.setattr(trials, "PIXELS", 2000)
+    monkeypatch.setattr(trials, "TRIAL_PIXELS", 2000)
     view = scene.view("eye")
     seen = []
-    rows = measured_rows(scene, view, "eye", wanted=Wanted(0.9), on_step=lambda done, total: seen.append((done, total)))["sun"]
+    rows = measured_rows(scene, view, "eye", wanted=TargetBounds(0.9), on_step=lambda done, total: seen.append((done, total)))[
+        "sun"
+    ]
     assert rows.probe.pixels < view.rows * view.cols / 4
     tried, left_out = ({trial.candidate.pick.name for trial in rows.trials}, {one.pick.name for one in rows.not_tried})
     assert "shadow_map 512 x1" in tried and "shadow_map 4096 x1" in left_out
     assert seen[-1] == (len(tried) + len(left_out), len(tried) + len(left_out))
     assert not any(trial.on_all for trial in rows.trials)
-    whole = confirmed({"sun": rows}, Wanted(0.9))
-    winner = winners(whole, Wanted(0.9))["sun"].winner
+    whole = confirm_winners({"sun": rows}, TargetBounds(0.9))
+    winner = winners(whole, TargetBounds(0.9))["sun"].winner
     (trial,) = (one for one in whole["sun"].trials if one.figures == winner)
     assert trial.on_all and winner.ms == pytest.approx(np.median(trial.times_ms))
 
@@ -135,15 +137,15 @@ def test_larger_maps_are_not_run_where_smaller_ones_decide(gl, scene, monkeypatc
 @pytest.mark.parametrize("name", ["eye", "map"])
 def test_who_wins_has_the_errors_of_all_pixels(gl, scene, monkeypatch, name):
     """On few pixels a shadow map may keep to an error that it does not keep to on all of them."""
-    monkeypatch.setattr(trials, "PIXELS", 2000)
+    monkeypatch.setattr(trials, "TRIAL_PIXELS", 2000)
     view = scene.view(name)
     rows = measured_rows(scene, view, name)
     for max_error in (0.1, 0.03, 0.01):
-        wanted = Wanted(max_error)
-        whole = confirmed(rows, wanted)["sun"]
+        wanted = TargetBounds(max_error)
+        whole = confirm_winners(rows, wanted)["sun"]
         verdict = winners({"sun": whole}, wanted)["sun"]
         (trial,) = (one for one in whole.trials if one.figures == verdict.winner)
-        row = measure(scene, view, trial.candidate.plan)
+        row = measure_plan(scene, view, trial.candidate.plan)
         assert verdict.met and (trial.figures.error, trial.figures.interior) == (row.figures["wrong_cast"], row.figures["interior"])
         assert row.figures["wrong_cast"] <= max_error
 
@@ -153,7 +155,7 @@ class Confirming:
 
     error = "wrong_cast"
 
-    def __init__(self, **whole: Figures) -> None:
+    def __init__(self, **whole: CandidateFigures) -> None:
         self.known = whole
 
     def drawn_on_all(self, candidate: Candidate) -> Trial:
@@ -168,41 +170,48 @@ class Confirming:
 
 
 def candidate_of(name: str, **settings: int) -> Candidate:
-    return Candidate("sun", Pick(name, {"meshes": "shadow_map"}, settings), None)
+    return Candidate("sun", Choice(name, {"meshes": "shadow_map"}, settings), None)
 
 
 def test_who_leads_by_chance_does_not_win():
     near, far = (candidate_of(name) for name in ("near", "far"))
-    few = Trial(near, Figures("near", 1.0, 0.0299, 0.0), 0.0, 1e-3), Trial(far, Figures("far", 4.0, 0.02, 0.0), 0.0, 1e-3)
-    for worse in (Figures("near", 1.0, 0.0301, 0.0), Figures("near", 1.0, 0.02, 0.0011), Figures("near", 9.0, 0.02, 0.0)):
-        probe = Confirming(near=worse, far=Figures("far", 4.0, 0.02, 0.0))
-        rows = confirmed({"sun": Measured(probe, few)}, Wanted(0.03))
-        assert winners(rows, Wanted(0.03))["sun"].winner.name == "far"
-    better = Confirming(near=Figures("near", 1.0, 0.0299, 0.0))
-    rows = confirmed({"sun": Measured(better, few)}, Wanted(0.03))
-    assert winners(rows, Wanted(0.03))["sun"].winner.name == "near"
+    few = (
+        Trial(near, CandidateFigures("near", 1.0, 0.0299, 0.0), 0.0, 1e-3),
+        Trial(far, CandidateFigures("far", 4.0, 0.02, 0.0), 0.0, 1e-3),
+    )
+    for worse in (
+        CandidateFigures("near", 1.0, 0.0301, 0.0),
+        CandidateFigures("near", 1.0, 0.02, 0.0011),
+        CandidateFigures("near", 9.0, 0.02, 0.0),
+    ):
+        probe = Confirming(near=worse, far=CandidateFigures("far", 4.0, 0.02, 0.0))
+        rows = confirm_winners({"sun": LightTrials(probe, few)}, TargetBounds(0.03))
+        assert winners(rows, TargetBounds(0.03))["sun"].winner.name == "far"
+    better = Confirming(near=CandidateFigures("near", 1.0, 0.0299, 0.0))
+    rows = confirm_winners({"sun": LightTrials(better, few)}, TargetBounds(0.03))
+    assert winners(rows, TargetBounds(0.03))["sun"].winner.name == "near"
     assert [trial.on_all for trial in rows["sun"].trials] == [True, False]
 
 
 def test_the_next_larger_map_is_tried_when_the_smaller_one_fails():
     small, large = candidate_of("small", map_size=512), candidate_of("large", map_size=1024)
-    probe = Confirming(small=Figures("small", 1.0, 0.05, 0.0), large=Figures("large", 2.0, 0.01, 0.0))
-    few = Trial(small, Figures("small", 1.0, 0.02, 0.0), 0.0, 1e-4)
-    rows = confirmed({"sun": Measured(probe, (few,), (large,))}, Wanted(0.03))
-    assert rows["sun"].not_tried == () and winners(rows, Wanted(0.03))["sun"].winner.name == "large"
+    probe = Confirming(small=CandidateFigures("small", 1.0, 0.05, 0.0), large=CandidateFigures("large", 2.0, 0.01, 0.0))
+    few = Trial(small, CandidateFigures("small", 1.0, 0.02, 0.0), 0.0, 1e-4)
+    rows = confirm_winners({"sun": LightTrials(probe, (few,), (large,))}, TargetBounds(0.03))
+    assert rows["sun"].not_tried == () and winners(rows, TargetBounds(0.03))["sun"].winner.name == "large"
 
 
-def rows_of(*figures: Figures) -> Measured:
+def rows_of(*figures: CandidateFigures) -> LightTrials:
     tried = tuple(Trial(candidate_of(one.name), one, 0.0) for one in figures)
-    return Measured(Confirming(), tried)
+    return LightTrials(Confirming(), tried)
 
 
 def test_lights_share_the_time():
-    sun = rows_of(Figures("quick", 2.0, 0.2, 0.0), Figures("right", 8.0, 0.01, 0.0))
-    lamp = rows_of(Figures("fast", 1.0, 0.2, 0.0), Figures("fine", 6.0, 0.01, 0.0))
+    sun = rows_of(CandidateFigures("quick", 2.0, 0.2, 0.0), CandidateFigures("right", 8.0, 0.01, 0.0))
+    lamp = rows_of(CandidateFigures("fast", 1.0, 0.2, 0.0), CandidateFigures("fine", 6.0, 0.01, 0.0))
 
     def names(max_ms: float | None) -> list[str]:
-        return [verdict.winner.name for verdict in winners({"sun": sun, "lamp": lamp}, Wanted(0.05, max_ms)).values()]
+        return [verdict.winner.name for verdict in winners({"sun": sun, "lamp": lamp}, TargetBounds(0.05, max_ms)).values()]
 
     assert names(None) == names(14.0) == ["right", "fine"]
     assert names(10.0) == ["right", "fast"]
@@ -213,12 +222,14 @@ def test_lights_share_the_time():
 def test_lights_that_turn_out_slower_leave_less_time_for_others():
     """On few pixels the lamp takes 9 ms, and 10 are left for the sun; on all of them 12, and what takes 10 is too slow."""
     slow, quick, lamp = candidate_of("slow"), candidate_of("quick"), replace(candidate_of("lamp"), light="lamp")
-    exact, rough = Figures("slow", 10.0, 0.001, 0.0), Figures("quick", 6.0, 0.002, 0.0)
+    exact, rough = CandidateFigures("slow", 10.0, 0.001, 0.0), CandidateFigures("quick", 6.0, 0.002, 0.0)
     few = Trial(slow, exact, 0.0), Trial(quick, rough, 0.0)
-    sun = Measured(Confirming(slow=exact, quick=rough), few)
-    other = Measured(Confirming(lamp=Figures("lamp", 12.0, 0.0, 0.0)), (Trial(lamp, Figures("lamp", 9.0, 0.0, 0.0), 0.0),))
-    wanted = Wanted(5e-4, 20.0)
-    rows = confirmed({"sun": sun, "lamp": other}, wanted)
+    sun = LightTrials(Confirming(slow=exact, quick=rough), few)
+    other = LightTrials(
+        Confirming(lamp=CandidateFigures("lamp", 12.0, 0.0, 0.0)), (Trial(lamp, CandidateFigures("lamp", 9.0, 0.0, 0.0), 0.0),)
+    )
+    wanted = TargetBounds(5e-4, 20.0)
+    rows = confirm_winners({"sun": sun, "lamp": other}, wanted)
     verdicts = winners(rows, wanted)
     assert [verdict.winner.name for verdict in verdicts.values()] == ["quick", "lamp"]
     assert all(trial.on_all for its in rows.values() for trial in its.trials)

@@ -11,25 +11,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.choices import Asked
+from selector.choices import StandaloneRequest
 from selector.planner.advice import NO_RULE, advised
 from selector.planner.advice_rules import (
     BEHIND_DEG,
     CLOSED_SHARE,
+    COARSE_TEXEL_PX,
     COMPLEX_LAYERS,
     FEW_TRIANGLES,
     LEAST_GAIN,
     LITTLE_SEEN,
     MAPS_ERROR,
-    NEAR_PX,
     RULES,
-    SHARP_PX,
+    SHARP_TEXEL_PX,
     SMALL_SHADOW,
     USUAL_TEXELS,
-    Case,
+    RuleInput,
 )
-from selector.planner.planner import choose
-from shadows.registry import serves
+from selector.planner.planner import make_plan
+from shadows.registry import can_serve
 from shadows.sweep.extent import SWEPT_M
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -84,8 +84,8 @@ def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked
 
 def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
     """The name of the first rule that applies and can be served."""
-    case = Case(descriptor, of, kind, Shadows())
-    names = (rule.name for rule in RULES if serves(rule.takes, descriptor, of, kind) and rule.applies(case))
+    case = RuleInput(descriptor, of, kind, Shadows())
+    names = (rule.name for rule in RULES if can_serve(rule.takes, descriptor, of, kind) and rule.applies(case))
     return next(names, None)
 
 
@@ -163,7 +163,7 @@ def test_few_polygons_of_closed_meshes_take_volumes():
 def test_a_narrow_lamp_takes_a_map():
     """A texel's width where the lamp is aimed, by arithmetic: 2 x 40 m x tan(cutoff) / 1024, of pixels of 0.05 m."""
     seen = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
-    sharp_deg = float(np.degrees(np.arctan(SHARP_PX * 0.05 * USUAL_TEXELS / 80.0)))
+    sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * USUAL_TEXELS / 80.0)))
     for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
         descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **seen)
         assert rule_of(descriptor, of="lamp") == name
@@ -172,20 +172,20 @@ def test_a_narrow_lamp_takes_a_map():
 
 def test_a_small_shadowed_area_takes_a_map():
     for share, name in ((SMALL_SHADOW, "small shadowed area"), (1.01 * SMALL_SHADOW, "complex shadows from near")):
-        lights = near_by(2 * NEAR_PX, volume_layers=2 * COMPLEX_LAYERS, casts={"meshes": {"share": share}})
+        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * COMPLEX_LAYERS, casts={"meshes": {"share": share}})
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
 def test_a_light_behind_the_camera_takes_a_map():
     for to_view_deg, name in ((BEHIND_DEG, "light near the camera"), (BEHIND_DEG - 1.0, "complex shadows from near")):
-        lights = near_by(2 * NEAR_PX, volume_layers=2 * COMPLEX_LAYERS, to_view_deg=to_view_deg)
+        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * COMPLEX_LAYERS, to_view_deg=to_view_deg)
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
 def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
     for texel_px, layers, name in (
-        (1.01 * NEAR_PX, COMPLEX_LAYERS, "complex shadows from near"), (1.01 * NEAR_PX, 0.9 * COMPLEX_LAYERS, None),
-        (0.99 * NEAR_PX, COMPLEX_LAYERS, "far from every edge"), (0.99 * NEAR_PX, 0.0, "far from every edge"),
+        (1.01 * COARSE_TEXEL_PX, COMPLEX_LAYERS, "complex shadows from near"), (1.01 * COARSE_TEXEL_PX, 0.9 * COMPLEX_LAYERS, None),
+        (0.99 * COARSE_TEXEL_PX, COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
     ):  # fmt: skip
         assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
 
@@ -196,7 +196,7 @@ def test_little_seen_of_much_takes_a_perspective_map():
         (LITTLE_SEEN, 16.0 * LEAST_GAIN, "little is seen of much"), (LITTLE_SEEN, 15.0 * LEAST_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
-        assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * NEAR_PX, area_share=share))) == name
+        assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * COARSE_TEXEL_PX, area_share=share))) == name
 
 
 FACTS = st.builds(
@@ -226,10 +226,10 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
     for of, pick in picks.items():
         assert set(pick.algorithm) == set(pick.why) == set(casters)
         for kind, name in pick.algorithm.items():
-            assert serves(name, descriptor, of, kind) and pick.why[kind]
+            assert can_serve(name, descriptor, of, kind) and pick.why[kind]
             assert not (is_map and name == "perspective_shadow_map")
             assert not (kind == "forest" and name in ("shadow_volume", "hybrid", "sweep"))
-    plan = choose(descriptor, Asked(asked, ("sun", "lamp")))
+    plan = make_plan(descriptor, StandaloneRequest(asked, ("sun", "lamp")))
     assert all(item.reason for item in (*plan.reasons, *plan.rejected)) and plan.policy == "rules"
 
 
@@ -256,5 +256,5 @@ SCENES = {
 def test_the_thesis_s_own_scenes_are_advised_as_it_says(gl, level, view):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     of = "sun" if level.endswith("_sun") else "lamp"
-    plan = choose(describe(scene, scene.view(view), view), scene.loaded.level)
+    plan = make_plan(describe(scene, scene.view(view), view), scene.loaded.level)
     assert plan.algorithm[of] == {"relief": "none", "meshes": SCENES[level, view]}

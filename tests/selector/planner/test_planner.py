@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from selector.choices import Pick
-from selector.planner.planner import choose
+from selector.choices import Choice
+from selector.planner.planner import make_plan
 from shadows.maps import shadow_map
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
@@ -57,9 +57,9 @@ def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
     assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
     assert said["shadow_volume"] == f"sweep goes before it: {said['sun/relief: sweep']}"
     assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "there are casters and light"
-    picks = {"sun": Pick("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
+    picks = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
     given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
-    plan = choose(describe(scene, scene.view()), scene.loaded.level, picks=picks, rejected=given)
+    plan = make_plan(describe(scene, scene.view()), scene.loaded.level, picks=picks, rejected=given)
     said = reasons_of(plan)
     assert plan.headline == "hybrid" and said["sun/relief: hybrid"] == "it is mine" and said["sweep"] == "12 ms more"
     assert said["shadow_volume"] == "hybrid goes before it: it is mine"
@@ -89,7 +89,7 @@ def test_overrides_win_and_are_named(scene):
     view, terrain = scene.view(), scene.loaded.level.terrain.model_dump()
 
     def of_level(**keys) -> Plan:
-        return choose(describe(scene, view), Level.model_validate({"version": 1, "terrain": terrain, **keys}))
+        return make_plan(describe(scene, view), Level.model_validate({"version": 1, "terrain": terrain, **keys}))
 
     plan = plan_of(scene, view, algorithm="none")
     assert plan.headline == "none" and "asked for by the request" in plan.reasons[0].reason
@@ -111,7 +111,7 @@ def test_settings_that_are_asked_for_are_named(scene):
     for name in ("map_size 777", "depth_bits 32", "filter 5", "cascades 1"):
         assert reasons_of(plan)[name] == "asked for by the request"
     level = scene.loaded.level.model_copy(update={"shadows": Shadows(algorithm="hybrid", map_size=512, mask="original")})
-    said = reasons_of(choose(describe(scene, view), level, {"map_size": 256, "mask": None}))
+    said = reasons_of(make_plan(describe(scene, view), level, {"map_size": 256, "mask": None}))
     assert said["map_size 256"] == "asked for by the request" and said["mask original"] == "asked for by the level"
     assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # a map's setting
     said = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shadows.hybrid.conservative_map import (
-    LIT,
+    LIT_VALUE,
     MASKED,
-    SHADED,
+    SHADED_VALUE,
     ConservativeMap,
+    classify_points,
     clipped_edges,
     clipped_triangles,
     conservative_map,
-    decide,
 )
-from shadows.hybrid.conservative_raster import RUNS
+from shadows.hybrid.conservative_raster import MAX_DEPTH_RUNS
 
 SIZE = 12
 GRID = 2**16
@@ -118,9 +118,11 @@ def test_what_is_certain_is_so(seed: int) -> None:
     points = anywhere(triangles, 3000, rng)
     before = layers_before(triangles, points)
     moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # as rounding does
-    found = decide(known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9)
-    assert not before[found == LIT].any()
-    assert (before[found == SHADED] > 0).all()
+    found = classify_points(
+        known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9
+    )
+    assert not before[found == LIT_VALUE].any()
+    assert (before[found == SHADED_VALUE] > 0).all()
 
 
 @settings(max_examples=60)
@@ -130,9 +132,9 @@ def test_what_is_certain_of_points_on_casters_is_so(seed: int) -> None:
     triangles = soup(rng)
     points = on(triangles, 3000, rng)
     before = layers_before(triangles, points)
-    found = decide(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
-    assert not before[found == LIT].any()
-    assert (before[found == SHADED] > 0).all()
+    found = classify_points(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
+    assert not before[found == LIT_VALUE].any()
+    assert (before[found == SHADED_VALUE] > 0).all()
 
 
 SLOPES = [0.0, 0.05, 0.11, 0.25, 0.43, 0.6, 0.8, 1.0]
@@ -161,9 +163,9 @@ def test_no_wire_is_missed(width: float, slope: float) -> None:
     known = conservative_map((64, 64), triangles, boundary(triangles))
     dark = shadow_of(triangles, 10000, rng)
     assert dark.shape[1] > 3000
-    assert not (decide(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT).any()
+    assert not (classify_points(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT_VALUE).any()
     anywhere = rng.uniform(0, 64, (2, 20000))
-    masked = (decide(known, *anywhere, np.full(20000, 0.9), 1e-9) == MASKED).mean()
+    masked = (classify_points(known, *anywhere, np.full(20000, 0.9), 1e-9) == MASKED).mean()
     assert masked <= (width * np.hypot(1.0, slope) + 2.0 + slope) / 64  # the texels that it touches
 
 
@@ -198,19 +200,19 @@ def test_only_outlines_are_masked(turn_deg: float, floor_casts: bool) -> None:
     known = conservative_map((128, 128), casting, boundary(casting))
     u, v = rng.uniform(0, 128, (2, 100_000))
     depth = 20.0 + 40.0 * (u + 1) / 130 + 30.0 * (v + 1) / 130
-    found = decide(known, u, v, depth, 1e-9, on_caster=floor_casts)
+    found = classify_points(known, u, v, depth, 1e-9, on_caster=floor_casts)
     side = np.roll(roof[[0, 0, 0, 1], [0, 1, 2, 2]], -1, axis=0)[:, :2] - roof[[0, 0, 0, 1], [0, 1, 2, 2]][:, :2]
     from_corner = np.stack([u, v], axis=-1)[:, None] - roof[[0, 0, 0, 1], [0, 1, 2, 2]][:, :2]
     dark = (side[:, 0] * from_corner[..., 1] - side[:, 1] * from_corner[..., 0] > 0).all(axis=1)
     known_points = found != MASKED
-    assert ((found == SHADED) == dark)[known_points].all()
+    assert ((found == SHADED_VALUE) == dark)[known_points].all()
     assert (~known_points).mean() * 128**2 < 2.1 * 200.0  # the outline is 200 texels long
 
 
 def test_layers_follow_one_another() -> None:
     """Plates one behind the other, more than a texel keeps runs of: lit before the first, on it, and dark behind."""
     a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
-    plates = [[[*p, float(k)] for p in corners] for k in range(2 * RUNS + 1) for corners in ((a, b, c), (a, c, d))]
+    plates = [[[*p, float(k)] for p in corners] for k in range(2 * MAX_DEPTH_RUNS + 1) for corners in ((a, b, c), (a, c, d))]
     known = conservative_map((8, 8), np.array(plates[::-1]), np.zeros((0, 2, 3)))
     assert (np.abs(known.nearest) < 1e-9).all()
     assert (np.abs(known.nearest_other - 1.0) < 1e-9).all()
@@ -226,11 +228,11 @@ def test_layers_follow_one_another() -> None:
 def test_a_hole_in_a_far_layer_is_known() -> None:
     """Layers that a texel has no room for are one run, and a hole in any of them makes it open."""
     a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
-    edges = np.array([[[-1.0, 4.5, float(k)], [9.0, 4.5, float(k)]] for k in range(RUNS + 2)])
-    plates = np.array([[[*p, float(k)] for p in corners] for k in range(RUNS + 2) for corners in ((a, b, c), (a, c, d))])
-    for gone in range(RUNS + 2):  # all but one have an edge there
+    edges = np.array([[[-1.0, 4.5, float(k)], [9.0, 4.5, float(k)]] for k in range(MAX_DEPTH_RUNS + 2)])
+    plates = np.array([[[*p, float(k)] for p in corners] for k in range(MAX_DEPTH_RUNS + 2) for corners in ((a, b, c), (a, c, d))])
+    for gone in range(MAX_DEPTH_RUNS + 2):  # all but one have an edge there
         known = conservative_map((8, 8), plates, np.delete(edges, gone, axis=0))
-        assert known.shaded_beyond[4, 4] == (pytest.approx(gone) if gone < RUNS - 1 else np.inf)
+        assert known.shaded_beyond[4, 4] == (pytest.approx(gone) if gone < MAX_DEPTH_RUNS - 1 else np.inf)
         assert (np.abs(known.shaded_beyond[:4]) < 1e-9).all()
 
 
@@ -240,13 +242,13 @@ def test_runs_joined_in_any_order_are_known() -> None:
     """
     tiny = np.array([[4.2, 4.2, 0.0], [4.3, 4.2, 0.0], [4.2, 4.3, 0.0]])
     bridge = tiny + [[0, 0, -0.5], [0, 0, 1.5], [0, 0, 1.5]]
-    near = [tiny + [0.0, 0.0, float(k)] for k in range(RUNS)]
+    near = [tiny + [0.0, 0.0, float(k)] for k in range(MAX_DEPTH_RUNS)]
     far, at, close = (np.array([[u, -9.0, z], [u, 18.0, z]]) for u, z in ((-9.0, 60.0), (4.3, 10.0), (18.0, 8.0)))
     first = np.array([[far[0], at[0], at[1]], [far[0], at[1], far[1]]])
     second = np.array([[at[0], close[0], close[1]], [at[0], close[1], at[1]]])
     triangles = np.stack([*near, *first, bridge, *second])
     known = conservative_map((9, 9), triangles, boundary(triangles))
-    assert decide(known, np.array([4.1]), np.array([4.6]), np.array([10.2]), 1e-9) == MASKED
+    assert classify_points(known, np.array([4.1]), np.array([4.6]), np.array([10.2]), 1e-9) == MASKED
 
 
 def test_layers_where_triangles_meet_are_not_missed() -> None:
@@ -285,14 +287,14 @@ def test_rounding_past_the_border_of_a_texel_is_harmless() -> None:
             for at in (5.0 - 1e-8, 5.0 + 1e-8):
                 for u, v in ((at, 4.3), (4.3, at)):
                     on_border = (np.abs(triangle[0, :, 0 if u == at else 1] - end) < 1e-6).sum() == 2
-                    found = decide(known, np.array([u]), np.array([v]), np.array([2.0]), 1e-9)
+                    found = classify_points(known, np.array([u]), np.array([v]), np.array([2.0]), 1e-9)
                     assert found == MASKED or not on_border
 
 
 def test_points_outside_are_masked() -> None:
     known = conservative_map((4, 3), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
     u, v = np.array([0.0, 3.99, -1e-9, 4.0, 1.0, 1e300, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 3.0, 1.0, 1.0])
-    assert decide(known, u, v, np.zeros(7), 0.0).tolist() == [LIT, LIT] + 5 * [MASKED]
+    assert classify_points(known, u, v, np.zeros(7), 0.0).tolist() == [LIT_VALUE, LIT_VALUE] + 5 * [MASKED]
 
 
 def test_triangles_outside_leave_no_trace() -> None:

@@ -10,10 +10,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.maps import shadow_map
-from shadows.maps.resolve import CASCADE_PX, LARGEST
+from shadows.maps.resolve import CASCADE_PX, LARGEST_MAP
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import errors_of
@@ -54,7 +54,7 @@ def mountains(tmp_path_factory) -> Scene:
 
 def plan_for(scene: Scene, **asked) -> Plan:
     view = scene.view("main")
-    return choose(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **asked})
+    return make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map", **asked})
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(300, 15), (100, 10)])
@@ -98,7 +98,7 @@ LEVEL = Level.model_validate({"version": 1, "terrain": {"flat": {"size": [10, 10
 
 
 def ends_of(shares: list[float], **asked) -> list[float | None]:
-    plan = choose(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **asked})
+    plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", **asked})
     return [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]
 
 
@@ -115,9 +115,9 @@ def test_cascades_part_where_more_is_seen():
 @given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=11), st.sampled_from(["auto", 1, 2, 3, 4]))
 def test_an_automatic_size_keeps_what_it_promises_wherever_the_cascades_part(shares, cascades):
     shares = [share / sum(shares) for share in shares]
-    plan = choose(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
+    plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
     chosen = plan.settings["sun"]["relief"]
-    if chosen.map_size == LARGEST:
+    if chosen.map_size == LARGEST_MAP:
         return
     near_m, bands = 0.0, descriptor(shares).bands
     for cascade in chosen.cascades:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.maps import shadow_map
-from shadows.maps.windows import BORDER_TEXELS, DepthMap, sun_maps
+from shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap, sun_maps
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import errors_of
@@ -46,7 +46,7 @@ def ridge(jacksboro) -> PerspectiveView:
 def plan_for(scene: Scene, view: MapView | PerspectiveView, **asked) -> Plan:
     chosen = {"algorithm": "shadow_map", "filter": 1, "cascades": 1, **asked}
     level = scene.loaded.level.model_copy(update={"effects": {"cast_shadows": "on"}})  # also where no ground is steep enough
-    return choose(describe(scene, view), level, chosen)
+    return make_plan(describe(scene, view), level, chosen)
 
 
 def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
@@ -142,7 +142,7 @@ def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azi
             rotation = np.array(each.uniforms["light_from_frame"]).reshape(3, 3).T
             points = buffer.position_frame_m.reshape(-1, 3)[each.pixels] @ rotation.T + each.uniforms["light_offset_m"]
             texels = points[:, :2] / each.uniforms["texel_m"]
-            assert (texels >= BORDER_TEXELS - 1e-6).all() and (texels <= np.array(each.size) - BORDER_TEXELS + 1e-6).all()
+            assert (texels >= MAP_BORDER_TEXELS - 1e-6).all() and (texels <= np.array(each.size) - MAP_BORDER_TEXELS + 1e-6).all()
             assert (points[:, 2] > 0.0).all() and (points[:, 2] <= each.uniforms["window_m"][2]).all()
 
 

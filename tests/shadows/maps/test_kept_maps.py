@@ -16,11 +16,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.describe import describe
-from terrain.gl.depth_targets import MOST_BYTES, MOST_TARGETS, DepthTargets, depth_bytes
+from terrain.gl.depth_targets import MAX_TARGET_BYTES, MAX_TARGETS, DepthTargets, depth_bytes
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
@@ -59,7 +59,7 @@ def build(tmp_path_factory) -> Build:
 
 def planned(scene: Scene, **asked: Any) -> Plan:
     chosen = {"algorithm": "shadow_map", "map_size": 256, "cascades": 1, **asked}
-    return choose(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, chosen)
+    return make_plan(describe(scene, scene.view("eye"), "eye"), scene.loaded.level, chosen)
 
 
 def drawn(scene: Scene, plan: Plan | None = None, **asked: Any) -> Frame:
@@ -190,9 +190,9 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
         drawn_in[taken] = content
         if content is not None:
             targets.keep(taken, (shape, content))
-        assert targets.count == len(alive) <= MOST_TARGETS
+        assert targets.count == len(alive) <= MAX_TARGETS
         assert targets.nbytes == sum(depth_bytes(*each) for each in alive.values())
-        assert targets.nbytes <= MOST_BYTES or targets.count == 1
+        assert targets.nbytes <= MAX_TARGET_BYTES or targets.count == 1
     targets.clear()
     assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
 
@@ -200,7 +200,7 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
 def test_the_targets_used_last_stay_longest():
     made = itertools.count()
     targets = DepthTargets(lambda *shape: next(made), lambda _: None)
-    for number in range(3 * MOST_TARGETS):
+    for number in range(3 * MAX_TARGETS):
         targets.keep(targets.take(64, 64, 24), number)
         assert targets.kept(0) == 0
-    assert targets.kept(1) is None and targets.kept(3 * MOST_TARGETS - 1) is not None
+    assert targets.kept(1) is None and targets.kept(3 * MAX_TARGETS - 1) is not None

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
 from shadows.attached import attached
-from shadows.maps.sun_disc import DISC_TANGENT, EDGES, SAMPLES, WIDEST_TEXELS, samples_before_edges
+from shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGES, WIDEST_TEXELS, samples_before_edges
 from shadows.truth.truth import sun_disc
 from terrain.casters.reach import casters_of
 from terrain.errors import UnsupportedError
@@ -120,13 +120,13 @@ def test_a_plane_under_half_the_sun_is_half_lit(gl, write_raster, make_scene):
 
 def test_the_samples_are_the_rays_of_truth():
     """The same spiral, and bits before an edge are those whose place is."""
-    rays = sun_disc(np.array([0.0, -1.0, 0.0]), SAMPLES)
+    rays = sun_disc(np.array([0.0, -1.0, 0.0]), DISC_SAMPLES)
     away = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
-    angle = np.arange(SAMPLES) * np.pi * (3.0 - 5.0**0.5)
+    angle = np.arange(DISC_SAMPLES) * np.pi * (3.0 - 5.0**0.5)
     for bits, place in zip(samples_before_edges(), (away * np.cos(angle), away * np.sin(angle)), strict=True):
         assert bits.shape == (EDGES + 1, 4) and bits.dtype == np.uint32
         for number in (0, 13, 64, 100, EDGES):
-            set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(SAMPLES)]
+            set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(DISC_SAMPLES)]
             np.testing.assert_array_equal(set_bits, place < 2.0 * number / EDGES - 1.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 import shapely
 import trimesh
 
-from selector.measure.compare import measure
+from selector.measure.compare import measure_plan
 from shadows.attached import attached
 from shadows.maps import perspective_shadow_map
 from shadows.maps.post_perspective import CONE_DEG
@@ -174,7 +174,7 @@ def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
     view = scene.view("close", size=(320, 256))
     asked = {"map_size": 512, "filter": 3}
     found = {
-        name: measure(scene, view, plan_of(scene, view, algorithm=name, **asked, **more)).figures
+        name: measure_plan(scene, view, plan_of(scene, view, algorithm=name, **asked, **more)).figures
         for name, more in (("shadow_map", {"cascades": 1, "fit": "tight"}), (NAME, {}))
     }
     assert found[NAME]["edge_p95"] < found["shadow_map"]["edge_p95"]

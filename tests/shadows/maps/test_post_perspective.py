@@ -15,7 +15,7 @@ from shadows.maps.post_perspective import (
     Light,
     PostPerspective,
     camera_matrix,
-    fitted,
+    fit_to_bounds,
     horizon_m,
     kind_of,
     light_matrix,
@@ -121,7 +121,7 @@ def test_bounds_are_fitted():
     matrix = light_matrix(np.array([0.2, 0.4, 0.8, 0.0]), np.array([1.0, 2.0, 3.0]))
     points = rng.uniform(-5, 9, (100, 3))
     seen = projected(matrix, points)
-    clip = projected(fitted(matrix, seen.min(axis=0), seen.max(axis=0), 0.9, 0.25), points)
+    clip = projected(fit_to_bounds(matrix, seen.min(axis=0), seen.max(axis=0), 0.9, 0.25), points)
     np.testing.assert_allclose(clip.min(axis=0), [-0.9, -0.9, -0.5], atol=1e-9)
     np.testing.assert_allclose(clip.max(axis=0), [0.9, 0.9, 1.0], atol=1e-9)
 
@@ -155,7 +155,7 @@ def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspe
     """The map for receivers, and its matrix as it is uploaded."""
     found = post_perspectives(camera, light, points, INNER)[0]
     seen = projected(found.clip_from_frame, points)
-    return found, fitted(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
+    return found, fit_to_bounds(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
 
 
 @pytest.mark.long

@@ -13,17 +13,17 @@ from shadows.sweep.grid import (
     LOWEST,
     NO_LEVELS,
     NO_MASK,
-    State,
+    LineState,
     flat_grid,
     no_peaks,
-    passed,
-    places,
+    position_cubics,
+    state_after,
     sunlit,
-    sweep,
+    sweep_nodes,
     turned_levels,
 )
 from shadows.sweep.horizon import horizon_deg
-from shadows.sweep.lines import Sheet, Strip, sweep_rows
+from shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
 from shadows.sweep.points import no_points
 from terrain.casters.rays import RayScene
 from terrain.errors import UnsupportedError
@@ -124,11 +124,11 @@ def test_strips_and_cores_leave_no_seam(azimuth, monkeypatch):
         assert (sunlit(heights, 10.0, azimuth, 6.0, cores=cores) == whole).all()
 
 
-def sheet_of(heights: np.ndarray, azimuth: float, altitude: float) -> Sheet:
+def sheet_of(heights: np.ndarray, azimuth: float, altitude: float) -> TurnedGrid:
     turn, row_m, col_m, place, at = flat_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
     level = turned_levels(heights, turn, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
-    return Sheet(level, place, at, turn.mirrored)
+    return TurnedGrid(level, place, at, turn.mirrored)
 
 
 def test_windows_of_rows_hand_their_state_over():
@@ -149,16 +149,16 @@ def test_windows_of_rows_hand_their_state_over():
 def test_ground_before_a_window_shades_it_through_the_state_alone():
     heights = np.zeros((220, 90), np.float32)
     heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow falls beyond row 60
-    lit, _, _ = sweep(sheet_of(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
+    lit, _, _ = sweep_nodes(sheet_of(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
     assert (~lit[60:90]).any()
     before, behind = sheet_of(heights[:61], 3.0, 20.0), sheet_of(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
-    state = passed(before, 4, (-30.0, 120.0))
+    state = state_after(before, 4, (-30.0, 120.0))
     held = np.where(state.held > LOWEST / 2, state.held - np.float32(shift), LOWEST)
-    moved = State(state.first_cell, held.astype(np.float32))
+    moved = LineState(state.first_cell, held.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
-    later = Sheet(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.mirrored)
-    handed, _, _ = sweep(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
+    later = TurnedGrid(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.mirrored)
+    handed, _, _ = sweep_nodes(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
     assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
 
 
@@ -220,10 +220,10 @@ def test_all_ground_has_a_horizon_beside_holes_too(azimuth):
 def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
     """A plane is lit. Columns a cell's width wide in the middle alone: runs of lines are not straight there."""
     rows, cols = 60, 1200
-    place, at = places(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols)
+    place, at = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols)
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
     level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
-    lit, _, _ = sweep(Sheet(level, place, at, False), 8, (-500.0, 600.0), rows=(0, rows))
+    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, False), 8, (-500.0, 600.0), rows=(0, rows))
     assert lit[1:, 100:-100].mean() > 0.99
 
 
@@ -237,19 +237,19 @@ def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
 
 
 def test_rays_too_bent_for_the_lines_are_refused():
-    place, at = places(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300)
+    place, at = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300)
     assert np.allclose(place[100, 0] + place[100, 1] * (at[100, 0] + 50 * at[100, 1]), 50.0, atol=1e-3)
     with pytest.raises(UnsupportedError, match="shadow_map"):
-        places(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300)
+        position_cubics(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300)
     with pytest.raises(UnsupportedError, match="CRS"):
-        places(lambda i, j: np.where(j > 100, np.nan, j), 200, 300)
+        position_cubics(lambda i, j: np.where(j > 100, np.nan, j), 200, 300)
     with pytest.raises(UnsupportedError, match="shadow_map"):
-        places(lambda i, j: np.abs(j - 150.0), 200, 300)
+        position_cubics(lambda i, j: np.abs(j - 150.0), 200, 300)
 
 
 def test_the_mask_is_written_nowhere_else():
     """Without rows no mask is made at all."""
-    lit, points_lit, above = sweep(sheet_of(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
+    lit, points_lit, above = sweep_nodes(sheet_of(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
     assert lit.shape == NO_MASK.shape and len(points_lit) == len(above) == 0
 
 

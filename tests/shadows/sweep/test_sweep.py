@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.render import render_frame
@@ -187,7 +187,7 @@ def test_the_strips_of_the_sun_are_equal_shares_of_its_disc():
 
 def test_above_the_shadows_height_the_sun_is_seen_and_below_it_is_not(jacksboro, tile):
     scene = under(jacksboro, 113.0, 8.0)
-    plan = choose(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
+    plan = make_plan(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
     frame = render_frame(scene, tile, plan, layers=frozenset({"shadow-height"}))
     height_m = frame.layers["shadow-height"]["sun"]
     buffer = geometry_of(scene, tile)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from shadows.volumes.edges import closed_parts, edges_of, parts_of, signed_sums
+from shadows.volumes.edges import closed_parts, connected_parts, edges_of, signed_sums
 from terrain.errors import InputError
 from terrain.ground.surface import sheet_triangles
 
@@ -77,7 +77,7 @@ def test_a_vertex_that_is_not_there_is_named(wrong: int):
 def test_nothing_has_no_edges():
     edges = edges_of(np.zeros((0, 3)), np.zeros((0, 3), int))
     assert edges.ends.shape == (0, 2) and edges.of_triangle.shape == edges.along.shape == (0, 3)
-    assert parts_of(edges).shape == closed_parts(edges).shape == (0,)
+    assert connected_parts(edges).shape == closed_parts(edges).shape == (0,)
     point = edges_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     assert point.ends.shape == (0, 2) and signed_sums(point, np.array([1])).shape == (0,)
 
@@ -86,7 +86,7 @@ def test_nothing_has_no_edges():
 def test_a_hole_opens_its_part_and_no_other(shared: bool):
     vertices, triangles = row_of_boxes(3)
     whole = edges_of(*((vertices, triangles) if shared else soup(vertices, triangles)))
-    assert parts_of(whole).tolist() == np.repeat([0, 1, 2], 12).tolist()
+    assert connected_parts(whole).tolist() == np.repeat([0, 1, 2], 12).tolist()
     assert closed_parts(whole).all()
     left = np.delete(triangles, 17, axis=0)
     holed = edges_of(*((vertices, left) if shared else soup(vertices, left)))
@@ -104,7 +104,7 @@ def test_bodies_that_share_an_edge_are_one_closed_part():
     vertices = np.concatenate([box.vertices, box.vertices + [1.0, 1.0, 0.0]])
     edges = edges_of(vertices, np.concatenate([box.faces, box.faces + 8]))
     assert np.bincount(edges.of_triangle.ravel()).max() == 4
-    assert parts_of(edges).max() == 0 and closed_parts(edges).all()
+    assert connected_parts(edges).max() == 0 and closed_parts(edges).all()
 
 
 def test_a_sheet_is_open():

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shadows.volumes.edges import edges_of
-from shadows.volumes.layers import MOST, batches, may_shade_near, most_layers
-from shadows.volumes.silhouettes import RULES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, may_shade_near, most_layers
+from shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from terrain.errors import InputError
 from terrain.ground.surface import sheet_triangles
 
@@ -78,7 +78,7 @@ def test_nothing_is_covered_more_often(light: np.ndarray, seed: int):
     triangles = np.arange(3 * count).reshape(-1, 3)
     if seed % 2:
         triangles = rng.permuted(triangles.ravel()).reshape(-1, 3) % max(count, 3)  # shared vertices
-    for rule in RULES:
+    for rule in FACING_RULE_CODES:
         bound = cast((vertices, triangles), light, rule)
         points = np.concatenate([rng.uniform(-2, 2, (1000, 3)), vertices[triangles].mean(axis=1)])
         found = int(covered(points, vertices, bound.caps, light).max())
@@ -154,10 +154,10 @@ def test_batches_fit_and_are_everything(mesh: Mesh):
     vertices, triangles = mesh
     edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
     layers = len(triangles) // 2
-    assert most_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MOST
+    assert most_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MAX_STENCIL_LAYERS
     groups = batches(vertices, triangles, edges, turns, OVERHEAD)
-    assert 2 <= len(groups) <= 2 * layers / MOST
-    assert all(most_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MOST for group in groups)
+    assert 2 <= len(groups) <= 2 * layers / MAX_STENCIL_LAYERS
+    assert all(most_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MAX_STENCIL_LAYERS for group in groups)
     assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == turns).all()
     [group] = batches(vertices, triangles, edges, turns, OVERHEAD, layers)
     np.testing.assert_array_equal(group, turns)

@@ -23,10 +23,10 @@ from shadows.truth.truth import Truth, TruthSettings, truth_of
 from shadows.truth.truth import fill as truth_fill
 from shadows.volumes import shadow_volume
 from shadows.volumes.settings import VolumeSettings
-from terrain.cache import forget
+from terrain.cache import clear_caches
 from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.describe import describe
-from terrain.gbuffer.antialias import sampled
+from terrain.gbuffer.antialias import multisampled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import RELIEF
@@ -410,7 +410,7 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
     keys = {"version": 1, "terrain": {"flat": {"size": [2e5, 2e5], "cells": [20, 20]}}, "meshes": meshes, "views": views}
     path.write_text(json.dumps(keys | {"sun": {"azimuth": 200, "altitude": 35}}), encoding="utf-8")
     scene = build_scene(load_level(path))
-    forget("light")
+    clear_caches("light")
     first, edges = kept(look(scene), mask)
     assert first == 0 and edges > 0
     assert kept(look(scene), mask)[0] > 0 and kept(look(scene, scene.view("near")), mask)[0] > 0
@@ -421,7 +421,7 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
     moved = look(scene.at_second(1.0))
     assert kept(moved, mask)[0] == 0 and kept(look(scene), mask)[0] > 0
     later = moved.seen(mask)
-    forget("light")
+    clear_caches("light")
     assert kept(look(scene), mask)[0] == 0
     np.testing.assert_array_equal(moved.seen(mask), later)
     assert (later != look(scene).seen(mask))[moved.buffer.there].any()
@@ -436,7 +436,7 @@ def test_samples_of_a_pixel_are_counted_where_they_lie(gl, tmp_path, light, mask
     """The rows of samples below the picture's own, against rays from their own points."""
     posts = joined(*(box((2, 2, 5), at_m=(x, y)) for x in (-9, -3, 3, 9) for y in (-6, 0, 6)))
     scene = level_of(tmp_path, [posts], 200, 35, **BEHIND, **LIGHTS[light])
-    buffer = sampled(scene, scene.view("eye")).buffer
+    buffer = multisampled(scene, scene.view("eye")).buffer
     own = scene.view("eye").rows
     assert len(buffer.there) > own
     at = Look(scene, buffer, NO_CASTERS, scene.light_names[0])

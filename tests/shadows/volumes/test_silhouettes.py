@@ -10,7 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from shadows.volumes.edges import edges_of
-from shadows.volumes.silhouettes import ALL, FACING, TURNED_AWAY, Rule, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from shadows.volumes.silhouettes import (
+    ALL_CODE,
+    FACING_CODE,
+    TURNED_AWAY_CODE,
+    FacingRule,
+    Silhouette,
+    facing,
+    sheet_silhouette,
+    silhouette,
+    turns_of,
+)
 from terrain.errors import InputError
 from terrain.ground.surface import known_triangles
 
@@ -19,7 +29,7 @@ Mesh = tuple[np.ndarray, np.ndarray]
 SUNS = [np.array([0.31, -0.52, 0.43, 0.0]), np.array([-0.9, 0.17, 0.05, 0.0])]
 LAMPS = [np.array([2.3, 1.1, 3.2, 1.0]), np.array([0.07, -0.11, 0.13, 1.0])]
 LIGHTS = [*SUNS, *LAMPS]
-RULES: list[Rule] = ["facing", "turned_away", "all"]
+RULES: list[FacingRule] = ["facing", "turned_away", "all"]
 
 
 def soup(rng: np.random.Generator) -> Mesh:
@@ -132,7 +142,7 @@ def signed_count(points: np.ndarray, vertices: np.ndarray, bound: Silhouette, li
     return (count + (met * np.sign(slope) * bound.times).sum(axis=1)).astype(int)
 
 
-def bounded(mesh: Mesh, light: np.ndarray, rule: Rule | np.ndarray) -> Silhouette:
+def bounded(mesh: Mesh, light: np.ndarray, rule: FacingRule | np.ndarray) -> Silhouette:
     vertices, triangles = mesh
     return silhouette(triangles, edges_of(vertices, triangles), turns_of(facing(vertices, triangles, light), rule))
 
@@ -230,7 +240,7 @@ def test_two_triangles_alike_are_one_edge_twice():
 
 @pytest.mark.parametrize("ulps", [-1, 0, 1])
 @pytest.mark.parametrize("rule", RULES)
-def test_an_edge_on_triangle_leaves_the_boundary_closed(rule: Rule, ulps: int):
+def test_an_edge_on_triangle_leaves_the_boundary_closed(rule: FacingRule, ulps: int):
     """A box whose walls the sun sees edge-on, but for a unit in the last place of one corner."""
     box = trimesh.creation.box()
     vertices = np.asarray(box.vertices, np.float32) + np.float32(0.7)
@@ -244,7 +254,7 @@ def test_an_edge_on_triangle_leaves_the_boundary_closed(rule: Rule, ulps: int):
     vertices=arrays(np.int8, (8, 3), elements=st.integers(-1, 1)), triangles=arrays(np.int8, (12, 3), elements=st.integers(0, 7)),
     light=st.tuples(*[st.integers(-2, 2)] * 3, st.integers(0, 1)).filter(any), rule=st.sampled_from(RULES),
 )  # fmt: skip
-def test_boundaries_are_closed_whatever_is_edge_on(vertices, triangles, light, rule: Rule):
+def test_boundaries_are_closed_whatever_is_edge_on(vertices, triangles, light, rule: FacingRule):
     bound = bounded((vertices.astype(float), triangles.astype(int)), np.array(light, float), rule)
     assert not balance(bound).any()
 
@@ -268,7 +278,7 @@ def test_turns_by_rules_and_by_numbers():
     assert turns_of(faces, "facing").tolist() == [1, 0]
     assert turns_of(faces, "turned_away").tolist() == [0, -1]
     assert turns_of(faces, "all").tolist() == [1, -1]
-    numbers = np.array([0, FACING, TURNED_AWAY, ALL], np.uint8)
+    numbers = np.array([0, FACING_CODE, TURNED_AWAY_CODE, ALL_CODE], np.uint8)
     assert turns_of(np.ones(4, bool), numbers).tolist() == [0, 1, 0, 1]
     assert turns_of(np.zeros(4, bool), numbers).tolist() == [0, 0, -1, -1]
     assert turns_of(np.zeros(4, bool), numbers).dtype == np.int8
@@ -288,14 +298,14 @@ def test_what_is_wrong_is_named():
     height=arrays(np.int8, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.integers(-3, 3)),
     light=st.tuples(*[st.integers(-3, 3)] * 3, st.integers(0, 1)).filter(any), rule=st.sampled_from(RULES),
 )  # fmt: skip
-def test_a_sheet_is_as_any_mesh(height, light, rule: Rule):
+def test_a_sheet_is_as_any_mesh(height, light, rule: FacingRule):
     row, col = np.mgrid[: height.shape[0], : height.shape[1]]
     position = np.stack([col, -row, np.where(height < -1, np.nan, height)], axis=-1)
     check_sheet(position, np.array(light, float), rule)
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_a_large_sheet_is_as_any_mesh(rule: Rule):
+def test_a_large_sheet_is_as_any_mesh(rule: FacingRule):
     rng = np.random.default_rng(2)
     row, col = np.mgrid[:70, :90] * 10.0
     position = np.stack([col, -row, rng.uniform(0, 20, row.shape)], axis=-1)
@@ -304,7 +314,7 @@ def test_a_large_sheet_is_as_any_mesh(rule: Rule):
         check_sheet(position, light, rule)
 
 
-def check_sheet(position: np.ndarray, light: np.ndarray, rule: Rule) -> None:
+def check_sheet(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> None:
     own, general = (
         sheet_silhouette(position, light, rule),
         bounded((position.reshape(-1, 3), known_triangles(position)), light, rule),

@@ -16,7 +16,7 @@ from shadows.passes import PassRecord
 from shadows.volumes import drawing as volume_drawing
 from shadows.volumes.drawing import count
 from shadows.volumes.settings import VolumeSettings
-from shadows.volumes.tiles import TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
+from shadows.volumes.tiles import CULLING_TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.volumes import light_in_frame, volumes_of
 from tests.shadows.boxes import box, level_of
 from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
@@ -42,10 +42,13 @@ def test_rectangles_hold_each_marked_pixel_once(size, seed):
     found = rectangles(tiles, size, 10_000)
     covered = np.zeros(size, int)
     for col, row, width, height in found.tolist():
-        assert col % TILE_PX == row % TILE_PX == 0 and width > 0 and height > 0
+        assert col % CULLING_TILE_PX == row % CULLING_TILE_PX == 0 and width > 0 and height > 0
         assert 0 <= col and col + width <= size[1] and 0 <= row and row + height <= size[0]
         covered[row : row + height, col : col + width] += 1
-        assert tiles[row // TILE_PX : -(-(row + height) // TILE_PX), col // TILE_PX : -(-(col + width) // TILE_PX)].any()
+        assert tiles[
+            row // CULLING_TILE_PX : -(-(row + height) // CULLING_TILE_PX),
+            col // CULLING_TILE_PX : -(-(col + width) // CULLING_TILE_PX),
+        ].any()
     assert covered.max(initial=0) <= 1 and (covered[rows, cols] == 1).all()
     assert len(found) == 0 if not len(rows) else len(found) > 0
 
@@ -53,12 +56,12 @@ def test_rectangles_hold_each_marked_pixel_once(size, seed):
 @given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
 def test_a_rectangle_less_would_hold_more(tiles):
     """Never more tiles than in what holds them all, less what each further rectangle is worth."""
-    size = tuple(side * TILE_PX for side in tiles.shape)
+    size = tuple(side * CULLING_TILE_PX for side in tiles.shape)
     found = rectangles(tiles, size, 10_000)
     rows, cols = np.nonzero(tiles)
     if len(rows):
         whole = np.ptp(rows) * np.ptp(cols) + np.ptp(rows) + np.ptp(cols) + 1
-        assert (found[:, 2] * found[:, 3]).sum() // TILE_PX**2 + 8 * (len(found) - 1) <= whole
+        assert (found[:, 2] * found[:, 3]).sum() // CULLING_TILE_PX**2 + 8 * (len(found) - 1) <= whole
 
 
 @given(SIZES, SEEDS)

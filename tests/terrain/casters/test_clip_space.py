@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.casters.clip_space import PART_PX, bend_px, camera_clip, map_clip, parts_of
+from terrain.casters.clip_space import AFFINE_PART_PX, affine_parts, bend_px, camera_clip, map_clip
 from terrain.gbuffer.picture import frame_of, geometry_of
 from terrain.geo.grid import MapView
 from terrain.level.level import load_level
@@ -83,7 +83,7 @@ def test_parts_of_a_globe_s_map_lie_off_it_by_what_is_stated(gl, globe, zoom):
     block = block_at(-84.25, 36.58, zoom)
     buffer = geometry_of(globe, block)
     stated, worst = bend_px(globe, block.grid, block.row_step, block.col_step), 0.0
-    for part, top, left in parts_of(globe.world, block):
+    for part, top, left in affine_parts(globe.world, block):
         inside = np.s_[top : top + part.rows, left : left + part.cols]
         at = np.nonzero(buffer.there[inside])
         if not len(at[0]):
@@ -103,16 +103,16 @@ def test_coarser_maps_bend_more(globe):
     assert bends == sorted(bends) and bends[-1] > 0.25
 
 
-@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (PART_PX, PART_PX), (PART_PX + 1, 3), (700, 513)])
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (AFFINE_PART_PX, AFFINE_PART_PX), (AFFINE_PART_PX + 1, 3), (700, 513)])
 def test_parts_cover_a_view_once(globe, flat, rows, cols):
     block = block_at(-84.25, 36.58, 12)
     view = MapView(block.grid, block.row0 + 5, block.col0 + 9, 1.0, 1.0, rows, cols)
     covered = np.zeros((rows, cols), int)
-    for part, top, left in parts_of(globe.world, view):
-        assert 0 < part.rows <= PART_PX and 0 < part.cols <= PART_PX
+    for part, top, left in affine_parts(globe.world, view):
+        assert 0 < part.rows <= AFFINE_PART_PX and 0 < part.cols <= AFFINE_PART_PX
         assert (part.row0, part.col0) == (view.row0 + top, view.col0 + left)
         covered[top : top + part.rows, left : left + part.cols] += 1
     assert (covered == 1).all()
-    assert parts_of(flat.world, view) == [(view, 0, 0)]
+    assert affine_parts(flat.world, view) == [(view, 0, 0)]
     eye = flat.view("eye")
-    assert parts_of(globe.world, eye) == [(eye, 0, 0)]
+    assert affine_parts(globe.world, eye) == [(eye, 0, 0)]

@@ -9,10 +9,10 @@ import pytest
 import shapely
 from pyogrio import raw
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.gbuffer.tree_instances import any_in_map, stand_in_map
+from terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_map
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
@@ -37,8 +37,8 @@ def eye(north_m: float, height_m: float) -> dict:
 def test_a_tree_too_small_to_be_drawn_calls_for_nothing(gl, wood):
     scene = wood()
     small, large = (scene.view(bounds=(-m, -m, m, m), size=(64, 64)) for m in (900.0, 30.0))
-    assert "alpha_test" in choose(describe(scene, large), scene.loaded.level).runs
-    plan = choose(describe(scene, small), scene.loaded.level)
+    assert "alpha_test" in make_plan(describe(scene, large), scene.loaded.level).runs
+    plan = make_plan(describe(scene, small), scene.loaded.level)
     assert "no tree is large enough to be drawn" in {item.reason for item in plan.left_out}
     assert plan.runs.isdisjoint({"alpha_test", "cast_shadows"})
 
@@ -48,8 +48,8 @@ def test_what_a_map_draws_is_known_without_drawing_it(wood, pixel_m: float):
     scene = wood()
     view = scene.view(bounds=(-50.0, -50.0, 50.0, 50.0), size=(20, 20))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
-    stand = stand_in_map(scene.population, frame, pixel_m)
-    assert stand is not None and any_in_map(scene.population.trees, pixel_m) == (len(stand) > 0)
+    stand = tree_instances_in_map(scene.population, frame, pixel_m)
+    assert stand is not None and map_draws_trees(scene.population.trees, pixel_m) == (len(stand) > 0)
 
 
 @pytest.mark.parametrize("lights", [{}, {"lamp": {"kind": "omni", "position": [0.0, 0.0, 300.0]}}], ids=["sun", "lamp"])
@@ -58,7 +58,7 @@ def test_an_eye_from_which_no_tree_is_drawn_is_described(gl, wood, lights: dict,
     """Far up, every tree is thinned out: a stand of none."""
     scene = wood(lights=lights, views={"eye": eye(10.0, height_m)})
     view = scene.view("eye")
-    frame = render_frame(scene, view, choose(describe(scene, view, "eye"), scene.loaded.level))
+    frame = render_frame(scene, view, make_plan(describe(scene, view, "eye"), scene.loaded.level))
     assert frame.effects == frame.plan.runs
     assert ("alpha_test" in frame.effects) <= (height_m < 1000.0)
 
@@ -66,5 +66,5 @@ def test_an_eye_from_which_no_tree_is_drawn_is_described(gl, wood, lights: dict,
 def test_a_window_that_no_tree_shades_has_the_record_of_its_plan(gl, wood):
     scene = wood()
     view = scene.view(bounds=(700.0, 700.0, 760.0, 760.0), size=(64, 64))
-    frame = render_frame(scene, view, choose(describe(scene, view), scene.loaded.level))
+    frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level))
     assert "alpha_test" in frame.plan.runs and frame.effects == frame.plan.runs

@@ -11,17 +11,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.plan import Plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import clouds
-from terrain.effects.clouds import EDGE, HIGHEST, LAYER_M, STEEPEST, TOP, density_at, layer_of, shade_clouds, threshold_of
-from terrain.effects.effect import Block
+from terrain.effects.clouds import (
+    CLOUD_EDGE_WIDTH,
+    LAYER_M,
+    MAX_NOISE,
+    MAX_NOISE_SLOPE,
+    NOISE_BOUND,
+    apply_clouds,
+    cloud_layer_of,
+    density_at,
+    threshold_of,
+)
+from terrain.effects.effect import ShadingBlock
 from terrain.gbuffer.picture import geometry_of
 from terrain.ground.noise import noise_at
 from terrain.scene import Scene
-from terrain.scene_objects import Population
+from terrain.scene_objects import SceneObjects
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32616"
@@ -51,17 +61,17 @@ def sunlight_of(scene: Scene, view=None) -> np.ndarray:
     view = view or scene.view()
     buffer = geometry_of(scene, view)
     light = np.ones(buffer.there.shape, np.float32)
-    shade_clouds(light, Block(scene, view, buffer, {}))
+    apply_clouds(light, ShadingBlock(scene, view, buffer, {}))
     return light
 
 
 def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
     level = scene.loaded.level.model_copy(update={"effects": {"clouds": wish}})
-    return choose(describe(scene, view), level, {})
+    return make_plan(describe(scene, view), level, {})
 
 
 def at_second(scene: Scene, seconds: float) -> Scene:
-    return replace(scene, population=Population(scene.loaded, scene.world, scene.elevation, seconds))
+    return replace(scene, population=SceneObjects(scene.loaded, scene.world, scene.elevation, seconds))
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])
@@ -72,8 +82,8 @@ def test_the_share_of_shaded_ground_is_the_cover(cover: float) -> None:
 
 
 def test_no_cloud_at_no_cover_and_no_gap_at_a_whole_one() -> None:
-    assert threshold_of(0.0) - EDGE / 2 >= TOP
-    assert threshold_of(1.0) + EDGE / 2 <= -TOP
+    assert threshold_of(0.0) - CLOUD_EDGE_WIDTH / 2 >= NOISE_BOUND
+    assert threshold_of(1.0) + CLOUD_EDGE_WIDTH / 2 <= -NOISE_BOUND
     covers = np.linspace(0.0, 1.0, 401)
     thresholds = [threshold_of(cover) for cover in covers]
     assert all(a > b for a, b in pairwise(thresholds))
@@ -90,8 +100,8 @@ def test_little_more_cover_is_little_more_cloud(x: float, y: float, cover: float
 def test_bounds_of_the_noise(x: float, y: float, turn: float, seed: int) -> None:
     step = 1e-5
     here, there = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
-    assert abs(here) <= HIGHEST
-    assert abs(there - here) <= STEEPEST * step * (1.0 + 1e-3)
+    assert abs(here) <= MAX_NOISE
+    assert abs(there - here) <= MAX_NOISE_SLOPE * step * (1.0 + 1e-3)
 
 
 @given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
@@ -104,7 +114,7 @@ def test_no_place_in_a_box_is_denser_than_its_densest(west: float, south: float,
     bound = clouds._densest(west, west + side, south, south + side, threshold)
     assert found <= bound
     fine = side / 59.0
-    slope = clouds.OCTAVES * STEEPEST / clouds.WIDEST_M * 1.5 / EDGE
+    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.WIDEST_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= found + slope * (fine + 1.0)
 
 
@@ -118,7 +128,7 @@ def test_what_is_not_worked_out_changes_nothing() -> None:
 def test_the_shadow_lies_where_the_ray_to_the_sun_meets_the_layer(make_scene, write_raster) -> None:
     heights = np.full((40, 40), 300.0, np.float32)
     scene = make_scene(write_raster(heights, UTM, 500_000.0, 1000.0, 50.0), 90.0, 45.0, weather={"cloud_cover": 0.4})
-    layer, view = layer_of(scene), scene.view()
+    layer, view = cloud_layer_of(scene), scene.view()
     assert layer.height_m == pytest.approx(300.0 + LAYER_M)
     light, buffer = sunlight_of(scene, view), geometry_of(scene, view)
     points = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m - scene.world.anchor_earth_m
@@ -138,7 +148,7 @@ def test_same_ground_same_cloud_in_every_view(cloudy) -> None:
 
 def test_clouds_drift_by_the_clock(cloudy) -> None:
     scene = cloudy(0.4)
-    layer, later = layer_of(scene), layer_of(at_second(scene, 60.0))
+    layer, later = cloud_layer_of(scene), cloud_layer_of(at_second(scene, 60.0))
     east, north = later.drift_m - layer.drift_m
     assert np.hypot(east, north) == pytest.approx(600.0)
     assert np.degrees(np.arctan2(east, north)) == pytest.approx(67.5)
@@ -150,7 +160,7 @@ def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
     view = scene.view(size=(12, 12))
     light = sunlight_of(scene, view)[geometry_of(scene, view).there]
     assert light.size > 50
-    assert light == pytest.approx(1.0 - 0.4 * layer_of(scene).most, abs=1e-6)
+    assert light == pytest.approx(1.0 - 0.4 * cloud_layer_of(scene).most, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,26 +11,26 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.effects.effect import Block
+from terrain.effects.effect import ShadingBlock
 from terrain.effects.haze import (
     BIN,
     EFFECT,
     _farthest,
     _hiding_share,
     _showing_share,
+    apply_haze,
     extinction,
     hides_beyond_m,
-    veil,
 )  # fmt: skip
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import MESHES
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.shading import encoded, shade, sky_colors
+from terrain.shading import shade, sky_colors, srgb_encoded
 
 EAST = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])
@@ -71,7 +71,7 @@ def hazed(scene: Scene, color: np.ndarray, away_m: np.ndarray) -> np.ndarray:
     """Linear colours (n, 3) as they arrive from distances (n,)."""
     view, buffer = points(scene, away_m, np.tile(UP, (len(away_m), 1)), color)
     out = color[None].astype(np.float32)
-    veil(out, Block(scene, view, buffer, {}))
+    apply_haze(out, ShadingBlock(scene, view, buffer, {}))
     return out[0]
 
 
@@ -79,7 +79,7 @@ def picture(scene: Scene, haze: str, name: str = "v") -> tuple[np.ndarray, tuple
     """The picture of a view with haze ``on``, ``off`` or as the plan says; and the passes that ran."""
     level = scene.loaded.level.model_copy(update={"effects": "auto" if haze == "auto" else {"haze": haze}})
     view = scene.view(name)
-    frame = render_frame(scene, view, choose(describe(scene, view, name), level, {}))
+    frame = render_frame(scene, view, make_plan(describe(scene, view, name), level, {}))
     return frame.color.astype(int), tuple(record.name for record in frame.passes)
 
 
@@ -107,7 +107,7 @@ def test_sky_and_what_is_not_there_stay_as_they_are(floor):
     view, buffer = points(scene, np.array([50.0, 50.0]), np.tile(UP, (2, 1)), np.ones((2, 3)))
     buffer.there[0, 1] = False
     color = np.full((1, 2, 3), 0.125, np.float32)
-    veil(color, Block(scene, view, buffer, {}))
+    apply_haze(color, ShadingBlock(scene, view, buffer, {}))
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
@@ -128,8 +128,8 @@ def test_forced_on_without_distance_or_visibility_changes_nothing(floor, name):
 
 def test_the_encoders_bins():
     first = np.arange(round(1.0 / BIN)) * BIN
-    assert (encoded(first) == encoded(first + 0.999 * BIN)).all()
-    assert (np.diff(encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
+    assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * BIN)).all()
+    assert (np.diff(srgb_encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
@@ -137,7 +137,7 @@ def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
     share = _showing_share((horizon,) * 3)
     near = np.linspace(max(color - 2 * BIN, 0.0), min(color + 2 * BIN, 1.0), 400)
     moved = near + share * (horizon - near)
-    assert np.abs(encoded(moved).astype(int) - encoded(near)).max() <= 1
+    assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(near)).max() <= 1
 
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
@@ -145,7 +145,7 @@ def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
     share = 1.1 * _showing_share((horizon,) * 3)
     color = np.linspace(0.0, 1.0, 200_000)
     moved = color + share * (horizon - color)
-    assert np.abs(encoded(moved).astype(int) - encoded(color)).max() == 2
+    assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(color)).max() == 2
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
@@ -154,7 +154,7 @@ def test_what_is_hidden_is_alike_in_sun_and_shadow(dark, horizon, white, part):
     dark = (1.0 - white) * dark + np.linspace(0.0, 8 * BIN, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
     sun = shadow + part * share * white
-    assert np.abs(encoded(np.minimum(sun, 1.0)).astype(int) - encoded(np.minimum(shadow, 1.0))).max() <= 1
+    assert np.abs(srgb_encoded(np.minimum(sun, 1.0)).astype(int) - srgb_encoded(np.minimum(shadow, 1.0))).max() <= 1
 
 
 SUNS = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
@@ -172,8 +172,8 @@ def difference_of_sunlight(scene: Scene, away_m: float) -> np.ndarray:
     pictures = []
     for share in (0.0, 1.0):
         color = shade(buffer, scene, np.full(buffer.there.shape, share, np.float32))
-        veil(color, Block(scene, view, buffer, {}))
-        pictures.append(encoded(color).astype(int))
+        apply_haze(color, ShadingBlock(scene, view, buffer, {}))
+        pictures.append(srgb_encoded(color).astype(int))
     return np.abs(pictures[0] - pictures[1]).max(axis=-1).ravel()
 
 
@@ -240,7 +240,7 @@ def test_the_bound_holds_what_a_picture_shows(gl, floor):
     """Every point of the picture at full size, against a bound that knows nothing of what hides what."""
     scene = floor(eye=(0.0, -60.0, 50.0), weather={"visibility": 1e7}, meshes=[{"generate": "boxgrid"}])
     view, descriptor = scene.view("v"), describe(scene, scene.view("v"), "v")
-    frame = render_frame(scene, view, choose(descriptor, scene.loaded.level, {}))
+    frame = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {}))
     seen_m = np.nanmax(np.linalg.norm(frame.position_earth_m - view.eye_earth_m, axis=-1))
     assert seen_m <= descriptor.facts["haze"]["farthest_m"] <= 1.1 * seen_m
 

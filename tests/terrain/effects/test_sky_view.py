@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.effects.effect import Block
-from terrain.effects.sky_view import EFFECT, darkened_steps, hide
+from terrain.effects.effect import ShadingBlock
+from terrain.effects.sky_view import EFFECT, apply_sky_view, darkened_steps
 from terrain.gbuffer.picture import frame_of, geometry_of
 from terrain.geo.grid import MapView
-from terrain.ground.sky_view_factor import hidden_sky, nodes_of, pyramid, sky_view
+from terrain.ground.sky_view_factor import hidden_sky, pyramid, sky_view, sky_view_nodes
 from tests.render import plan_of, render
 
 ALONG = np.arange(129) - 64.0
@@ -124,7 +124,7 @@ def test_cells_are_found_without_proj(write_raster, make_scene, crs: str, x0: fl
     point, up = scene.world.ground(scene.elevation.crs, *scene.elevation.xy(row, col))
     frame = scene.world.frame_near_earth(point[0])
     position = (point + height[:, None] * up - frame.origin_earth_m) @ frame.frame_from_earth.T
-    nodes = nodes_of(sky_view(scene.elevation, scene.world), frame, position, height)
+    nodes = sky_view_nodes(sky_view(scene.elevation, scene.world), frame, position, height)
     np.testing.assert_allclose(nodes, np.stack([row, col], axis=-1), atol=0.01)
 
 
@@ -186,7 +186,7 @@ def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
 
     def seen(view: MapView) -> np.ndarray:
         skylight = np.ones((view.rows, view.cols), np.float32)
-        hide(skylight, Block(scene, view, geometry_of(scene, view), {}))
+        apply_sky_view(skylight, ShadingBlock(scene, view, geometry_of(scene, view), {}))
         return skylight
 
     part = whole.part(96, 44, 32, 40)

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import snow
-from terrain.effects.effect import Block, PixelSize
-from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, lie_on
+from terrain.effects.effect import PixelSize, ShadingBlock
+from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
 from terrain.gbuffer.geometry import GeometryBuffer, Shown
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
@@ -43,7 +43,7 @@ def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
     buffer = geometry_of(scene, view)
     albedo = albedo_of(buffer, scene)
     before = albedo.copy()
-    lie_on(albedo, Block(scene, view, buffer, {}))
+    apply_snow(albedo, ShadingBlock(scene, view, buffer, {}))
     return before, albedo, buffer
 
 
@@ -120,7 +120,7 @@ def test_same_ground_same_snow_in_every_part(slope) -> None:
     for view in (whole, part):
         buffer = geometry_of(scene, view)
         albedo = albedo_of(buffer, scene)
-        lie_on(albedo, Block(scene, view, buffer, {}))
+        apply_snow(albedo, ShadingBlock(scene, view, buffer, {}))
         drawn.append(albedo)
     assert np.array_equal(drawn[0][20:60, 30:80], drawn[1])
 
@@ -142,11 +142,11 @@ def test_called_for(slope, keys: dict, called: bool, reason: str) -> None:
     frames = []
     for wish in ("on", "off"):
         level = scene.loaded.level.model_copy(update={"effects": {"snow": wish}})
-        frames.append(render_frame(scene, view, choose(describe(scene, view), level, {})).color.astype(int))
+        frames.append(render_frame(scene, view, make_plan(describe(scene, view), level, {})).color.astype(int))
     assert (np.abs(frames[0] - frames[1]).max() > 1) == called
 
 
 def test_snow_under_the_sun_does_not_blow_out(slope) -> None:
     scene = slope(20.0, azimuth=270.0, altitude=30.0)
-    frame = render_frame(scene, scene.view(size=(60, 60)), choose(describe(scene, scene.view()), scene.loaded.level, {}))
+    frame = render_frame(scene, scene.view(size=(60, 60)), make_plan(describe(scene, scene.view()), scene.loaded.level, {}))
     assert 200 < frame.color[30, 30].min() <= frame.color[30, 30].max() < 250

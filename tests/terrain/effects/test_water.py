@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from selector.planner.planner import choose
+from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import water
-from terrain.effects.effect import Block
+from terrain.effects.effect import ShadingBlock
 from terrain.gbuffer.picture import geometry_of
 from terrain.ground.elevation import Elevation
 from terrain.level.parts import SunSpec
@@ -69,7 +69,7 @@ def make_lake(write_raster, make_scene, bowl_m):
 def drawn(scene, name: str, water_on: bool):
     view = scene.view(name)
     level = scene.loaded.level.model_copy(update={"effects": {"water": "on" if water_on else "off"}})
-    return render_frame(scene, view, choose(describe(scene, view, name), level, {})).color.astype(int)
+    return render_frame(scene, view, make_plan(describe(scene, view, name), level, {})).color.astype(int)
 
 
 def verdict(scene, name: str):
@@ -164,7 +164,7 @@ def test_glint_over_all_directions_carries_the_fresnel_share_of_the_suns_light(a
         return water._glint(eye_up, sun_up, eye_sun, area, water.MEAN_SQUARE_SLOPE) / np.pi * eye_up
 
     power, _ = dblquad(radiance, 1e-3, 1.0, 0.0, 2.0 * np.pi, epsabs=1e-6, epsrel=1e-4)
-    flat = sun_up * (water.FACING + (1.0 - water.FACING) * (1.0 - sun_up) ** 5)
+    flat = sun_up * (water.NORMAL_FRESNEL + (1.0 - water.NORMAL_FRESNEL) * (1.0 - sun_up) ** 5)
     assert 0.8 * flat < power < 1.25 * flat
 
 
@@ -252,7 +252,7 @@ def test_glint_stays_out_of_shadow(make_lake):
     shown = []
     for lit in (0.0, 1.0):
         color = np.full((*wet.shape, 3), 0.2, np.float32)
-        water.mirror(color, Block(scene, view, buffer, {"sun": np.full(wet.shape, lit, np.float32)}))
+        water.apply_water(color, ShadingBlock(scene, view, buffer, {"sun": np.full(wet.shape, lit, np.float32)}))
         shown.append(color[wet])
     assert (shown[1] >= shown[0]).all() and (shown[1] - shown[0]).max() > 0.2
     assert shown[1].max() <= 1.0

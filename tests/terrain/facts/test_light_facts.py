@@ -18,10 +18,10 @@ from terrain.describe import describe
 from terrain.facts.caster_facts import trees_of
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import TEXEL_LADDER_PX
-from terrain.facts.leaf_rays import first_leaves
-from terrain.facts.mesh_rays import meets, tree_of
-from terrain.facts.probes import evenly, quasirandom
-from terrain.facts.silhouette_facts import edges_of, layers_before, length_px
+from terrain.facts.leaf_rays import first_leaf_hits
+from terrain.facts.mesh_rays import any_hit, bvh_of
+from terrain.facts.probes import quasirandom, stratified_indices
+from terrain.facts.silhouette_facts import edge_faces_of, layers_before, length_px
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
@@ -151,7 +151,7 @@ def test_the_outline_of_a_box_has_six_edges_and_that_of_a_plate_four(tmp_path, b
 
 
 def test_edges_are_shared_by_position():
-    edges = edges_of(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
+    edges = edge_faces_of(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
     assert len(edges.ends) == 5 and (edges.beside[:, 1] >= 0).sum() == 1
 
 
@@ -188,8 +188,8 @@ def test_rays_meet_the_triangles_that_embree_says(seed, count):
     start, way = rng.uniform(-12, 12, (200, 3)), rng.normal(size=(200, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     length = rng.uniform(1.0, 20.0, 200)
-    tree = tree_of(vertices, triangles)
-    found = meets(tree, start - tree.origin_earth_m, way, length)
+    tree = bvh_of(vertices, triangles)
+    found = any_hit(tree, start - tree.origin_earth_m, way, length)
     expected = RayScene(meshes=[(vertices, triangles)]).blocked(start, way, length)
     assert (found != expected).sum() <= 1  # one that grazes an edge in float32
 
@@ -204,7 +204,7 @@ def test_leaves_stop_the_rays_that_embree_says(tmp_path):
     rng = np.random.default_rng(5)
     start = np.column_stack([rng.uniform(-60, 60, (500, 2)), rng.uniform(0.1, 5.0, 500)])
     way = np.tile(scene.sun.to_sun_earth, (500, 1))
-    met, _ = first_leaves(trees, start, way, np.full(500, np.inf))
+    met, _ = first_leaf_hits(trees, start, way, np.full(500, np.inf))
     expected = RayScene(alpha=[trees_as_mesh(trees)]).blocked(start, way)
     assert 0.1 < expected.mean() < 0.9
     assert (np.isfinite(met) == expected).mean() >= 0.97
@@ -218,7 +218,7 @@ def test_leaves_stop_the_rays_that_embree_says(tmp_path):
 
 @given(st.integers(0, 5000), st.integers(1, 2000))
 def test_a_few_of_many_are_distinct_and_in_order(size, count):
-    some = evenly(size, count)
+    some = stratified_indices(size, count)
     assert len(some) == min(size, count)
     assert (np.diff(some) > 0).all() and (not len(some) or (some[0] >= 0 and some[-1] < size))
 

@@ -13,14 +13,14 @@ from api.catalogue import find_level
 from shadows import render as render_module
 from shadows.render import Frame
 from terrain.describe import describe
-from terrain.facts.coarse_view import LOOK_PX, look_at_scene
-from terrain.gbuffer.antialias import Sampled, ends_in_crosses, sampled
+from terrain.facts.coarse_view import COARSE_STEP_PX, coarse_view_of
+from terrain.gbuffer.antialias import MultisampledBuffer, edges_in_neighbours, multisampled
 from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES, NOTHING, RELIEF
+from terrain.gbuffer.resolve import MESHES, NO_SURFACE, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.shading import encoded, shade
+from terrain.shading import shade, srgb_encoded
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -42,7 +42,7 @@ def tower(floor, make_scene, tmp_path) -> Scene:
 def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
     """The frame with one point a pixel."""
     with monkeypatch.context() as patch:
-        patch.setattr(render_module, "picture_of", lambda scene, part: Sampled(geometry_of(scene, part), part.rows))
+        patch.setattr(render_module, "picture_of", lambda scene, part: MultisampledBuffer(geometry_of(scene, part), part.rows))
         return render(scene, scene.view("eye"))
 
 
@@ -56,7 +56,7 @@ def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
     """On the outline against the sky colours between the sky's and the wall's; a face's inside is of one colour."""
     view = tower.view("eye")
     frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_of(tower, view)
-    wall, sky = buffer.kind == MESHES, buffer.kind == NOTHING
+    wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
     assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
     share = wall_share(tower, view)
     partly = (share > 0.2) & (share < 0.8) & binary_dilation(sky) & ~binary_dilation(buffer.kind == RELIEF)
@@ -77,7 +77,7 @@ def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
 def test_an_edge_s_mean_is_the_share_of_its_pixel(gl, tower):
     """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
     view = tower.view("eye")
-    picture = sampled(tower, view)
+    picture = multisampled(tower, view)
     row, col = picture.pixels
     assert len(row) > 100 and picture.each == 4
     tall = (picture.buffer.kind == MESHES).astype(float)[..., None]
@@ -94,7 +94,7 @@ def test_an_edge_s_mean_is_the_share_of_its_pixel(gl, tower):
 def test_samples_lie_inside_the_pixels_that_they_are_of(gl, tower):
     """Their points, seen from the eye, are within half a pixel of the pixel's middle, at the four places of the grid."""
     view = tower.view("eye")
-    picture = sampled(tower, view)
+    picture = multisampled(tower, view)
     buffer = picture.buffer
     row, col = np.nonzero(buffer.there)
     below = row >= view.rows
@@ -112,7 +112,7 @@ def test_data_know_nothing_of_the_samples(gl, tower, monkeypatch):
     """Visibility, heights and positions are those of a frame without samples; colours are so where nothing ends."""
     view = tower.view("eye")
     smooth = render(tower, view)
-    pixels = sampled(tower, view).pixels
+    pixels = multisampled(tower, view).pixels
     plain = unsampled(monkeypatch, tower)
     assert (plain.visibility == 0.0).any() and (plain.visibility == 1.0).any()
     np.testing.assert_array_equal(smooth.height_m, plain.height_m)
@@ -129,11 +129,11 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
     """Its triangles meet, but nothing ends between them; at its rim against the sky something does."""
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
-    picture = sampled(scene, scene.view("eye"))
+    picture = multisampled(scene, scene.view("eye"))
     assert not len(picture.pixels[0]) and picture.own is picture.buffer and picture.buffer.there.all()
     slanting = {"eye": {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 50, 25], "fov": 50, "size": [40, 400]}}
     scene = make_scene(floor, views=slanting)
-    picture = sampled(scene, scene.view("eye"))
+    picture = multisampled(scene, scene.view("eye"))
     there = picture.own.there
     marked = np.zeros(there.shape, bool)
     marked[picture.pixels] = True
@@ -144,7 +144,7 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
 def test_means_are_of_linear_light(gl, tower):
     """What is averaged is light, not bytes: the picture's edge pixels are the mean of their points' linear colours."""
     view = tower.view("eye")
-    picture = sampled(tower, view)
+    picture = multisampled(tower, view)
     frame = render(tower, view)
     lit = np.where(picture.buffer.there, 1.0, 0.0).astype(np.float32)
     colours = shade(picture.buffer, tower, lit)
@@ -152,7 +152,7 @@ def test_means_are_of_linear_light(gl, tower):
     whole = picture.buffer.there.copy()
     below = whole[view.rows :].ravel()[: len(row) * picture.each].reshape(-1, picture.each)
     solid = below.all(axis=1) & whole[row, col]  # no sky in them
-    expected = encoded(picture.averaged(colours))[row[solid], col[solid]].astype(int)
+    expected = srgb_encoded(picture.averaged(colours))[row[solid], col[solid]].astype(int)
     bright = frame.visibility[row[solid], col[solid]] == 1.0
     close = np.abs(frame.color[row[solid], col[solid]].astype(int) - expected).max(axis=1) <= 1
     assert solid.sum() > 30 and close[bright].mean() > 0.5
@@ -162,7 +162,7 @@ def test_averages_in_closed_form():
     """Two pixels of 2 x 3 with four samples each, the last row filled up: means of five."""
     picture = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
     samples = np.array([10, 20, 30, 40, 100, 100, 100, 100, 999], np.float32).reshape(3, 3, 1)
-    found = Sampled(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
+    found = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
     expected = picture.copy()
     expected[0, 1], expected[1, 2] = (1 + 100) / 5, (5 + 400) / 5
     np.testing.assert_allclose(found, expected)
@@ -171,15 +171,15 @@ def test_averages_in_closed_form():
 def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
     """A look goes through every eighth pixel: 64 of them, each a pixel on, decide of all, as the picture's own triangles do."""
     view = tower.view("eye")
-    wide = sampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
+    wide = multisampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
     marked = np.zeros((view.rows + 2, view.cols + 2), bool)
     marked[wide.pixels] = True
     found, shares = np.zeros((view.rows, view.cols), bool), []
-    for row in range(LOOK_PX):
-        for col in range(LOOK_PX):
-            look = look_at_scene(tower, view.shifted(row, col))
+    for row in range(COARSE_STEP_PX):
+        for col in range(COARSE_STEP_PX):
+            look = coarse_view_of(tower, view.shifted(row, col))
             its = look.crosses
-            found[its.row + row, its.col + col] = ends_in_crosses(its.number, its.away_m, its.ground, its.normals)
+            found[its.row + row, its.col + col] = edges_in_neighbours(its.number, its.away_m, its.ground, its.normals)
             shares.append(look.edge_share)
     marked = marked[1:-1, 1:-1]
     assert 0.02 < marked.mean() < 0.2 and (found != marked).mean() < 1e-3
@@ -194,13 +194,13 @@ def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
     part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
     there = geometry_of(tower, part).there
     assert not there[0, 0] and there.any()
-    assert look_at_scene(tower, part).edge_share == pytest.approx(len(sampled(tower, part).pixels[0]) / 49)
+    assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).pixels[0]) / 49)
 
 
 def test_a_descriptor_says_where_something_ends(gl, tower, floor, make_scene):
     """About as many pixels as are sampled; none in a map, nor on a floor alone."""
     view = tower.view("eye", size=(512, 384))
-    real = len(sampled(tower, view).pixels[0]) / (view.rows * view.cols)
+    real = len(multisampled(tower, view).pixels[0]) / (view.rows * view.cols)
     assert describe(tower, view).edge_share == pytest.approx(real, abs=0.01) and real > 0.01
     assert describe(tower, tower.view("map")).edge_share == 0.0
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
@@ -212,6 +212,6 @@ def test_ends_of_leaves_are_told_from_few_rays(gl):
     """Of a park most edges are those of its trees, which no look shows: with them it is about as many as are sampled."""
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("overview", size=(320, 256))
-    real = len(sampled(scene, view).pixels[0]) / (view.rows * view.cols)
-    bare, found = look_at_scene(scene, view).edge_share, describe(scene, view).edge_share
+    real = len(multisampled(scene, view).pixels[0]) / (view.rows * view.cols)
+    bare, found = coarse_view_of(scene, view).edge_share, describe(scene, view).edge_share
     assert bare < 0.5 * real and found == pytest.approx(real, abs=0.04)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from morecantile import tms as matrix_sets
 from pyproj import CRS, Geod, Transformer
 
-from api.layers import layer_of
+from api.layers import frame_layer
 from terrain.gbuffer.geometry import map_geometry
 from terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
 from terrain.geo.world import World
@@ -119,7 +119,7 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
     """
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.58, 12).part(300, 300, 200, 200) if tile else scene.view()
-    position = layer_of(scene, render(scene, view, algorithm="none"), "position")
+    position = frame_layer(scene, render(scene, view, algorithm="none"), "position")
     known = np.isfinite(position[..., 2])
     assert known.sum() > 10_000
     x, y, height = position[known].T

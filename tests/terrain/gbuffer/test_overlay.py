@@ -14,9 +14,9 @@ from pyproj import Transformer
 from shadows.render import render_frame
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, NOTHING, RELIEF
+from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from terrain.scene import Scene
-from terrain.trees.foliage import LOOKS
+from terrain.trees.foliage import TREE_VARIANTS
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
@@ -135,7 +135,7 @@ def test_a_building_beyond_the_ground_s_data_is_seen_where_there_is_no_ground(gl
     roof = (np.abs(x + 20) < 14.9) & (np.abs(y) < 14.9)
     assert buffer.there[roof].all() and (buffer.kind[roof] == MESHES).all()
     assert np.isfinite(buffer.position_frame_m[roof]).all()
-    assert not buffer.there[(x > 0) & ~roof].any() and (buffer.kind[(x > 0) & ~roof] == NOTHING).all()
+    assert not buffer.there[(x > 0) & ~roof].any() and (buffer.kind[(x > 0) & ~roof] == NO_SURFACE).all()
 
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
@@ -159,7 +159,7 @@ def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_p
     assert max(np.abs(along).max(), np.abs(across).max()) > 4.5
     assert abs(along.mean()) < 0.6 and abs(across.mean()) < 0.6
     ground = float(scene.elevation.ground_m(*place))
-    crown = 20.0 * LOOKS[int(scene.population.trees.look[0])].crown_height
+    crown = 20.0 * TREE_VARIANTS[int(scene.population.trees.look[0])].crown_height
     level = np.abs(buffer.height_m[tree] - ground - crown) < 0.01
     assert level.mean() > 0.9  # the rest are the upright quads, seen edge on
     np.testing.assert_allclose(buffer.normal_frame[tree][level][:, 2], 1.0, atol=1e-6)

@@ -9,16 +9,16 @@ import pytest
 import trimesh
 from pyproj import Transformer
 
-from api.layers import layer_of
+from api.layers import frame_layer
 from shadows.render import render_frame
 from terrain.casters.rays import RayScene
 from terrain.errors import InputError
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from terrain.gbuffer.resolve import MESHES, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
-from terrain.shading import SKY_HORIZON, SKY_ZENITH, encoded
+from terrain.shading import SKY_HORIZON, SKY_ZENITH, srgb_encoded
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
@@ -151,7 +151,7 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     """In its plane, inside it, and on the pixel's ray; heights, normals and corners are that triangle's, too."""
     scene = make_scene(hills, views=eye_view((*at(300, 300), 60), (*at(1500, 1500), 0), size=(160, 100)))
     view = scene.view("eye")
-    visible = Visible(scene, view, view.frame(scene.world))
+    visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = buffer_of(scene, view, visible)
     there = buffer.there
     assert there.mean() > 0.4 and (visible.seen.number[there] > 0).all() and (visible.seen.number[~there] == 0).all()
@@ -244,13 +244,13 @@ def test_layers_of_depth_and_position(gl, hills, make_scene):
     view = scene.view("eye")
     frame = render(scene, view)
     there = frame.there
-    position = layer_of(scene, frame, "position")
+    position = frame_layer(scene, frame, "position")
     assert np.isnan(position[~there]).all() and there.mean() > 0.3
     ground = scene.elevation.ground_m(position[there, 0], position[there, 1])
     np.testing.assert_allclose(position[there, 2], frame.height_m[there], atol=0.3)  # a chord of 50 m, and float32
     assert np.abs(position[there, 2] - ground).max() < 1.5  # triangles against the bilinear surface
     assert np.abs(position[there, 2] - ground).mean() < 0.2
-    depth = layer_of(scene, frame, "depth")
+    depth = frame_layer(scene, frame, "depth")
     along = (frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera
     np.testing.assert_allclose(depth[there], along[there, 2], rtol=1e-6)
     x = (view.col0 + np.arange(view.cols)) / view.focal_px
@@ -278,7 +278,7 @@ def test_a_view_of_the_sky_alone(gl, floor, make_scene, target):
     frame = render(scene, scene.view("eye"))
     assert not frame.there.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
     assert frame.opaque.all() and [record.name for record in frame.passes] == frame.plan.passes
-    between = encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
+    between = srgb_encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
     assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
 
 

@@ -16,12 +16,12 @@ from shadows.truth.truth import ALL_KINDS
 from terrain.casters.rays import sample_alpha
 from terrain.casters.reach import casters_of
 from terrain.gbuffer import tree_instances as module
-from terrain.gbuffer.picture import Visible, buffer_of, geometry_of
+from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.tree_instances import Stand, stand_in_map, stand_in_perspective
+from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.scene import Scene
-from terrain.trees.foliage import LOOKS, THRESHOLD, foliage
+from terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, foliage
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"
@@ -56,8 +56,8 @@ def eye_at(scene: Scene, eye, target, fov: float = 50.0, size=(64, 64)) -> Persp
     return look_at(np.array(eye, float), np.array(target, float), UP, fov, size[1], size[0])
 
 
-def stand_of(scene: Scene, view: PerspectiveView) -> Stand:
-    found = stand_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+def stand_of(scene: Scene, view: PerspectiveView) -> TreeInstances:
+    found = tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     assert found is not None
     return found
 
@@ -71,7 +71,7 @@ def quad_coordinates(point: np.ndarray, quad: np.ndarray) -> tuple[np.ndarray, n
     return np.column_stack([u, 1.0 - v]), off
 
 
-def alpha_at(stand: Stand, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def alpha_at(stand: TreeInstances, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Full-resolution alpha (n,) of trees' quads at texture coordinates (n, 2)."""
     alpha = foliage().levels[0][..., 3] / 255.0
     return sample_alpha(alpha, uv, 2 * stand.look[tree] + (part == 2))
@@ -82,10 +82,10 @@ def alpha_at(stand: Stand, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
 def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor, wooded, species):
-    """Each pixel's ray through the three quads of ``Stand.corners``, in closed form: the nearest opaque one is what shows."""
+    """Each pixel's ray through the three quads of ``TreeInstances.corners``, in closed form: the nearest opaque one is what shows."""
     scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, species=species)
     view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
-    visible = Visible(scene, view, view.frame(scene.world))
+    visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = buffer_of(scene, view, visible)
     stand = visible.stand
     assert stand is not None and len(stand) == 1
@@ -118,7 +118,7 @@ def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wo
     rng = np.random.default_rng(2)
     scene = wooded(floor, rng.uniform(-40, 40, (40, 2)), height=rng.uniform(8, 20, 40), crown=rng.uniform(4, 9, 40))
     view = eye_at(scene, (5.0, -75.0, 14.0), (0.0, 0.0, 6.0), 50.0, (400, 300))
-    visible = Visible(scene, view, view.frame(scene.world))
+    visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = buffer_of(scene, view, visible)
     stand = visible.stand
     assert stand is not None
@@ -149,7 +149,7 @@ def test_a_tree_s_corners_in_closed_form(floor, wooded):
     for quad, side in ((0, along), (1, across)):
         expected = [-3.5 * side, 3.5 * side, 3.5 * side + top, -3.5 * side + top]
         np.testing.assert_allclose(corners[quad], expected, atol=1e-5)
-    crown = np.array([0, 0, 16.0 * LOOKS[int(trees.look[0])].crown_height])
+    crown = np.array([0, 0, 16.0 * TREE_VARIANTS[int(trees.look[0])].crown_height])
     expected = [crown + 3.5 * (a * along + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     np.testing.assert_allclose(corners[2], expected, atol=1e-5)
 
@@ -163,7 +163,7 @@ def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, wooded):
     lon, lat = (v + 0.05 for v in (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg))
     x, y = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)
     frame = scene.world.frame_near(scene.elevation.crs, x, y)
-    stand = stand_in_map(scene.population, frame, 0.5)
+    stand = tree_instances_in_map(scene.population, frame, 0.5)
     assert stand is not None and len(stand) == 200
     top = stand.corners()[:, 0, 2:].mean(axis=1)
     earth = top @ frame.frame_from_earth + frame.origin_earth_m
@@ -206,11 +206,11 @@ def test_in_perspective_the_share_follows_the_distance(floor, wooded):
     view = eye_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
     trees, stand = scene.population.trees, stand_of(scene, view)
     away = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
-    share = np.clip((5.0 * view.focal_px / away / module.WHOLE_PX) ** 2, module.LEAST_SHARE, 1.0)
+    share = np.clip((5.0 * view.focal_px / away / module.ALL_TREES_PX) ** 2, module.MIN_DRAWN_SHARE, 1.0)
     np.testing.assert_array_equal(stand.number, np.flatnonzero(trees.rank < share))
     assert share.max() == 1.0 and share.min() < 0.2
     larger = 1 / np.sqrt(share[stand.number])
-    crown_height = np.array([LOOKS[k].crown_height for k in stand.look])
+    crown_height = np.array([TREE_VARIANTS[k].crown_height for k in stand.look])
     expected = np.stack([1.5 * larger, 1.5 * larger, 5.0 * larger, 5.0 * larger * crown_height], axis=1)
     np.testing.assert_allclose(stand.shape, expected, rtol=1e-5)
     for nearer, farther in ((30, 150), (150, 300), (300, 450), (450, 700)):
@@ -236,8 +236,8 @@ def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
     rng = np.random.default_rng(8)
     scene = wooded(floor, rng.uniform(-390, 390, (8000, 2)), height=6.0, crown=4.0)
     frame = scene.world.frame_near(scene.elevation.crs, 0.0, 0.0)
-    for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.LEAST_SHARE)):
-        stand = stand_in_map(scene.population, frame, pixel_m)
+    for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.MIN_DRAWN_SHARE)):
+        stand = tree_instances_in_map(scene.population, frame, pixel_m)
         assert stand is not None and len(stand) / 8000 == pytest.approx(share, abs=0.002)
         np.testing.assert_allclose(stand.shape[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
         x, y, _ = stand.base_frame_m.T
@@ -262,10 +262,10 @@ def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkey
     wood = shapely.to_wkb(np.array([shapely.box(-400, -400, 400, 400)], object))
     pyogrio.raw.write(tmp_path / "wood.gpkg", wood, [], [], geometry_type="Polygon", crs=ENGINEERING)
     spec = {"source": "wood.gpkg", "density": density, "height": [4.0, 4.0], "crown": [3.0, 3.0]}
-    monkeypatch.setattr(module, "WHOLE_PX", 1e6)
+    monkeypatch.setattr(module, "ALL_TREES_PX", 1e6)
     whole, thinned = [], []
     for least, shares in ((1.0, whole), (0.25, thinned)):
-        monkeypatch.setattr(module, "LEAST_SHARE", least)
+        monkeypatch.setattr(module, "MIN_DRAWN_SHARE", least)
         scene = make_scene(floor, 200.0, altitude, forest=[spec])
         for eye in ((0, -900, 500), (700, 600, 500), (-300, 100, 900)):
             view = eye_at(scene, eye, (0, 0, 0), 20.0, (160, 120))

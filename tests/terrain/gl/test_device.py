@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from terrain.errors import GraphicsError
-from terrain.gl.depth_targets import MOST_TARGETS
-from terrain.gl.programs import joined, recorded
+from terrain.gl.depth_targets import MAX_TARGETS
+from terrain.gl.programs import join_shader_parts, recorded
 from terrain.ground.surface import sheet_triangles
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
@@ -111,8 +111,12 @@ def test_a_shader_that_does_not_compile_is_one_line(gl):
 
 
 def test_a_program_is_labelled_by_its_parts_and_what_is_compiled_into_it(gl):
-    vertex = joined({"a/one": "in vec3 position;\n", "b/two.vert": "void main() { gl_Position = vec4(position, 1.0); }\n"})
-    fragment = joined({"b/two.frag": "uniform int taps;\nuniform bool lamp;\nout float c;\nvoid main() { c = lamp ? taps : 0; }\n"})
+    vertex = join_shader_parts(
+        {"a/one": "in vec3 position;\n", "b/two.vert": "void main() { gl_Position = vec4(position, 1.0); }\n"}
+    )
+    fragment = join_shader_parts(
+        {"b/two.frag": "uniform int taps;\nuniform bool lamp;\nout float c;\nvoid main() { c = lamp ? taps : 0; }\n"}
+    )
     program = gl.program(vertex, fragment, {"taps": 3, "lamp": True, "absent": 7})
     assert program.extra.label == "a/one b/two.vert b/two.frag taps=3 lamp=true"
     assert "taps" not in program and program.extra.label in gl.programs
@@ -167,7 +171,7 @@ def test_each_call_is_recorded_with_its_program(gl):
 
 def test_depth_targets_and_textures_do_not_pile_up(gl):
     """A bounded number of targets is kept; the others are released."""
-    for size in range(16, 16 + 8 * MOST_TARGETS, 4):
+    for size in range(16, 16 + 8 * MAX_TARGETS, 4):
         gl.depth_target(size, size, 16)
-    assert gl.depth_targets.count <= MOST_TARGETS
+    assert gl.depth_targets.count <= MAX_TARGETS
     assert gl.depth_target(80, 80, 16) is gl.depth_target(80, 80, 16)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from terrain.gl.stencil import MARK
+from terrain.gl.stencil import MARK_BIT
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"
@@ -91,9 +91,9 @@ def test_only_what_is_marked_counts(gl, target, number):
         with gl.stencil.count_pass(target, "z_pass", marked=True):
             draw(gl, [square(0.6, way)] * number)
         found = gl.stencil.read(target)
-        assert (found[:, left] == MARK + held).all() and (found[:, ~left] == 0).all()
-    gl.stencil.clear(target, ~MARK & 0xFF)
-    assert (gl.stencil.read(target) == np.where(left, MARK, 0)).all()
+        assert (found[:, left] == MARK_BIT + held).all() and (found[:, ~left] == 0).all()
+    gl.stencil.clear(target, ~MARK_BIT & 0xFF)
+    assert (gl.stencil.read(target) == np.where(left, MARK_BIT, 0)).all()
     gl.stencil.clear(target)
     assert (gl.stencil.read(target) == 0).all()
 
@@ -122,7 +122,7 @@ def test_row_0_is_the_first(gl, target):
     with gl.stencil.mark_pass(target):
         draw(gl, [np.array([[-1, -1, 0], [1, -1, 0], [1, -0.75, 0], [-1, -1, 0], [1, -0.75, 0], [-1, -0.75, 0]])])
     found = gl.stencil.read(target)
-    assert (found[0] == MARK).all() and (found[1:] == 0).all()
+    assert (found[0] == MARK_BIT).all() and (found[1:] == 0).all()
 
 
 @pytest.mark.parametrize("size", [(8, 8), (5, 3), (16, 4)])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from terrain.errors import InputError
 from terrain.geo.world import EARTH_RADIUS_M
-from terrain.ground.decimation import Decimated, Errors, decimate, errors_m
+from terrain.ground.decimation import Decimated, NodeErrors, decimate, errors_m
 
 ALL = 10**9
 SPACING_M = 30.0
@@ -239,7 +239,7 @@ def test_a_hole_in_a_plane_keeps_its_corners_and_not_the_nodes_along_its_sides()
 
 
 @pytest.fixture(scope="module")
-def mountains() -> Errors:
+def mountains() -> NodeErrors:
     height = fractal(150, 211, seed=5)
     height[fractal(150, 211, seed=6) > 650.0] = np.nan
     return errors_m(height, SPACING_M, True)

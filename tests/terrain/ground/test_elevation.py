@@ -146,7 +146,7 @@ def test_heights_at_points_are_the_same_whatever_the_blocks(write_raster, monkey
     x, y = rng.uniform(-190, 350, 500), rng.uniform(-46, 46, 500)
     whole = elevation.ground_m(x, y), elevation.filled_ground_m(x, y)
     assert np.isnan(whole[0]).sum() > np.isnan(whole[1]).sum() > 0
-    monkeypatch.setattr(module, "BLOCK_CELLS", 7)
+    monkeypatch.setattr(module, "READ_BLOCK_CELLS", 7)
     np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), whole)
 
 

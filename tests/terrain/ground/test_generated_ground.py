@@ -11,7 +11,7 @@ from scipy.ndimage import label
 
 from terrain.ground.elevation import Elevation
 from terrain.ground.erosion import drainage
-from terrain.ground.generated_ground import _made, made_ground
+from terrain.ground.generated_ground import _made, generated_ground
 from terrain.ground.noise import fractal
 from terrain.level.parts import Terrain
 
@@ -20,7 +20,7 @@ NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
 
 
 def ground(**terrain) -> tuple[np.ndarray, tuple[float, ...], CRS]:
-    with made_ground(Terrain.model_validate(terrain)).open() as dataset:
+    with generated_ground(Terrain.model_validate(terrain)).open() as dataset:
         return dataset.read(1), tuple(dataset.transform)[:6], CRS.from_user_input(dataset.crs.to_wkt())
 
 
@@ -39,7 +39,7 @@ def test_a_floor_has_its_nodes_at_cell_centres():
 
 
 def test_an_elevation_opens_it():
-    elevation = Elevation("floor", made=made_ground(Terrain.model_validate({"flat": {"size": [20, 20], "cells": [1, 1]}})))
+    elevation = Elevation("floor", made=generated_ground(Terrain.model_validate({"flat": {"size": [20, 20], "cells": [1, 1]}})))
     assert elevation.flat and elevation.shape == (2, 2)
     np.testing.assert_allclose(elevation.ground_m(np.array([-10.0, 0.0, 10.0]), np.zeros(3)), 0)
 

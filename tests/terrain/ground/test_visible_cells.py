@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import BLOCK_PX
-from terrain.ground.visible_cells import cells_shown, is_block, parts, whole
+from terrain.ground.visible_cells import block_slices, full_cell_range, is_block, visible_cells
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
 
     x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
     view = scene.view(bounds=(x[0], y[0], x[1], y[1]), crs=crs, size=(24, 24))
-    cells = cells_shown(scene.elevation, view)
+    cells = visible_cells(scene.elevation, view)
     buffer = geometry_of(scene, view)
     if cells is None:
         assert not buffer.there.any()
@@ -44,24 +44,24 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
     (first, last), (left, right) = cells
     height = buffer.height_m[buffer.there]
     assert ((height >= 100.0 * first + left - 101.0) & (height <= 100.0 * last + right + 101.0)).all()
-    rows, cols = parts(cells, 8, (7, 10))
+    rows, cols = block_slices(cells, 8, (7, 10))
     assert 0 <= rows.start < rows.stop <= 7 and 0 <= cols.start < cols.stop <= 10
 
 
 def test_a_small_window_shows_few(scene):
     view = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
-    (first, last), (left, right) = cells_shown(scene.elevation, view)
+    (first, last), (left, right) = visible_cells(scene.elevation, view)
     assert last - first < 6.0 and right - left < 6.0
     assert first < 28.0 < last and left < 41.0 < right
 
 
 def test_a_window_beside_the_raster_shows_none(scene):
-    assert cells_shown(scene.elevation, scene.view(bounds=(13.0, 60.0, 13.1, 60.1), crs="EPSG:4326", size=(32, 32))) is None
+    assert visible_cells(scene.elevation, scene.view(bounds=(13.0, 60.0, 13.1, 60.1), crs="EPSG:4326", size=(32, 32))) is None
 
 
 def test_a_block_of_tiles_stands_for_the_level(scene):
     small = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
     block = replace(small, row0=float(-BLOCK_PX), col0=0.0, row_step=1.0, col_step=1.0, rows=BLOCK_PX, cols=BLOCK_PX)
     assert is_block(block) and not is_block(small)
-    assert cells_shown(scene.elevation, block) == whole(scene.elevation)
+    assert visible_cells(scene.elevation, block) == full_cell_range(scene.elevation)
     assert not is_block(replace(block, col0=256.0)) and not is_block(replace(block, rows=256))

@@ -13,7 +13,7 @@ from shadows.registry import ALGORITHMS
 from terrain.effects import EFFECTS
 from terrain.errors import InputError, LevelError
 from terrain.level.algorithm_names import ALGORITHM_NAMES
-from terrain.level.level import EffectName, algorithm_choice, load_level, parse_algorithm, parse_sun, spelt
+from terrain.level.level import EffectName, expand_override, load_level, parse_algorithm, parse_sun, spelt
 
 GOOD = "version: 1\nterrain: {source: jacksboro}\n"
 
@@ -89,18 +89,18 @@ def test_a_missing_level_and_one_that_is_no_text(tmp_path):
 
 
 def test_overrides_are_spelt_out():
-    assert algorithm_choice("auto") == {}
+    assert expand_override("auto") == {}
     every = {"relief": "shadow_map", "meshes": "shadow_map", "forest": "shadow_map"}
-    assert algorithm_choice("shadow_map") == {"sun": every}
-    assert algorithm_choice("shadow_map", ("sun", "lamp")) == {"sun": every, "lamp": every}
-    assert algorithm_choice({"forest": "none", "lamp": "shadow_map"}, ("sun", "lamp")) == {"sun": {"forest": "none"}, "lamp": every}
-    assert algorithm_choice({"relief": "none"}) == {"sun": {"relief": "none"}}
-    assert algorithm_choice({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
+    assert expand_override("shadow_map") == {"sun": every}
+    assert expand_override("shadow_map", ("sun", "lamp")) == {"sun": every, "lamp": every}
+    assert expand_override({"forest": "none", "lamp": "shadow_map"}, ("sun", "lamp")) == {"sun": {"forest": "none"}, "lamp": every}
+    assert expand_override({"relief": "none"}) == {"sun": {"relief": "none"}}
+    assert expand_override({"sun": {"relief": "none"}}) == {"sun": {"relief": "none"}}
     assert parse_algorithm("relief=shadow_map") == {"relief": "shadow_map"}
     for text in ("sweep", "relief=sweep,forest=shadow_map,lamp=none"):
         assert spelt(parse_algorithm(text)) == text
     with pytest.raises(PydanticCustomError, match="relief"):
-        algorithm_choice(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
+        expand_override(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
     with pytest.raises(InputError, match=", ".join([*ALGORITHM_NAMES, "auto"])):
         parse_algorithm("sweeep")
 

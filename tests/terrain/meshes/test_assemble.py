@@ -13,7 +13,7 @@ from pyproj import CRS
 from terrain.errors import LevelError, SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
 from terrain.level.level import load_level
-from terrain.meshes.assemble import place, solids
+from terrain.meshes.assemble import place_meshes, solids
 from terrain.meshes.body import srgb_albedo
 from terrain.scene import build_scene
 
@@ -42,7 +42,7 @@ def degrees_of(x: float, y: float) -> tuple[float, float]:
 
 
 def assembled(scene, seconds: float = 0.0):
-    return solids(place(scene.loaded, scene.world, scene.elevation), seconds)
+    return solids(place_meshes(scene.loaded, scene.world, scene.elevation), seconds)
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     at_rest = scene.population
     later = scene.at_second(3.0).population
     assert at_rest.at_second(0.0) is at_rest and later.placement is at_rest.placement
-    monkeypatch.setattr("terrain.meshes.assemble.place", None)
+    monkeypatch.setattr("terrain.meshes.assemble.place_meshes", None)
     np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
     assert abs(later.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
     # The arrow has edges alone; facets of the shell, which is seen from inside, rise beside each other by some degrees.

@@ -17,8 +17,8 @@ from shapely import affinity
 
 from terrain.errors import LevelError, SourceError
 from terrain.level.level import load_level
-from terrain.meshes.assemble import place, solids
-from terrain.meshes.body import Body, box, moved, srgb_albedo
+from terrain.meshes.assemble import place_meshes, solids
+from terrain.meshes.body import Body, box, srgb_albedo, transformed
 from terrain.meshes.buildings import FOOTING_M, _block_triangles, _roof_triangles
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
@@ -50,7 +50,7 @@ def world_of(tmp_path: Path, terrain: dict, **mesh):
 def placed(tmp_path: Path, dem: Path, **mesh):
     """The one mesh of a level over a raster, and the level's world and elevation."""
     loaded, world, elevation = world_of(tmp_path, {"source": str(dem)}, **mesh)
-    return place(loaded, world, elevation).seen, world, elevation
+    return place_meshes(loaded, world, elevation).seen, world, elevation
 
 
 def heights(body, world, elevation) -> np.ndarray:
@@ -118,7 +118,7 @@ def test_triangles_without_area_are_dropped():
 
 
 def test_moved_scales_turns_and_shifts():
-    body = moved(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), turn_deg=90, scale=2)
+    body = transformed(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), turn_deg=90, scale=2)
     np.testing.assert_allclose(body.vertices_m, [[10, 22, 30], [10, 24, 30], [10, 22, 32]], atol=1e-12)
 
 
@@ -305,7 +305,7 @@ def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_d
 def test_a_flat_world(tmp_path):
     source = written(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
     loaded, world, elevation = world_of(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
-    vertices = solids(place(loaded, world, elevation), 0.0).vertices_earth_m
+    vertices = solids(place_meshes(loaded, world, elevation), 0.0).vertices_earth_m
     np.testing.assert_allclose(vertices.min(axis=0), [-10, -5, -FOOTING_M], atol=1e-9)
     np.testing.assert_allclose(vertices.max(axis=0), [10, 5, 6], atol=1e-9)
 

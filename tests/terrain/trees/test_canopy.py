@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from terrain.errors import SourceError
 from terrain.trees import canopy as module
-from terrain.trees.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, WINDOW_M, Canopy, CellWindow, room_m
+from terrain.trees.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)
@@ -28,7 +28,7 @@ def bumps(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m:
 
 def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
     window = canopy.window(crs, None)
-    pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, WINDOW_M[species], 0))
+    pieces = list(canopy.trees(crs, 1.0, window, lambda h: 1.0 + 0.25 * h, TREETOP_WINDOW_M[species], 0))
     x, y = (np.concatenate([getattr(p.places, axis) for p in pieces]) for axis in "xy")
     return x, y, np.concatenate([p.height_m for p in pieces])
 
@@ -159,9 +159,9 @@ def test_a_broad_crown_with_several_humps_is_one_broadleaved_tree_and_several_co
 
 def test_the_broadleaved_window_is_half_a_deciduous_crown():
     height_m = np.linspace(8.0, 25.0, 100)
-    base, slope = WINDOW_M["broadleaf"]
+    base, slope = TREETOP_WINDOW_M["broadleaf"]
     np.testing.assert_allclose(base + slope * height_m, (3.09632 + 0.00895 * height_m**2) / 2, atol=0.22)
-    conifer = WINDOW_M["conifer"]
+    conifer = TREETOP_WINDOW_M["conifer"]
     assert (base + slope * height_m > conifer[0] + conifer[1] * height_m).all()
 
 

@@ -10,12 +10,12 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from terrain.errors import InputError
 from terrain.trees import foliage as module
-from terrain.trees.foliage import LOOKS, THRESHOLD, Foliage, coverage_mips, foliage
+from terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips, foliage
 from terrain.trees.foliage_paint import Whorled
 
 WHORLED = [i for i, (_, model) in enumerate(module._KINDS) if isinstance(model, Whorled)]
-SIDES = range(0, 2 * len(LOOKS), 2)
-LAYERS = range(2 * len(LOOKS))
+SIDES = range(0, 2 * len(TREE_VARIANTS), 2)
+LAYERS = range(2 * len(TREE_VARIANTS))
 
 
 def bilinear(n: int, points: int = 4) -> np.ndarray:
@@ -128,11 +128,11 @@ def test_a_threshold_outside_alpha_is_refused(threshold: float) -> None:
 
 
 def test_looks() -> None:
-    assert len({look.name for look in LOOKS}) == len(LOOKS)
-    assert sum(look.species == "conifer" for look in LOOKS) >= 4
-    assert sum(look.species == "broadleaf" for look in LOOKS) >= 4
-    assert {look.species for look in LOOKS} == {"conifer", "broadleaf"}
-    assert all(0.0 < look.crown_height < 1.0 and 0.1 < look.crown_to_height < 1.2 for look in LOOKS)
+    assert len({look.name for look in TREE_VARIANTS}) == len(TREE_VARIANTS)
+    assert sum(look.species == "conifer" for look in TREE_VARIANTS) >= 4
+    assert sum(look.species == "broadleaf" for look in TREE_VARIANTS) >= 4
+    assert {look.species for look in TREE_VARIANTS} == {"conifer", "broadleaf"}
+    assert all(0.0 < look.crown_height < 1.0 and 0.1 < look.crown_to_height < 1.2 for look in TREE_VARIANTS)
 
 
 def test_a_look_names_the_proportions_it_is_painted_in() -> None:
@@ -141,7 +141,7 @@ def test_a_look_names_the_proportions_it_is_painted_in() -> None:
 
 def test_levels(pictures: Foliage) -> None:
     sizes = [256, 128, 64, 32, 16, 8, 4]
-    assert [level.shape for level in pictures.levels] == [(2 * len(LOOKS), s, s, 4) for s in sizes]
+    assert [level.shape for level in pictures.levels] == [(2 * len(TREE_VARIANTS), s, s, 4) for s in sizes]
     assert all(level.dtype == np.uint8 for level in pictures.levels)
 
 
@@ -154,7 +154,7 @@ def test_two_makings_are_equal(pictures: Foliage) -> None:
 
 
 def test_every_layer_is_another_picture(pictures: Foliage) -> None:
-    assert len({layer.tobytes() for layer in pictures.levels[0]}) == 2 * len(LOOKS)
+    assert len({layer.tobytes() for layer in pictures.levels[0]}) == 2 * len(TREE_VARIANTS)
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -197,7 +197,7 @@ def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, look: int) -> None
     assert 1.5 * thirds[0] < thirds[1] and 1.15 * thirds[1] < thirds[2]
 
 
-@pytest.mark.parametrize("look", range(len(LOOKS)))
+@pytest.mark.parametrize("look", range(len(TREE_VARIANTS)))
 def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, look: int) -> None:
     shown = opaque(pictures.levels[0][2 * look + 1])
     y, x = np.indices(shown.shape) - 127.5

@@ -15,16 +15,16 @@ from scipy.spatial import cKDTree
 
 from terrain.errors import LevelError, SourceError
 from terrain.trees import forest as module
-from terrain.trees.foliage import LOOKS
-from terrain.trees.forest import CROWN_SPREAD, Site, plant
-from terrain.trees.scatter import LEAST_SPACING, joined, keys, point_keys, scatter, shares
+from terrain.trees.foliage import TREE_VARIANTS
+from terrain.trees.forest import CROWN_SPREAD, Site, plant_trees
+from terrain.trees.scatter import LEAST_SPACING, join_places, keys, point_keys, scatter_trees, shares
 from terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32632"
 X0, Y0 = 500000.0, 5202000.0
 SIDE = 2000.0
-CONIFERS = [n for n, look in enumerate(LOOKS) if look.species == "conifer"]
+CONIFERS = [n for n, look in enumerate(TREE_VARIANTS) if look.species == "conifer"]
 
 
 def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def vectors(tmp_path: Path):
 
 
 def planted(scene) -> Trees | None:
-    return plant(scene.loaded, scene.world, scene.elevation)
+    return plant_trees(scene.loaded, scene.world, scene.elevation)
 
 
 def xyh(scene, trees: Trees) -> np.ndarray:
@@ -71,11 +71,11 @@ def test_scattered_trees_are_as_many_as_the_density_says():
         expected = area.area / 1e4 * density
         # One tree a cell: only cells on the rim vary.
         rim = area.length / np.sqrt(1e4 / density)
-        assert len(scatter(area, density, 5)) == pytest.approx(expected, abs=3 * np.sqrt(rim))
+        assert len(scatter_trees(area, density, 5)) == pytest.approx(expected, abs=3 * np.sqrt(rim))
 
 
 def test_no_two_trees_are_nearer_than_half_a_cell_and_none_in_rows():
-    places = scatter(shapely.box(-500, -500, 500, 500), 900.0, 1)
+    places = scatter_trees(shapely.box(-500, -500, 500, 500), 900.0, 1)
     pitch = np.sqrt(1e4 / 900.0)
     points = np.column_stack([places.x, places.y])
     assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= LEAST_SPACING * pitch
@@ -97,15 +97,15 @@ def test_a_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
     half = shapely.Polygon(
         [middle - 500 * along, middle + 500 * along, middle + 500 * (along + across), middle + 500 * (across - along)]
     )
-    whole, _ = joined([scatter(area, density, seed)])
-    parts, _ = joined([scatter(area & half, density, seed), scatter(area - half, density, seed)])
+    whole, _ = join_places([scatter_trees(area, density, seed)])
+    parts, _ = join_places([scatter_trees(area & half, density, seed), scatter_trees(area - half, density, seed)])
     np.testing.assert_array_equal(whole.key, parts.key)
     np.testing.assert_array_equal(whole.x, parts.x)
 
 
 def test_seeds_give_other_stands():
     area = shapely.box(0, 0, 300, 300)
-    first, second = scatter(area, 100.0, 1), scatter(area, 100.0, 2)
+    first, second = scatter_trees(area, 100.0, 1), scatter_trees(area, 100.0, 2)
     assert not np.intersect1d(first.x, second.x).size
 
 
@@ -369,7 +369,7 @@ def test_bad_stands_are_refused_in_one_line(hill, make_scene, vectors, geometry,
 
 
 def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypatch, write_raster):
-    monkeypatch.setattr(module, "MOST_TREES", 1000)
+    monkeypatch.setattr(module, "MAX_TREES", 1000)
     stand = {"source": vectors([shapely.box(0, 0, 400, 400)]), "density": 50}
     with pytest.raises(LevelError, match=r"forest\.1: '80. trees' .*1,000 trees in a level, 1\d\d|2\d\d of which are left"):
         planted(make_scene(hill, forest=[stand, stand]))
