@@ -49,7 +49,7 @@ def remarks(path: Path) -> list[str]:
     Raises ``SkuggaError``.
     """
     scene = build_scene(load_level(path))
-    population, made = scene.population, scene.loaded.level.terrain.source is None
+    objects, made = scene.objects, scene.loaded.level.terrain.source is None
     for name in scene.loaded.level.views:
         scene.view(name)
     imagery_of(scene)
@@ -65,11 +65,11 @@ def remarks(path: Path) -> list[str]:
         f"{elevation.cols} x {elevation.rows} cells of about {elevation.cell_size_m(scene.world.metres_per_unit):.3g} m, "
         f"heights {low:.0f} to {high:.0f} m, {elevation.crs.name}"
     )
-    if population.trees is not None:
-        heights = population.trees.height_m
+    if objects.trees is not None:
+        heights = objects.trees.height_m
         notes.append(f"{len(heights)} trees, {heights.min():.1f} to {heights.max():.1f} m high")
-    if population.solids is not None:
-        solids = population.solids
+    if objects.solids is not None:
+        solids = objects.solids
         notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))

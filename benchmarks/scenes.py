@@ -50,7 +50,7 @@ def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[di
             view = scene.view(name, size=size)
             plan = make_plan(describe(scene, view, name), scene.loaded.level, {"algorithm": "shadow_map", "map_size": map_size})
             figures = measure_plan(scene, view, plan).figures
-            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.population.kinds), **figures})
+            rows.append({"level": path.stem, "view": name, "casters": ", ".join(scene.objects.kinds), **figures})
             print(line(rows[-1]), flush=True)
     return rows
 
@@ -125,7 +125,7 @@ def thinning(count: int) -> None:
                 view, drawn, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_of(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
-                    drawn = len(buffer.stand)
+                    drawn = len(buffer.tree_instances)
                     lit = lit_from(buffer, scene, "sun", ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
                     parts.append(block_shares(np.where(buffer.there, 1.0 - lit, np.nan)))
                 shares.append(np.array(parts))

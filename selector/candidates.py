@@ -77,7 +77,7 @@ def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, asked
 def _served(descriptor: Descriptor, level: Level, light: str, asked: dict[str, Any]) -> list[Plan]:
     """The plan of what is asked, if it is served and really taken under the light."""
     with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-        plan = make_plan(descriptor, level, asked, picks={})  # what is not named goes by shadow maps
+        plan = make_plan(descriptor, level, asked, choices={})  # what is not named goes by shadow maps
         wanted = asked["algorithm"]
         names = set(wanted.values()) if isinstance(wanted, dict) else {wanted}
         if names & set(plan.algorithm.get(light, {}).values()) or not plan.algorithm:

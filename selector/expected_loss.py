@@ -30,11 +30,11 @@ class Forecast:
     """A candidate's expected figures, and the chance in [0, 1] that it misses the error that is asked for."""
 
     figures: CandidateFigures
-    chance_of_error: float
+    error_miss_chance: float
 
-    def chance_of_missing(self, max_ms: float | None) -> float:
+    def miss_chance(self, max_ms: float | None) -> float:
         """The chance that it misses the error or the time."""
-        return 1.0 - (1.0 - self.chance_of_error) * (1.0 - late_chance(self.figures.ms, max_ms))
+        return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - late_chance(self.figures.ms, max_ms))
 
 
 def late_chance(ms: float, max_ms: float | None) -> float:
@@ -44,7 +44,7 @@ def late_chance(ms: float, max_ms: float | None) -> float:
     return 1.0 / (1.0 + exp(-max(min(log(max(ms, 1e-9) / max_ms) / TIME_SPREAD, 50.0), -50.0)))
 
 
-def least_expected_loss(hopes: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
+def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
     """The candidate to take.
 
     1. Where some are likely to meet the target: the one with the least expected time, a miss taken as ``MISS_PENALTY`` times their
@@ -55,11 +55,11 @@ def least_expected_loss(hopes: Sequence[Forecast], max_error: float, max_ms: flo
 
     ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """
-    able = [one for one in hopes if one.figures.name != NO_SHADOWS] or list(hopes)
-    likely = [one for one in able if one.chance_of_missing(max_ms) <= LIKELY_MISS_CHANCE]
+    able = [one for one in forecasts if one.figures.name != NO_SHADOWS] or list(forecasts)
+    likely = [one for one in able if one.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
     if likely:
         miss_ms = MISS_PENALTY * sorted(one.figures.ms for one in likely)[len(likely) // 2]
-        winner = min(likely, key=lambda one: (_expected(one.figures.ms, miss_ms, one.chance_of_missing(max_ms)), one.figures.name))
+        winner = min(likely, key=lambda one: (_expected(one.figures.ms, miss_ms, one.miss_chance(max_ms)), one.figures.name))
         return RankingResult(winner.figures, True, None)
     in_time = [one for one in able if max_ms is not None and late_chance(one.figures.ms, max_ms) <= LIKELY_MISS_CHANCE]
     if not in_time:

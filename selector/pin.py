@@ -47,7 +47,7 @@ Pair = tuple[ScalarNode, Node]
 Edit = tuple[int, int, str]
 
 
-def pins(plan: Plan, descriptor: Descriptor, wishes: PlanRequest) -> dict[str, Any]:
+def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[str, Any]:
     """What a level has to say for a plan: ``algorithm`` of all that casts, and the settings that do not follow from it.
 
     A level has one value of a setting for all lights and kinds of casters: one that differs among them stays automatic. Raises
@@ -58,7 +58,7 @@ def pins(plan: Plan, descriptor: Descriptor, wishes: PlanRequest) -> dict[str, A
     if not cast:
         raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
-    automatic = make_plan(descriptor, wishes, chosen, picks={})
+    automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
         values = _values(plan, key)
         picked = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)

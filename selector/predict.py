@@ -1,4 +1,4 @@
-"""The ``predict`` policy: of the portfolio the pick whose expected time and error a target asks for."""
+"""The ``predict`` policy: of the portfolio the choice whose expected time and error a target asks for."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
 @dataclass(frozen=True)
 class PredictedChoice:
-    """A pick of a light with the steps that it comes to, and what is expected of them."""
+    """A choice for a light with the steps that it comes to, and what is expected of them."""
 
-    pick: Choice
+    choice: Choice
     steps: tuple[Step, ...]
     ms: float
     errors: ExpectedErrors
@@ -40,15 +40,15 @@ class PredictedChoice:
     def algorithms(self) -> frozenset[AlgorithmName]:
         return frozenset(step.algorithm for step in self.steps)
 
-    def hope(self, max_error: float) -> Forecast:
+    def forecast(self, max_error: float) -> Forecast:
         """What there is to hope for of it with a target."""
-        figures = CandidateFigures(self.pick.name, self.ms, self.errors.wrong_cast, self.errors.interior)
+        figures = CandidateFigures(self.choice.name, self.ms, self.errors.wrong_cast, self.errors.interior)
         return Forecast(figures, self.errors.chance_over(max_error))
 
 
 def predicted_plan(
     descriptor: Descriptor,
-    wishes: PlanRequest,
+    plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
     device: DeviceProfile,
     errors: ErrorModel | None = None,
@@ -59,7 +59,7 @@ def predicted_plan(
 
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """
-    planner = planner_of(descriptor, wishes, overrides)
+    planner = planner_of(descriptor, plan_request, overrides)
     asked = planner.asked
     casting = {light: planner.casting(light) for light in descriptor.light_kinds}
     unmeasured: dict[AlgorithmName, str] = {}
@@ -68,17 +68,17 @@ def predicted_plan(
     }
     if not all(options.values()):
         return _by_rules(planner, unmeasured)
-    hopes = {light: [each.hope(asked.max_error) for each in its] for light, its in options.items()}
-    verdicts = {light: least_expected_loss(its, asked.max_error) for light, its in hopes.items()}
+    forecasts = {light: [each.forecast(asked.max_error) for each in its] for light, its in options.items()}
+    verdicts = {light: least_expected_loss(its, asked.max_error) for light, its in forecasts.items()}
     needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     if asked.max_ms is not None and options:
         shares = {light: asked.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
-        verdicts = {light: least_expected_loss(its, asked.max_error, shares[light]) for light, its in hopes.items()}
-    taken = {light: next(each for each in its if each.pick.name == verdicts[light].winner.name) for light, its in options.items()}
-    picks = {
+        verdicts = {light: least_expected_loss(its, asked.max_error, shares[light]) for light, its in forecasts.items()}
+    taken = {light: next(each for each in its if each.choice.name == verdicts[light].winner.name) for light, its in options.items()}
+    choices = {
         light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
     }
-    plan = planner.plan(picks, unmeasured | _rejected(options, taken, asked.max_error))
+    plan = planner.plan(choices, unmeasured | _rejected(options, taken, asked.max_error))
     return plan.model_copy(
         update={
             "policy": "predict",
@@ -115,8 +115,8 @@ def predicted_choices(
     descriptor, model = planner.descriptor, errors or packaged_model()
     found: dict[tuple[object, ...], PredictedChoice] = {}
     known: dict[object, tuple[float, float]] = {}
-    for pick in portfolio(descriptor, light, kinds):
-        steps = planner.steps(light, pick)
+    for choice in portfolio(descriptor, light, kinds):
+        steps = planner.steps(light, choice)
         # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
         if keys in found:
@@ -132,7 +132,7 @@ def predicted_choices(
             continue
         wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
         found[keys] = PredictedChoice(
-            pick, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
+            choice, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
         )
     return list(found.values())
 
@@ -144,9 +144,9 @@ def _with_words(
     verdict: RankingResult,
     max_error: float,
 ) -> Choice:
-    """The pick with the reasons for it, in words."""
+    """The choice with the reasons for it."""
     its = f"{format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)} expected"
-    settings = " ".join(f"{key} {value}" for key, value in taken.pick.settings.items())
+    settings = " ".join(f"{key} {value}" for key, value in taken.choice.settings.items())
     if not verdict.met:
         why = f"{its}: nothing is expected to meet the target, and this comes nearest"
     else:
@@ -157,11 +157,11 @@ def _with_words(
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
         elif beside.ms >= taken.ms:
-            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.pick.name}, {format_duration(beside.ms)}"
+            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.choice.name}, {format_duration(beside.ms)}"
         else:
-            why += f"{beside.pick.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
+            why += f"{beside.choice.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
     sizes = f"what the target takes ({settings})"
-    return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
+    return replace(taken.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.choice.settings, sizes)})
 
 
 def _chance(option: PredictedChoice, max_error: float) -> str:
@@ -183,11 +183,11 @@ def _rejected(
             able = [each for each in its if name in each.algorithms]
             if not able or name in taken[light].algorithms:
                 continue
-            verdict = least_expected_loss([each.hope(max_error) for each in able], max_error)
-            nearest = next(each for each in able if each.pick.name == verdict.winner.name)
+            verdict = least_expected_loss([each.forecast(max_error) for each in able], max_error)
+            nearest = next(each for each in able if each.choice.name == verdict.winner.name)
             if verdict.met:
                 said[name] = (
-                    f"{format_duration(nearest.ms)} expected of {nearest.pick.name} {_chance(nearest, max_error)}; "
+                    f"{format_duration(nearest.ms)} expected of {nearest.choice.name} {_chance(nearest, max_error)}; "
                     f"{format_duration(taken[light].ms)} of what is taken"
                 )
             else:

@@ -35,7 +35,7 @@ class RankingResult:
 
 
 def best(
-    candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, alike: float = TIME_TIE_RATIO
+    candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, tie_ratio: float = TIME_TIE_RATIO
 ) -> RankingResult:
     """The candidate that a target asks for.
 
@@ -54,7 +54,7 @@ def best(
     accurate = [one for one in in_time if one.error <= max_error and one.interior <= MOST_INTERIOR]
     if accurate:
         least_ms = min(one.ms for one in accurate)
-        return RankingResult(min((one for one in accurate if one.ms <= alike * least_ms), key=_accuracy), True, None)
+        return RankingResult(min((one for one in accurate if one.ms <= tie_ratio * least_ms), key=_accuracy), True, None)
     if max_ms is not None and in_time:
         winner = min(in_time, key=lambda one: (_clean(one, max_error), *_accuracy(one)))
     else:

@@ -77,7 +77,7 @@ class PlanState:
     """
 
     plan: Plan
-    picks: Mapping[str, Choice]
+    choices: Mapping[str, Choice]
     asked: tuple[object, ...]
     patience: int
     better_for: int = 0
@@ -108,9 +108,9 @@ class Replanner:
         self._plans: PlanFunction = plans or partial(select, policy=policy, device=device)
         self._standing: PlanState | None = None
 
-    def plan(self, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
+    def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
         """The next frame's plan. Raises as ``selector.select.select`` does."""
-        self._standing = next_state(self._standing, descriptor, wishes, overrides, self._plans)
+        self._standing = next_state(self._standing, descriptor, plan_request, overrides, self._plans)
         return self._standing.plan
 
     def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
@@ -132,29 +132,33 @@ class Replanner:
 
 
 def next_state(
-    standing: PlanState | None, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
+    standing: PlanState | None,
+    descriptor: Descriptor,
+    plan_request: PlanRequest,
+    overrides: dict[str, Any] | None,
+    plans: PlanFunction,
 ) -> PlanState:
     """What stands after the next plan."""
-    fresh = plans(descriptor, wishes, overrides)
-    asked = (descriptor.view_kind, wishes.shadows, wishes.effects, overrides or {})
-    picks = choices_of(fresh)
-    fresh = fresh.model_copy(update={"settings": make_plan(descriptor, wishes, overrides, picks).settings})
-    taken = PlanState(fresh, picks, asked, PATIENCE)
+    fresh = plans(descriptor, plan_request, overrides)
+    asked = (descriptor.view_kind, plan_request.shadows, plan_request.effects, overrides or {})
+    choices = choices_of(fresh)
+    fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
+    taken = PlanState(fresh, choices, asked, PATIENCE)
     if standing is None or standing.asked != asked:
         return taken
     try:
-        kept = make_plan(descriptor, wishes, overrides, standing.picks)
-        alike = _choices(choices_of(kept)) == _choices(picks)
-        kept = fresh if alike else _judged(kept, descriptor, wishes, overrides, plans)
+        kept = make_plan(descriptor, plan_request, overrides, standing.choices)
+        alike = _choices(choices_of(kept)) == _choices(choices)
+        kept = fresh if alike else _judged(kept, descriptor, plan_request, overrides, plans)
     except UnsupportedError:
         return taken
     standing = replace(standing, plan=kept)
     if standing.handover is not None and standing.left is not None:
-        return _going_on(standing, standing.handover, standing.left, descriptor, wishes, overrides)
+        return _going_on(standing, standing.handover, standing.left, descriptor, plan_request, overrides)
     if alike:
-        return replace(standing, picks=_joined(standing.picks, picks), better_for=0)
+        return replace(standing, choices=_joined(standing.choices, choices), better_for=0)
     cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
-    unpicked = cast - {(light, kind) for light, pick in standing.picks.items() for kind in pick.algorithm}
+    unpicked = cast - {(light, kind) for light, choice in standing.choices.items() for kind in choice.algorithm}
     if not unpicked and not is_better(fresh, kept):
         return replace(standing, better_for=0)
     if not unpicked and standing.better_for + 1 < standing.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
@@ -163,7 +167,7 @@ def next_state(
     if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
         return taken
     step = 1.0 / max(transition_frames(kept, fresh), SHORTEST)
-    return replace(taken, left=standing.picks, step=step, handover=PlanTransition(kept, step))
+    return replace(taken, left=standing.choices, step=step, handover=PlanTransition(kept, step))
 
 
 def _going_on(
@@ -171,7 +175,7 @@ def _going_on(
     handover: PlanTransition,
     left: Mapping[str, Choice],
     descriptor: Descriptor,
-    wishes: PlanRequest,
+    plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
 ) -> PlanState:
     """What stands in the next frame of a switch, or at its end."""
@@ -180,7 +184,7 @@ def _going_on(
     if share > 1.0 - 1e-9:
         return ended
     try:
-        plan = make_plan(descriptor, wishes, overrides, left)
+        plan = make_plan(descriptor, plan_request, overrides, left)
     except UnsupportedError:  # what is left no longer serves
         return ended
     return replace(standing, shown=handover.share, handover=PlanTransition(plan, share))
@@ -242,7 +246,7 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
 
     What else a plan resolves from a view may come out otherwise by its picks: where cascades end, if their number was not given.
     """
-    picks = {}
+    choices = {}
     for light, per_kind in plan.algorithm.items():
         algorithm = {kind: name for kind, name in per_kind.items() if name != NO_SHADOWS}
         resolved = [settings.asked_as for settings in plan.settings.get(light, {}).values()]
@@ -250,41 +254,43 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
         settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
         why = dict.fromkeys([*algorithm, *settings], "kept: nothing else is better by a margin")
-        picks[light] = Choice(" ".join(words), algorithm, settings, why)
-    return picks
+        choices[light] = Choice(" ".join(words), algorithm, settings, why)
+    return choices
 
 
-def _judged(kept: Plan, descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction) -> Plan:
+def _judged(
+    kept: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
+) -> Plan:
     """A plan of picks with what the policy expects of it."""
-    judged = plans(descriptor, wishes, {**(overrides or {}), **_as_overrides(choices_of(kept))})
+    judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_of(kept))})
     reasons = [*kept.reasons, *(one for one in judged.reasons if one.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
     return kept.model_copy(update=expected)
 
 
-def _joined(picks: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
+def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
     """Picks that choose alike for what casts now as one, so that what has ceased to cast is still picked for when it is back."""
-    before = {light: picks.get(light, pick) for light, pick in more.items()}
+    before = {light: choices.get(light, choice) for light, choice in more.items()}
     return {
         light: replace(
-            pick, algorithm={**before[light].algorithm, **pick.algorithm}, settings={**before[light].settings, **pick.settings}
+            choice, algorithm={**before[light].algorithm, **choice.algorithm}, settings={**before[light].settings, **choice.settings}
         )
-        for light, pick in more.items()
+        for light, choice in more.items()
     }  # fmt: skip
 
 
-def _as_overrides(picks: Mapping[str, Choice]) -> dict[str, Any]:
+def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
     """The overrides that lead to picks; a setting that lights differ in is left to the policy."""
-    out: dict[str, Any] = {"algorithm": {light: dict(pick.algorithm) for light, pick in picks.items() if pick.algorithm}}
+    out: dict[str, Any] = {"algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}}
     for key in tuned_settings():
-        values = {pick.settings[key] for pick in picks.values() if key in pick.settings}
+        values = {choice.settings[key] for choice in choices.values() if key in choice.settings}
         if len(values) == 1:
             out[key] = values.pop()
     return out
 
 
-def _choices(picks: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
-    return {light: (dict(pick.algorithm), dict(pick.settings)) for light, pick in picks.items()}
+def _choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
+    return {light: (dict(choice.algorithm), dict(choice.settings)) for light, choice in choices.items()}
 
 
 def _miss(plan: Plan) -> float:

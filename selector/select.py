@@ -23,7 +23,7 @@ UNCALIBRATED = "this device is not calibrated for predictions (skugga calibrate 
 
 def select(
     descriptor: Descriptor,
-    wishes: PlanRequest,
+    plan_request: PlanRequest,
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
@@ -38,8 +38,8 @@ def select(
     if policy == "predict" and device is not None:
         from selector.predict import predicted_plan
 
-        return predicted_plan(descriptor, wishes, overrides, device)
-    plan = make_plan(descriptor, wishes, overrides)
+        return predicted_plan(descriptor, plan_request, overrides, device)
+    plan = make_plan(descriptor, plan_request, overrides)
     if policy == "rules":
         return plan
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=UNCALIBRATED)]})

@@ -178,10 +178,13 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
             vertex = shader("shadows/planar", "terrain/gbuffer/tree", "shadows/planar_tree.vert")
             program = gl.program(vertex, shader("shadows/planar_tree.frag"))
             set_uniforms(program, {**uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": 0.0})
-            stand = projected.trees
+            instances = projected.trees
             gl.layers(foliage().levels).use(0)
-            base, look = stand.base_frame_m - projected.origin_frame_m, np.concatenate([stand.turn, stand.look[:, None]], axis=1)
-            record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", stand.shape), ("look", look)])
+            base, variant = (
+                instances.base_frame_m - projected.origin_frame_m,
+                np.concatenate([instances.turn, instances.variant[:, None]], axis=1),
+            )
+            record.triangles += gl.draw_instances(program, 18, [("base", base), ("shape", instances.shape), ("look", variant)])
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:

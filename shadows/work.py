@@ -98,17 +98,17 @@ class Workload:
         rise = np.tan(np.radians(min(max(self.descriptor.sun_altitude_deg, 0.0), 89.0)))
         return max(seen, 0.5 * erfc(rise / (mean * sqrt(2.0 / pi)) / sqrt(2.0)))
 
-    def stand(self, kind: CasterKind) -> CasterFacts | None:
+    def caster_facts(self, kind: CasterKind) -> CasterFacts | None:
         """What there is of a kind of casters, if the step takes it on."""
         return next((its for its in self.descriptor.stands if its.kind == kind and kind in self.kinds), None)
 
     def triangles(self, kind: CasterKind) -> float:
-        its = self.stand(kind)
+        its = self.caster_facts(kind)
         return 0.0 if its is None else float(its.triangles)
 
     @property
     def outside_triangles(self) -> float:
-        its = self.stand("relief")
+        its = self.caster_facts("relief")
         return 0.0 if its is None else float(its.outside_triangles)
 
     @property
@@ -141,7 +141,7 @@ class Workload:
 
     @property
     def trees(self) -> float:
-        its = self.stand("forest")
+        its = self.caster_facts("forest")
         return 0.0 if its is None else float(its.count)
 
     @cached_property
@@ -168,7 +168,7 @@ class Workload:
     @property
     def tree_light_m2(self) -> float:
         """The area of a tree as a box, seen from the light, square metres; 0 without trees."""
-        its = self.stand("forest")
+        its = self.caster_facts("forest")
         if its is None or its.height_m is None or its.width_m is None:
             return 0.0
         rise = radians((self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else 45.0)

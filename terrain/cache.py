@@ -80,13 +80,13 @@ class Cache(Generic[V]):
     def __init__(
         self,
         name: str,
-        lasts: Lasts,
+        lifetime: Lasts,
         limit_bytes: int,
         size_of: Callable[[V], int] | None = None,
         release: Callable[[V], None] | None = None,
         most: int | None = None,
     ) -> None:
-        self.name, self.lasts, self.limit_bytes, self.most = name, lasts, limit_bytes, most
+        self.name, self.lifetime, self.limit_bytes, self.most = name, lifetime, limit_bytes, most
         self.nbytes = 0
         self._size_of = size_of or bytes_of
         self._release = release
@@ -194,7 +194,7 @@ class CachedFunction(Generic[P, V]):
 
 
 def cached(
-    lasts: Lasts,
+    lifetime: Lasts,
     limit_bytes: int,
     key: Callable[..., tuple[object, ...]] | None = None,
     size_of: Callable[[Any], int] | None = None,
@@ -202,7 +202,7 @@ def cached(
     """Keep a function's last values, in a cache of the function's name; ``key`` gives what of its arguments they go by."""
 
     def decorate(function: Callable[P, V]) -> CachedFunction[P, V]:
-        cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lasts, limit_bytes, size_of)
+        cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lifetime, limit_bytes, size_of)
         return CachedFunction(function, cache, key)
 
     return decorate
@@ -216,17 +216,17 @@ def register(cache: Any) -> None:
         _caches.add(cache)
 
 
-def caches(*lasts: Lasts) -> list[Cache[Any]]:
+def caches(*lifetime: Lasts) -> list[Cache[Any]]:
     """All caches of this process whose values last so long (no word: any time), by name."""
     with _lock:
-        return sorted((cache for cache in _caches if not lasts or cache.lasts in lasts), key=lambda cache: cache.name)
+        return sorted((cache for cache in _caches if not lifetime or cache.lifetime in lifetime), key=lambda cache: cache.name)
 
 
-def clear_caches(*lasts: Lasts) -> None:
+def clear_caches(*lifetime: Lasts) -> None:
     """Empty the caches whose values last so long: ``clear_caches("light")`` makes the next frame pay all that a moving sun costs,
     ``clear_caches("light", "scene")`` all that follows from a level's files.
     """
-    for cache in caches(*lasts):
+    for cache in caches(*lifetime):
         cache.clear()
 
 

@@ -32,11 +32,11 @@ NEAREST_M = 1.0
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
     """The descriptor of a view of a scene."""
     low, high = scene.height_range_m
-    look = None if isinstance(view, MapView) else coarse_view_of(scene, view)
+    coarse_view = None if isinstance(view, MapView) else coarse_view_of(scene, view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
-            reaches=lamp_reaches(scene, lamp, view, look),
+            reaches=lamp_reaches(scene, lamp, view, coarse_view),
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip
@@ -47,18 +47,18 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         seen = ViewProbes(scene, None, probes_in_map(scene, own["pixel_m"], trees), trees)
         rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
     else:
-        assert look is not None
-        own = _perspective_facts(scene, view, look)
-        seen, rows, cols = ViewProbes(scene, view, probes_in_view(look, view, trees), trees), view.rows, view.cols
+        assert coarse_view is not None
+        own = _perspective_facts(scene, view, coarse_view)
+        seen, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
     return Descriptor(
-        view=name, flat_world=scene.world.flat, casters=scene.population.kinds, lamps=lamps, relief_m=high - low,
-        rows=rows, cols=cols, edge_share=0.0 if look is None else edge_share(look, trees),
+        view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
+        rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
         stands=caster_facts_of(scene, view, trees), moves=_moves(scene),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
-        highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.population.tallest_m, weather=scene.loaded.level.weather,
+        highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
         lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"])),
-        facts={key: _known(effect.facts(scene, view, look)) for key, effect in EFFECTS.items() if effect.facts is not None}, **own,
+        facts={key: _known(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None}, **own,
     )  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -
 
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     node_m, pixel_m = step_at_anchor_m(scene.world, view.grid), map_pixel_m(scene.world, view)
-    relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.population.tallest_m
+    relief_m = _block_relief_m(scene.elevation, BLOCK_PX * pixel_m, scene.world.metres_per_unit) + scene.objects.tallest_m
     return {
         "view_kind": "map", "pixel_m": pixel_m, "node_m": node_m, "block_relief_m": relief_m,
         "receivers_light_m": _receivers_light_m(scene, view, relief_m),
@@ -93,22 +93,22 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _perspective_facts(scene: Scene, view: PerspectiveView, look: CoarseView) -> dict[str, Any]:
-    points, away_m = look.points_frame_m, look.away_m
+def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> dict[str, Any]:
+    points, away_m = coarse_view.points_frame_m, coarse_view.away_m
     median_m = float(np.median(away_m)) if len(points) else 1.0
     bands: tuple[Band, ...] = ()
     extent = None
     if scene.light is not None:
-        rotation, translation = scene.light.from_frame(look.buffer.frame)
-        bands = _bands(away_m, points @ rotation.T + translation, scene.population.tallest_m, look.spacing)
+        rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
+        bands = _bands(away_m, points @ rotation.T + translation, scene.objects.tallest_m, coarse_view.spacing)
         whole = join_bands(bands) if bands else None
         span = np.full(3, median_m * view.pixel) if whole is None else np.subtract(whole.high_light_m, whole.low_light_m)
         extent = tuple(span.tolist())
     grid = ground_mesh(scene, view).grid
     return {
         "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
-        "pixel": view.pixel, "bands": bands, "seen_share": float(look.buffer.there.mean()),
-        "block_relief_m": float(np.ptp(look.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
+        "pixel": view.pixel, "bands": bands, "seen_share": float(coarse_view.buffer.there.mean()),
+        "block_relief_m": float(np.ptp(coarse_view.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
     }  # fmt: skip
 
 

@@ -45,7 +45,7 @@ class Scene:
     world: World
     elevation: Elevation
     sun: Sun | None
-    population: SceneObjects
+    objects: SceneObjects
 
     @property
     def place(self) -> Geolocator:
@@ -76,12 +76,12 @@ class Scene:
     def close(self) -> None:
         """Close the level's raster, let go of what stands on it, and forget all that was made from either, under any sun."""
         clear_scene_caches(self.elevation)
-        self.population.close()
+        self.objects.close()
         self.elevation.close()
 
     def at_second(self, seconds: float | None) -> Scene:
         """The same scene at another time of the clock of moving casters (``None`` keeps the level's)."""
-        return self if seconds is None else replace(self, population=self.population.at_second(seconds))
+        return self if seconds is None else replace(self, objects=self.objects.at_second(seconds))
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""

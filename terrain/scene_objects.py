@@ -124,11 +124,11 @@ class SceneObjects:
 
 
 @cached("scene", 512 * MIB)
-def _on(population: SceneObjects, kind: str, crs: CRS) -> np.ndarray:
+def _on(objects: SceneObjects, kind: str, crs: CRS) -> np.ndarray:
     if kind == "solids":
-        assert population.solids is not None
-        points = population.solids.vertices_earth_m
+        assert objects.solids is not None
+        points = objects.solids.vertices_earth_m
     else:
-        assert population.trees is not None
-        points = population.trees.base_earth_m
-    return np.stack(population.world.map_position(crs, points), axis=-1)
+        assert objects.trees is not None
+        points = objects.trees.base_earth_m
+    return np.stack(objects.world.map_position(crs, points), axis=-1)

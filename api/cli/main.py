@@ -132,7 +132,7 @@ def select(
     overrides = overrides_of("select", asked)
     seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
-        choice = plan_level_view(find_level(level), view, policy, overrides, *seen, anew=write)
+        choice = plan_level_view(find_level(level), view, policy, overrides, *seen, ignore_pin=write)
         said = pin_plan(choice) if write else None
     if descriptor is not None:
         write_descriptor(choice, descriptor)

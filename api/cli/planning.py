@@ -49,13 +49,13 @@ def plan_level_view(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     seconds: float | None = None,
-    anew: bool = False,
+    ignore_pin: bool = False,
 ) -> PlannedView:
     """Choose for a view of a level; ``anew`` as if no earlier choice had been pinned into its file. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     scene, seen = scene_and_view(path, view, sun, size, bounds, crs, seconds)
-    if anew:
+    if ignore_pin:
         scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
     return PlannedView(path, scene, seen, plan_of_view(scene, seen, view, overrides, cast(PolicyName, policy), device))
@@ -70,9 +70,9 @@ def pin_plan(choice: PlannedView) -> str:
     scene, plan = choice.scene, choice.plan
     level = scene.loaded.level
     chosen = pins(plan, describe(scene, choice.view, plan.view), level)
-    wishes = StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects)
+    plan_request = StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects)
     for name in level.views:
-        _check(scene, name, wishes, plan)
+        _check(scene, name, plan_request, plan)
     pin(choice.path, chosen, _why(choice))
     settings = "".join(f", {key} {value}" for key, value in chosen.items() if key != "algorithm")
     return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
@@ -92,9 +92,9 @@ def _unpinned(scene: Scene) -> Scene:
     return replace(scene, loaded=loaded)
 
 
-def _check(scene: Scene, name: str, wishes: PlanRequest, plan: Plan) -> None:
+def _check(scene: Scene, name: str, plan_request: PlanRequest, plan: Plan) -> None:
     try:
-        choose_by_rules(describe(scene, scene.view(name), name), wishes)
+        choose_by_rules(describe(scene, scene.view(name), name), plan_request)
     except UnsupportedError as error:
         reason = f"view {name} of this level could not be drawn with it: {error.value}: {error.allowed}"
         raise UnsupportedError("--write", plan.headline, reason) from None

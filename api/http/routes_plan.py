@@ -52,7 +52,7 @@ async def plan(
     """What the selector chooses for a view, or for the tiles of a zoom, and why."""
     served = await service.level(level)
     seen = _seen(served, view, zoom, tms)
-    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, wishes=PictureRequest(sun=sun, overrides=wanted.overrides))
+    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, asked=PictureRequest(sun=sun, overrides=wanted.overrides))
     answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json))
@@ -75,7 +75,7 @@ async def descriptor(
 ) -> Any:
     """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
     served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), wishes=PictureRequest(sun=sun))
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), asked=PictureRequest(sun=sun))
     answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json))

@@ -158,29 +158,29 @@ def _block(grid: Grid, x: int, y: int) -> MapView:
     return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
-def run_job(job: Job, desk: WorkerState) -> Result:
+def run_job(job: Job, state: WorkerState) -> Result:
     """Do a job. Raises ``SkuggaError``."""
-    scene = job.wishes.seen(desk.scenes.get(job.level))
-    overrides = job.wishes.overrides.for_selector()
+    scene = job.asked.seen(state.scenes.get(job.level))
+    overrides = job.asked.overrides.for_selector()
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
         case PlanJob():
-            plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, desk.device)
+            plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, state.device)
             return PlanAnswer(plan.model_dump_json())
         case BlockJob():
-            plan = _plan_of_tiles(job, scene, desk)
+            plan = _plan_of_tiles(job, scene, state)
             frame = render_frame(scene, block_view(job), plan)
             return RenderedBlock(
-                color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, desk)
+                color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, state)
             )
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
-            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=desk.device))
+            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=state.device))
             start = clock.perf_counter()
             body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
-            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, desk))
+            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, state))
 
 
 def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
@@ -188,20 +188,20 @@ def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, s
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def _plan_of_tiles(job: BlockJob, scene: Scene, desk: WorkerState) -> Plan:
+def _plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
-        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.wishes.overrides.for_selector(), device=desk.device)
+        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.asked.overrides.for_selector(), device=state.device)
 
-    return desk.plans.get((job.level, tiles, job.wishes), make)
+    return state.plans.get((job.level, tiles, job.asked), make)
 
 
-def _facts(frame: Frame, desk: WorkerState) -> dict[str, Any]:
+def _facts(frame: Frame, state: WorkerState) -> dict[str, Any]:
     """What a picture says of what drew it."""
     return {
         "headline": frame.plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
-        "renderer": desk.renderer, "calibration": desk.calibration,
+        "renderer": state.renderer, "calibration": state.calibration,
         "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
     }  # fmt: skip
 
@@ -213,10 +213,10 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     from api.workers.warm_up import warm_up
 
     try:
-        desk = WorkerState(warm_up(config.expect_renderer), calibration())
-        pipe.send(Ready(desk.renderer, desk.device))
+        state = WorkerState(warm_up(config.expect_renderer), calibration())
+        pipe.send(Ready(state.renderer, state.device))
         while True:
-            answer = _answer(pipe.recv(), desk)
+            answer = _answer(pipe.recv(), state)
             pipe.send(answer)
             if isinstance(answer, Failure) and answer.fatal:
                 return
@@ -226,9 +226,9 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         return
 
 
-def _answer(job: Job, desk: WorkerState) -> Answer:
+def _answer(job: Job, state: WorkerState) -> Answer:
     try:
-        return run_job(job, desk)
+        return run_job(job, state)
     except SkuggaError as error:
         return Failure.of(error, fatal=isinstance(error, GraphicsError))
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it

@@ -75,7 +75,7 @@ def measure() -> Figures:
     lamp = level["lights"]["lamp"]
     with TemporaryDirectory() as name:
         folder = Path(name)
-        tower = scene_of(level, folder).population.solids
+        tower = scene_of(level, folder).objects.solids
         assert tower is not None
         apex_m = np.array(lamp["position"], np.float64)
         axis, least_deg = smallest_cone(apex_m, tower.vertices_earth_m)

@@ -62,7 +62,7 @@ def _volumes_of(level: str) -> dict[str, float]:
     """
     look = view_with_truth(bundled(level), "main", SIZE)
     light = light_in_frame(look.buffer, look.scene, SUN)
-    vertices, triangles = caster_solids(look.scene.population, look.buffer.frame)
+    vertices, triangles = caster_solids(look.scene.objects, look.buffer.frame)
     shared, apart = edges_of(vertices, triangles), unshared(triangles)
     rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
     turns = turns_of(facing(vertices, triangles, light), rule)

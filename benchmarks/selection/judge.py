@@ -155,11 +155,11 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean()) if values.size else 0.0
 
 
-def stand_in(pick: str, view: Figures) -> str | None:
+def stand_in(choice: str, view: Figures) -> str | None:
     """The row that a pick comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
-    company, *settings = pick.split()
+    company, *settings = choice.split()
     swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
-    if company.startswith("sweep") and pick not in view["picks"] and swept is not None:
+    if company.startswith("sweep") and choice not in view["picks"] and swept is not None:
         return swept  # relief alone casts here: what else the pick has does nothing
     alone = company.removeprefix("sweep+").removeprefix("shadow_map+")
     for one in (company, alone, company.split("+")[0]):
@@ -175,8 +175,8 @@ def single_best(training: Sequence[GoalInstance]) -> str:
     names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 
-    def mean(pick: str) -> float:
-        rows = [(stand_in(pick, one.view), loss) for one, loss in losses]
+    def mean(choice: str) -> float:
+        rows = [(stand_in(choice, one.view), loss) for one, loss in losses]
         return float(np.mean([PAR_FACTOR * max(loss.values()) if row is None else loss[row] for row, loss in rows]))
 
     return min(names, key=mean)

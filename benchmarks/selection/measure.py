@@ -38,8 +38,8 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     """By name the plans of all picks of a light, and those that the rules lead to at each error that is asked for."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
-    picks = portfolio(descriptor, light, planner.casting(light))
-    plans = {pick.name: planner.plan({light: pick}, {}) for pick in picks}
+    choices = portfolio(descriptor, light, planner.casting(light))
+    plans = {choice.name: planner.plan({light: choice}, {}) for choice in choices}
     return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 
 
@@ -50,12 +50,12 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     """
     names: dict[str, str] = {}
     known: dict[str, list[tuple[list[Step], str]]] = {}
-    for pick, plan in plans.items():
+    for choice, plan in plans.items():
         name, its = name_of(plan, light), plan.steps_under(light)
-        alike = known.setdefault(name, [])
-        row = next((row for steps, row in alike if steps == its), f"{name} ({pick})" if alike else name)
-        alike.append((its, row))
-        names[pick] = row
+        same_name = known.setdefault(name, [])
+        row = next((row for steps, row in same_name if steps == its), f"{name} ({choice})" if same_name else name)
+        same_name.append((its, row))
+        names[choice] = row
     return names
 
 
@@ -98,9 +98,9 @@ def chosen(instance: ViewInstance, data: Path, record: Figures) -> Figures:
         light, taken = record["light"], {}
         rows = measured_rows(scene, view, instance.view)
         for one in instances_of([record]):
-            wanted = TargetBounds(one.goal.max_error, one.max_ms)
-            rows = confirm_winners(rows, wanted)
-            winner = winners(rows, wanted)[light].winner
+            bounds = TargetBounds(one.goal.max_error, one.max_ms)
+            rows = confirm_winners(rows, bounds)
+            winner = winners(rows, bounds)[light].winner
             plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
             taken[one.goal.name] = name_of(plan, light)
     return record | {"measured": taken}
@@ -111,7 +111,7 @@ def _timed(
 ) -> dict[str, Figures]:
     """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
     pictures = drawn_on(scene, view)
-    drawn = {name: plans[pick] for pick, name in rows_of(plans, light).items()}
+    drawn = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
         for name, its in times.items():
@@ -146,11 +146,11 @@ def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: s
         try:
             return compare(scene, view, name, light=light, time_limit_s=0.0, plans=list(plans.values()))
         except UnsupportedError:
-            swept = [pick for pick, plan in plans.items() if any(step.algorithm == "sweep" for step in plan.steps)]
+            swept = [choice for choice, plan in plans.items() if any(step.algorithm == "sweep" for step in plan.steps)]
             if not swept:
                 raise
-            for pick in swept:
-                del plans[pick]
+            for choice in swept:
+                del plans[choice]
 
 
 def _rounded(value: float) -> float:

@@ -42,7 +42,7 @@ def _packed(view: Figures) -> Figures:
     return view | {
         "descriptor": _rounded(descriptor),
         "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
-        "picks": {pick: names.index(row) for pick, row in view["picks"].items() if row in names},
+        "picks": {choice: names.index(row) for choice, row in view["picks"].items() if row in names},
     }
 
 
@@ -50,7 +50,7 @@ def _unpacked(line: Figures) -> Figures:
     names = list(line["rows"])
     return line | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
-        "picks": {pick: names[number] for pick, number in line["picks"].items()},
+        "picks": {choice: names[number] for choice, number in line["picks"].items()},
     }
 
 

@@ -45,7 +45,7 @@ MIN_BUDGET_MS = 1e-3
 class LightTrials:
     """What was measured for a light: on what, the trials, and the candidates that were not tried."""
 
-    probe: TrialView
+    trial_view: TrialView
     trials: tuple[Trial, ...]
     not_tried: tuple[Candidate, ...] = ()
 
@@ -68,7 +68,7 @@ def measured_plan(
     name: str = "map",
     overrides: dict[str, Any] | None = None,
     *,
-    wishes: PlanRequest | None = None,
+    plan_request: PlanRequest | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Plan:
     """The plan of a scene's view whose algorithms and settings won on the view itself; ``on_step(done, total)`` is called as the
@@ -77,15 +77,15 @@ def measured_plan(
     Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
     ``UnsupportedError`` as ``selector.planner.planner.choose`` does, ``RenderError`` where a candidate fails.
     """
-    wishes = wishes or scene.loaded.level
-    wanted = TargetBounds.of(override(wishes.shadows, overrides or {}))
+    plan_request = plan_request or scene.loaded.level
+    bounds = TargetBounds.of(override(plan_request.shadows, overrides or {}))
     descriptor = describe(scene, view, name)
-    measured = measured_rows(scene, view, name, overrides, wishes=wishes, wanted=wanted, on_step=on_step)
-    measured = confirm_winners(measured, wanted)
-    verdicts = winners(measured, wanted)
+    measured = measured_rows(scene, view, name, overrides, plan_request=plan_request, bounds=bounds, on_step=on_step)
+    measured = confirm_winners(measured, bounds)
+    verdicts = winners(measured, bounds)
     won = {light: _trial_of(measured[light], verdict.winner.name) for light, verdict in verdicts.items()}
-    picks = {light: _reasoned(measured[light], trial, verdicts[light].met, wanted) for light, trial in won.items()}
-    plan = make_plan(descriptor, wishes, overrides, picks, _rejected(measured, wanted))
+    choices = {light: _reasoned(measured[light], trial, verdicts[light].met, bounds) for light, trial in won.items()}
+    plan = make_plan(descriptor, plan_request, overrides, choices, _rejected(measured, bounds))
     missed = [f"{light}: {verdict.missed_by}" for light, verdict in verdicts.items() if verdict.missed_by]
     reasons = [Reasoned(name="target missed", reason="; ".join(missed))] if missed else []
     reasons += [*plan.reasons, *(Reasoned(name=f"{light}: measured", reason=_said(view, its)) for light, its in measured.items())]
@@ -104,63 +104,63 @@ def measured_rows(
     name: str = "map",
     overrides: dict[str, Any] | None = None,
     *,
-    wishes: PlanRequest | None = None,
-    wanted: TargetBounds | None = None,
+    plan_request: PlanRequest | None = None,
+    bounds: TargetBounds | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> dict[str, LightTrials]:
     """The candidates of each light that casts shadows, measured on the view with fewer pixels: all of them, or with a target
     (``wanted``) those that could win. One measurement serves any number of targets (``winners``).
     """
-    wishes = wishes or scene.loaded.level
+    plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name)
-    found = {light: its for light, its in candidates_of(descriptor, wishes, overrides).items() if its}
+    found = {light: its for light, its in candidates_of(descriptor, plan_request, overrides).items() if its}
     total, done = sum(map(len, found.values())), 0
     rows = {}
     for light, its in found.items():
-        probe = trial_view_of(scene, view, light, its[0].plan, descriptor.pixel_m)
+        trial_view = trial_view_of(scene, view, light, its[0].plan, descriptor.pixel_m)
         trials: list[Trial] = []
         for ladder in _ladders(its):
             for candidate in ladder:
                 done += 1
-                if wanted is None or not _decided(candidate, trials, wanted):
-                    trials.append(probe.trial(candidate))
+                if bounds is None or not _decided(candidate, trials, bounds):
+                    trials.append(trial_view.trial(candidate))
                 if on_step is not None:
                     on_step(done, total)
-        rows[light] = LightTrials(probe, tuple(trials), _without(its, trials))
+        rows[light] = LightTrials(trial_view, tuple(trials), _without(its, trials))
     return rows
 
 
 def _without(candidates: Sequence[Candidate], trials: Sequence[Trial]) -> tuple[Candidate, ...]:
     """The candidates that were not tried."""
     tried = {trial.figures.name for trial in trials}
-    return tuple(one for one in candidates if one.pick.name not in tried)
+    return tuple(one for one in candidates if one.choice.name not in tried)
 
 
 def candidates_of(
-    descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None
+    descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None
 ) -> dict[str, list[Candidate]]:
     """By light, what is to be measured: the portfolio as far as it is free, no two that come to the same plan."""
-    plain = make_plan(descriptor, wishes, overrides, picks={})
+    plain = make_plan(descriptor, plan_request, overrides, choices={})
     out: dict[str, list[Candidate]] = {}
     for light, per_kind in plain.algorithm.items():
         casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NO_SHADOWS}
         unlike: dict[str, Candidate] = {}
-        for pick in portfolio(descriptor, light, casting) if casting else []:
-            plan = make_plan(descriptor, wishes, overrides, picks={light: pick})
-            unlike.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, pick, plan))
+        for choice in portfolio(descriptor, light, casting) if casting else []:
+            plan = make_plan(descriptor, plan_request, overrides, choices={light: choice})
+            unlike.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, choice, plan))
         out[light] = list(unlike.values())
     return out
 
 
-def winners(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[str, RankingResult]:
+def winners(measured: Mapping[str, LightTrials], bounds: TargetBounds) -> dict[str, RankingResult]:
     """Who wins for each light. Of the time for all lights each one, the first first, may take what the others can do without."""
     verdicts: dict[str, RankingResult] = {}
     for light, rows in measured.items():
-        verdicts[light] = _winner(rows.trials, wanted, _left_ms(measured, wanted, verdicts))
+        verdicts[light] = _winner(rows.trials, bounds, _left_ms(measured, bounds, verdicts))
     return verdicts
 
 
-def confirm_winners(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[str, LightTrials]:
+def confirm_winners(measured: Mapping[str, LightTrials], bounds: TargetBounds) -> dict[str, LightTrials]:
     """The same rows, those that lead drawn on all pixels until one of them leads on; who comes near to it is timed again.
 
     What a light turns out to need changes what is left for the others, so that they are gone through until nobody new leads.
@@ -169,15 +169,18 @@ def confirm_winners(measured: Mapping[str, LightTrials], wanted: TargetBounds) -
     while drawn:
         verdicts, drawn = {}, False
         for light in measured:
-            max_ms = _left_ms(out, wanted, verdicts)
-            while not (leader := _leader(out[light], wanted, max_ms)).on_all:
-                whole = _with(out[light], out[light].probe.drawn_on_all(leader.candidate))
-                out[light], drawn = _tried_further(whole, wanted), True
-            verdicts[light] = _winner(out[light].trials, wanted, max_ms)
+            max_ms = _left_ms(out, bounds, verdicts)
+            while not (leader := _leader(out[light], bounds, max_ms)).at_full_resolution:
+                whole = _with(out[light], out[light].trial_view.full_resolution_trial(leader.candidate))
+                out[light], drawn = _tried_further(whole, bounds), True
+            verdicts[light] = _winner(out[light].trials, bounds, max_ms)
     for light, verdict in verdicts.items():
         for trial in out[light].trials:
-            if trial.on_all and verdict.winner.ms / RETIME_RATIO <= trial.figures.ms <= RETIME_RATIO * verdict.winner.ms:
-                out[light] = _with(out[light], out[light].probe.timed(trial, RETIMED_RUNS))
+            if (
+                trial.at_full_resolution
+                and verdict.winner.ms / RETIME_RATIO <= trial.figures.ms <= RETIME_RATIO * verdict.winner.ms
+            ):
+                out[light] = _with(out[light], out[light].trial_view.timed(trial, RETIMED_RUNS))
     return out
 
 
@@ -186,23 +189,27 @@ def _with(rows: LightTrials, new: Trial) -> LightTrials:
     return replace(rows, trials=tuple(new if old.figures.name == new.figures.name else old for old in rows.trials))
 
 
-def _tried_further(rows: LightTrials, wanted: TargetBounds) -> LightTrials:
+def _tried_further(rows: LightTrials, bounds: TargetBounds) -> LightTrials:
     """Rows with trials of what had been left out because of a smaller map that turned out to be worse than it had seemed."""
     trials = list(rows.trials)
     for candidate in sorted(rows.not_tried, key=_map_size):
-        if not _decided(candidate, trials, wanted):
-            trials.append(rows.probe.trial(candidate))
+        if not _decided(candidate, trials, bounds):
+            trials.append(rows.trial_view.trial(candidate))
     return replace(rows, trials=tuple(trials), not_tried=_without(rows.not_tried, trials))
 
 
-def _winner(trials: Sequence[Trial], wanted: TargetBounds, max_ms: float | None) -> RankingResult:
+def _winner(trials: Sequence[Trial], bounds: TargetBounds, max_ms: float | None) -> RankingResult:
     """Who wins; of those that were drawn on all pixels, if any were."""
-    return best([one.figures for one in trials if one.on_all] or [one.figures for one in trials], wanted.max_error, max_ms)
+    return best(
+        [one.figures for one in trials if one.at_full_resolution] or [one.figures for one in trials], bounds.max_error, max_ms
+    )
 
 
-def _leader(rows: LightTrials, wanted: TargetBounds, max_ms: float | None) -> Trial:
+def _leader(rows: LightTrials, bounds: TargetBounds, max_ms: float | None) -> Trial:
     """Who would win, if those that were drawn on few pixels turned out as good as they may."""
-    name = best([one.figures if one.on_all else _hoped(one) for one in rows.trials], wanted.max_error, max_ms).winner.name
+    name = best(
+        [one.figures if one.at_full_resolution else _hoped(one) for one in rows.trials], bounds.max_error, max_ms
+    ).winner.name
     return _trial_of(rows, name)
 
 
@@ -216,14 +223,14 @@ def _hoped(trial: Trial) -> CandidateFigures:
     )
 
 
-def _left_ms(measured: Mapping[str, LightTrials], wanted: TargetBounds, verdicts: Mapping[str, RankingResult]) -> float | None:
+def _left_ms(measured: Mapping[str, LightTrials], bounds: TargetBounds, verdicts: Mapping[str, RankingResult]) -> float | None:
     """The time that is left for the next light, when those with a verdict have theirs and those after it the least they need."""
-    if wanted.max_ms is None:
+    if bounds.max_ms is None:
         return None
     later = list(measured.values())[len(verdicts) + 1 :]
     taken_ms = sum(verdict.winner.ms for verdict in verdicts.values())
     taken_ms += sum(min(trial.figures.ms for trial in rows.trials) for rows in later)
-    return max(wanted.max_ms - taken_ms, MIN_BUDGET_MS)
+    return max(bounds.max_ms - taken_ms, MIN_BUDGET_MS)
 
 
 def _ladders(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
@@ -235,18 +242,18 @@ def _ladders(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
 
 
 def _map_size(candidate: Candidate) -> int:
-    return candidate.pick.settings.get("map_size", 0)
+    return candidate.choice.settings.get("map_size", 0)
 
 
 def _at_most(trial: Trial) -> CandidateFigures:
     return replace(trial.figures, error=trial.figures.error + trial.spread)
 
 
-def _decided(candidate: Candidate, trials: Sequence[Trial], wanted: TargetBounds) -> bool:
+def _decided(candidate: Candidate, trials: Sequence[Trial], bounds: TargetBounds) -> bool:
     """Whether smaller maps of the same kind show that a candidate cannot win: errors fall with the size, and times grow."""
     smaller = [trial.figures for trial in trials if trial.candidate.ladder == candidate.ladder]
-    accurate = [one.figures for one in trials if relative_overshoot(_at_most(one), wanted.max_error) <= 0.0]
-    in_time = [one for one in accurate if wanted.max_ms is None or one.ms <= wanted.max_ms]
+    accurate = [one.figures for one in trials if relative_overshoot(_at_most(one), bounds.max_error) <= 0.0]
+    in_time = [one for one in accurate if bounds.max_ms is None or one.ms <= bounds.max_ms]
     least_ms = min((one.ms for one in in_time), default=np.inf)
     return any(one in accurate or one.ms > EXTRAPOLATION_FACTOR * least_ms for one in smaller)
 
@@ -255,36 +262,36 @@ def _trial_of(rows: LightTrials, name: str) -> Trial:
     return next(trial for trial in rows.trials if trial.figures.name == name)
 
 
-def _reasoned(rows: LightTrials, trial: Trial, met: bool, wanted: TargetBounds) -> Choice:
+def _reasoned(rows: LightTrials, trial: Trial, met: bool, bounds: TargetBounds) -> Choice:
     """The winner's pick, with what was measured of it as the reason."""
-    pick, limit = trial.candidate.pick, format_percent(wanted.max_error)
-    limit += "" if wanted.max_ms is None else f" within {wanted.max_ms:g} ms"
+    choice, limit = trial.candidate.choice, format_percent(bounds.max_error)
+    limit += "" if bounds.max_ms is None else f" within {bounds.max_ms:g} ms"
     verdict = f"the cheapest that keeps to {limit}" if met else f"the nearest to {limit}"
     why = f"measured: {_words(rows, trial.figures)}, {verdict}"
-    return replace(pick, why=dict.fromkeys([*pick.algorithm, *pick.settings], why))
+    return replace(choice, why=dict.fromkeys([*choice.algorithm, *choice.settings], why))
 
 
-def _rejected(measured: Mapping[str, LightTrials], wanted: TargetBounds) -> dict[AlgorithmName, str]:
+def _rejected(measured: Mapping[str, LightTrials], bounds: TargetBounds) -> dict[AlgorithmName, str]:
     """What the best trial of each algorithm under the first light came to."""
     its: dict[AlgorithmName, list[Trial]] = {}
     rows = next(iter(measured.values()), None)
     for trial in rows.trials if rows else ():
         for name in {step.algorithm for step in trial.candidate.steps}:
             its.setdefault(name, []).append(trial)
-    bests = {name: _winner(trials, wanted, wanted.max_ms).winner for name, trials in its.items()}
+    bests = {name: _winner(trials, bounds, bounds.max_ms).winner for name, trials in its.items()}
     return {name: f"measured: {_words(rows, one)} ({one.name})" for name, one in bests.items() if rows}
 
 
 def _words(rows: LightTrials, figures: CandidateFigures) -> str:
-    what = "wrong of the cast shadow" if rows.probe.error == "wrong_cast" else "of coverage wrong"
+    what = "wrong of the cast shadow" if rows.trial_view.error == "wrong_cast" else "of coverage wrong"
     return f"{format_percent(figures.error)} {what} in {format_duration(figures.ms)}"
 
 
 def _said(view: View, rows: LightTrials) -> str:
     part = part_of(view)
-    on_all = sum(trial.on_all for trial in rows.trials)
-    said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels"
-    said += "" if rows.probe.thin is None else f", {on_all} of them on all"
+    at_full_resolution = sum(trial.at_full_resolution for trial in rows.trials)
+    said = f"{len(rows.trials)} candidates held against truth on {rows.trial_view.pixels} of {part.rows * part.cols} pixels"
+    said += "" if rows.trial_view.subsampled is None else f", {at_full_resolution} of them on all"
     if rows.not_tried:
         said += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
     return said

@@ -32,7 +32,7 @@ class Candidate:
     """A pick for a light, and the plan that it leads to."""
 
     light: str
-    pick: Choice
+    choice: Choice
     plan: Plan
 
     @property
@@ -43,8 +43,8 @@ class Candidate:
     @property
     def ladder(self) -> tuple[object, ...]:
         """What candidates have in common that differ in the size of their maps alone."""
-        others = {key: value for key, value in self.pick.settings.items() if key != "map_size"}
-        return tuple(self.pick.algorithm.items()), tuple(others.items())
+        others = {key: value for key, value in self.choice.settings.items() if key != "map_size"}
+        return tuple(self.choice.algorithm.items()), tuple(others.items())
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Trial:
     times_ms: tuple[float, ...] = ()
 
     @property
-    def on_all(self) -> bool:
+    def at_full_resolution(self) -> bool:
         """Whether it was drawn on all pixels."""
         return bool(self.times_ms)
 
@@ -91,48 +91,48 @@ class TrialView:
     """What a light's candidates are drawn on and held against: a view with its truth, and thinned where it has many pixels."""
 
     scene: Scene
-    real: ViewTruth
+    truth: ViewTruth
     pixel_m: float
-    thin: SubsampledTruth | None = None
+    subsampled: SubsampledTruth | None = None
 
     @property
     def error(self) -> ErrorName:
         """The figure that counts."""
-        return self.real.error
+        return self.truth.error
 
     @property
     def pixels(self) -> int:
         """On how many pixels a candidate is tried."""
-        return int((self.real.whole if self.thin is None else self.thin.truth).lit.size)
+        return int((self.truth.whole if self.subsampled is None else self.subsampled.truth).lit.size)
 
     def trial(self, candidate: Candidate) -> Trial:
         """A candidate on few pixels. Time on all of them goes by two thinned views: what pixels do not change is alike in both."""
-        if self.thin is None:
-            return self.drawn_on_all(candidate)
-        view = self.real.view
-        few, fewer = (subsampled_view(view, times * self.thin.every) for times in (1, 2))
+        if self.subsampled is None:
+            return self.full_resolution_trial(candidate)
+        view = self.truth.view
+        few, fewer = (subsampled_view(view, times * self.subsampled.every) for times in (1, 2))
         frame, ms = _quickest(self.scene, few, candidate)
         _, less_ms = _quickest(self.scene, fewer, candidate)
         pixels, least, most = map(_pixels, (few, fewer, view))
         pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
-        found = self.thin.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
+        found = self.subsampled.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
         full_ms = float(ms + pixel_ms * (most - pixels))
         return Trial(
-            candidate, CandidateFigures(candidate.pick.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread
+            candidate, CandidateFigures(candidate.choice.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread
         )
 
-    def drawn_on_all(self, candidate: Candidate) -> Trial:
+    def full_resolution_trial(self, candidate: Candidate) -> Trial:
         """A candidate on all pixels."""
-        frame, ms = _quickest(self.scene, self.real.view, candidate)
-        parts = self.real.cut(frame.visibilities[candidate.light])
-        found = self.real.errors(parts, candidate.steps, self.pixel_m)
-        error = self.real.coverage(parts) if self.error == "coverage" else found.wrong_cast
-        return Trial(candidate, CandidateFigures(candidate.pick.name, ms, error, found.interior), found.wrong, times_ms=(ms,))
+        frame, ms = _quickest(self.scene, self.truth.view, candidate)
+        parts = self.truth.cut(frame.visibilities[candidate.light])
+        found = self.truth.errors(parts, candidate.steps, self.pixel_m)
+        error = self.truth.coverage(parts) if self.error == "coverage" else found.wrong_cast
+        return Trial(candidate, CandidateFigures(candidate.choice.name, ms, error, found.interior), found.wrong, times_ms=(ms,))
 
     def timed(self, trial: Trial, runs: int) -> Trial:
         """A trial on all pixels with so many times more: the median counts."""
         its = trial.candidate
-        drawn = (_drawn(self.scene, self.real.view, its) for _ in range(runs))
+        drawn = (_drawn(self.scene, self.truth.view, its) for _ in range(runs))
         times_ms = (*trial.times_ms, *(shadow_ms(frame, its.light) for frame in drawn))
         return replace(trial, times_ms=times_ms, figures=replace(trial.figures, ms=float(np.median(times_ms))))
 
@@ -143,9 +143,9 @@ def trial_view_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: flo
     every = max(round((part.rows * part.cols / TRIAL_PIXELS) ** 0.5), 1)
     if every > 1:
         parts = [(part, 0, 0)] if isinstance(part, MapView) else bands_of(part)
-        real = truth_of_parts(sky, part, parts, light, effects=plan.runs)
-        if real.error == "wrong_cast":
-            return TrialView(scene, real, pixel_m, subsampled_truth(real, every))
+        truth = truth_of_parts(sky, part, parts, light, effects=plan.runs)
+        if truth.error == "wrong_cast":
+            return TrialView(scene, truth, pixel_m, subsampled_truth(truth, every))
     return TrialView(scene, truth_of_view(sky, part, light, effects=plan.runs), pixel_m)
 
 

@@ -14,13 +14,13 @@ NO_RULE = "no rule speaks for another, and a map serves every view, light and ki
 
 def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Choice]:
     """What the rules take for each light, with the first rule that applies as the reason, and its source."""
-    picks = {}
+    choices = {}
     for light in descriptor.light_kinds:
         taken = {kind: _first(RuleInput(descriptor, light, kind, asked)) for kind in descriptor.casters}
-        picks[light] = Choice(
+        choices[light] = Choice(
             "rules", {kind: name for kind, (name, _) in taken.items()}, why={kind: why for kind, (_, why) in taken.items()}
         )
-    return picks
+    return choices
 
 
 def _first(case: RuleInput) -> tuple[AlgorithmName, str]:

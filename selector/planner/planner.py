@@ -31,9 +31,9 @@ SETTING_NAMES = tuple(key for key in Shadows.model_fields if key not in ("algori
 
 def make_plan(
     descriptor: Descriptor,
-    wishes: PlanRequest,
+    plan_request: PlanRequest,
     overrides: dict[str, Any] | None = None,
-    picks: Mapping[str, Choice] | None = None,
+    choices: Mapping[str, Choice] | None = None,
     rejected: Mapping[AlgorithmName, str] | None = None,
 ) -> Plan:
     """The plan of a view. ``overrides`` (fields of ``Shadows``) go before what is wished (a level's own ``shadows``), and that goes
@@ -42,21 +42,21 @@ def make_plan(
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
-    planner = planner_of(descriptor, wishes, overrides)
-    return planner.plan(advised(descriptor, planner.asked) if picks is None else picks, rejected or {})
+    planner = planner_of(descriptor, plan_request, overrides)
+    return planner.plan(advised(descriptor, planner.asked) if choices is None else choices, rejected or {})
 
 
-def planner_of(descriptor: Descriptor, wishes: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
+def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
     """What plans of a descriptor go by whatever is picked. Raises as ``make_plan`` does."""
     overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
-    asked = override(wishes.shadows, overrides)
-    effects, left_out = _effects(descriptor, wishes, asked)
+    asked = override(plan_request.shadows, overrides)
+    effects, left_out = _effects(descriptor, plan_request, asked)
     try:
-        choice = expand_override(asked.algorithm, wishes.light_names)
+        algorithm_override = expand_override(asked.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
-    forced = frozenset(name for name in EFFECTS if _wish(wishes, name) == "on")
-    return Planner(descriptor, overrides, asked, effects, left_out, choice, forced)
+    forced = frozenset(name for name in EFFECTS if _wish(plan_request, name) == "on")
+    return Planner(descriptor, overrides, asked, effects, left_out, algorithm_override, forced)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Planner:
     asked: Shadows
     effects: list[Reasoned]
     left_out: list[Reasoned]
-    choice: AlgorithmOverride
+    algorithm_override: AlgorithmOverride
     forced: frozenset[EffectName]
     _kept: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
     _companies: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
@@ -80,27 +80,27 @@ class Planner:
         """The kinds of casters that throw shadows under a light, or may."""
         return [one.kind for one in self._taken(light, None) if one.name != NO_SHADOWS]
 
-    def steps(self, light: str, pick: Choice) -> tuple[Step, ...]:
+    def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
         """What a pick comes to under its light. Raises as ``make_plan`` does."""
-        company = (light, *pick.algorithm.items())
+        company = (light, *choice.algorithm.items())
         if company not in self._companies:
-            self._companies[company] = {one.kind: one.name for one in self._taken(light, pick) if one.name != NO_SHADOWS}
+            self._companies[company] = {one.kind: one.name for one in self._taken(light, choice) if one.name != NO_SHADOWS}
         algorithm = self._companies[company]
-        of_name = {name: self._resolved(light, name, pick)[0] for name in dict.fromkeys(algorithm.values())}
+        of_name = {name: self._resolved(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
-    def plan(self, picks: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
+    def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """The plan that comes of picks by light. Raises as ``make_plan`` does."""
         descriptor, asked, who = self.descriptor, self.asked, _who(self.overrides, "algorithm")
-        taken = [one for light in descriptor.light_kinds for one in self._taken(light, picks.get(light))]
+        taken = [one for light in descriptor.light_kinds for one in self._taken(light, choices.get(light))]
         reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
         algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
         settings: dict[str, dict[CasterKind, AlgorithmSettings]] = {}
         told = set()
         for one in taken:
             algorithm.setdefault(one.light, {})[one.kind] = one.name
-            its, why_so = self._settings(one.light, one.name, picks.get(one.light))
+            its, why_so = self._settings(one.light, one.name, choices.get(one.light))
             if (one.light, one.name) not in told:
                 reasons += why_so
                 told.add((one.light, one.name))
@@ -125,23 +125,26 @@ class Planner:
     def _missing(self) -> dict[str, str]:
         return {effect.name: effect.reason for effect in self.left_out}
 
-    def _taken(self, light: str, pick: Choice | None) -> list[_Taken]:
+    def _taken(self, light: str, choice: Choice | None) -> list[_Taken]:
         who, kind_of_light, found = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
-            wish, parts = self.choice.get(light, {}).get(caster), requirements_of(self.descriptor, kind_of_light, caster)
-            name, why, free = _algorithm(self.descriptor, light, caster, wish, who, missing, self.forced, pick)
+            wish, parts = (
+                self.algorithm_override.get(light, {}).get(caster),
+                requirements_of(self.descriptor, kind_of_light, caster),
+            )
+            name, why, free = _algorithm(self.descriptor, light, caster, wish, who, missing, self.forced, choice)
             _check(name, light, caster, parts, who)
             found.append(_Taken(light, caster, name, why, free, parts))
         return found
 
-    def _picked(self, pick: Choice | None) -> dict[str, Any]:
+    def _picked(self, choice: Choice | None) -> dict[str, Any]:
         """The settings of a pick that the level and the request leave open."""
-        return {key: value for key, value in (pick.settings if pick else {}).items() if getattr(self.asked, key) == "auto"}
+        return {key: value for key, value in (choice.settings if choice else {}).items() if getattr(self.asked, key) == "auto"}
 
-    def _resolved(self, light: str, name: AlgorithmName, pick: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
+    def _resolved(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and what spoke for those that the pick left open; each worked out once."""
-        picked = self._picked(pick)
+        picked = self._picked(choice)
         key = (light, name, *picked.items())
         if key not in self._kept:
             asked, sharp_because = self.asked.model_copy(update=picked), self._missing.get("soft_edges")
@@ -149,12 +152,12 @@ class Planner:
             self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
         return self._kept[key]
 
-    def _settings(self, light: str, name: AlgorithmName, pick: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
+    def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and the reasons for them."""
-        picked = self._picked(pick)
-        settings, reasons = self._resolved(light, name, pick)
+        picked = self._picked(choice)
+        settings, reasons = self._resolved(light, name, choice)
         chosen = [
-            Reasoned(name=f"{key} {value}", reason=pick.why[key]) for key, value in picked.items() if pick and key in pick.why
+            Reasoned(name=f"{key} {value}", reason=choice.why[key]) for key, value in picked.items() if choice and key in choice.why
         ]
         taken = {} if settings is None else settings.asked_as
         return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
@@ -176,13 +179,13 @@ def _who(overrides: Mapping[str, Any], key: str) -> str:
     return "the request" if key in overrides else "the level"
 
 
-def _effects(descriptor: Descriptor, wishes: PlanRequest, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+def _effects(descriptor: Descriptor, plan_request: PlanRequest, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out."""
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
         verdict = effect.verdict(name, descriptor)
-        wish = _wish(wishes, name)
+        wish = _wish(plan_request, name)
         runs, reason = verdict.called_for, verdict.reason
         if wish != "auto":
             runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
@@ -195,8 +198,8 @@ def _effects(descriptor: Descriptor, wishes: PlanRequest, asked: Shadows) -> tup
     return effects, left_out
 
 
-def _wish(wishes: PlanRequest, name: EffectName) -> str:
-    return "auto" if wishes.effects == "auto" else wishes.effects.get(name, "auto")
+def _wish(plan_request: PlanRequest, name: EffectName) -> str:
+    return "auto" if plan_request.effects == "auto" else plan_request.effects.get(name, "auto")
 
 
 def _with_work(
@@ -234,7 +237,7 @@ def _algorithm(
     who: str,
     missing: dict[str, str],
     forced: Collection[EffectName],
-    pick: Choice | None,
+    choice: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
     """The algorithm of a light for a kind of casters, the reason, and whether it was free to be picked; ``missing`` are the effects
     left out, with theirs, ``forced`` those that the level forces on.
@@ -253,9 +256,9 @@ def _algorithm(
         return NO_SHADOWS, sun_kind_verdict(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
         return NO_SHADOWS, f"{light} reaches nothing that is seen", False
-    if pick is None or caster not in pick.algorithm:
+    if choice is None or caster not in choice.algorithm:
         return FALLBACK, "it serves every view, light and kind of casters", True
-    return pick.algorithm[caster], pick.why.get(caster, pick.name), True
+    return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], who: str) -> None:

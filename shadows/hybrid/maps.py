@@ -97,7 +97,7 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
     """Where a buffer's points, flat, lie on triangles that certainly cast, bool (n,): on meshes that nothing stands in for, on
     faces turned to the light. (Backs that are seen have the normal of a face; ground casts by triangles that are turned away.)
     """
-    solids, out = scene.population.solids, np.zeros(wanted.size, bool)
+    solids, out = scene.objects.solids, np.zeros(wanted.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
         return out
     at = np.flatnonzero(wanted & (buffer.kind == MESHES))

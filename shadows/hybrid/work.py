@@ -29,7 +29,7 @@ def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
     faces = 6.0 if task.light_kind == "omni" else 1.0
     texels = faces * size**2
     drawn = {
-        "blocks": 1.0, "texels": texels, "texels of ground": texels if task.stand("relief") else 0.0,
+        "blocks": 1.0, "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0,
         "texels in shadow": texels * task.facts.cast_share, "caps": caps, "ground": ground, "facing": task.facing,
     }  # fmt: skip
     mask = {"blocks": 1.0, "facing": task.facing, "pixels": task.pixels, "texels": texels}

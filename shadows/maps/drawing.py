@@ -81,8 +81,8 @@ def draw_map(
                 largest = max(largest, len(vertices) * 12 + triangles.nbytes)
             if trees is not None:
                 gl.layers(foliage().levels).use(0)
-                look = np.concatenate([trees.turn, trees.look[:, None]], axis=1)
-                instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", look)]
+                variant = np.concatenate([trees.turn, trees.variant[:, None]], axis=1)
+                instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, 18, instances)
                 largest = max(largest, len(trees) * 40)
     record.map_texels += drawn.texels
@@ -101,10 +101,10 @@ def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
 
 def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
     """What stands for meshes and ground, each with whether faces towards the light are left out: those of closed bodies alone."""
-    if culling == "none" or "meshes" not in kinds or scene.population.solids is None:
+    if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
     *ground, (vertices, triangles) = meshes
-    closed = closed_casters(scene.population)
+    closed = closed_casters(scene.objects)
     return [*((mesh, False) for mesh in ground), ((vertices, triangles[closed]), True), ((vertices, triangles[~closed]), False)]
 
 

@@ -43,7 +43,7 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
         "blocks": 1.0, "maps": count, "fitted pixels": task.pixels * count, f"look-ups, filter {filter}": looked_up,
         # The larger a map, the less of it a cache holds.
         "look-ups by texels": looked_up * texels / max(count, 1.0) / 2.0**20,
-        "texels": texels, "texels of ground": texels if task.stand("relief") else 0.0, "texels of leaves": leaves,
+        "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0, "texels of leaves": leaves,
         # What casters cover of a map: nothing that is seen tells it of a lamp's.
         "texels in shadow": texels * task.facts.cast_share if task.light == SUN else 0.0,
         "triangles": count * task.triangles("meshes"), "trees": count * task.trees,

@@ -200,7 +200,7 @@ def _work(task: Workload, settings: SweepSettings) -> Work:
 
 def _ground_nodes(task: Workload) -> float:
     """Nodes of a perspective view's whole ground; half its triangles where they are not told."""
-    relief = task.stand("relief")
+    relief = task.caster_facts("relief")
     return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
 

@@ -81,7 +81,7 @@ def content_key(
     numbers = _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light, either_diagonal
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)
-    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.look, foliage().levels[0]]
+    parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.variant, foliage().levels[0]]
     for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
         parts += [vertices, triangles]
     for array in (to_light, buffer.there, buffer.position_frame_m, *parts, *caster_sheets(scene, buffer, casters, ALL_KINDS)):

@@ -113,8 +113,8 @@ def receiving(
     drawn = points.drawn
     if drawn.any():
         with gl.stencil.depth_pass(target):
-            if buffer.solids_frame_m is not None and scene.population.solids is not None:
-                gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.population.solids.triangles)
+            if buffer.solids_frame_m is not None and scene.objects.solids is not None:
+                gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
             if points.nodes_frame_m is not None:
                 gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
@@ -168,7 +168,7 @@ def _seen(
         near = origin + near_m * corners @ camera_from_frame
     else:
         low, high = points[at].min(axis=0), points[at].max(axis=0)
-        top_m = max(float(high[2]), scene.height_range_m[1] + scene.population.tallest_m)  # above all that casts
+        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all that casts
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))

@@ -121,8 +121,8 @@ def volumes_of(
     if buffer.ground is not None and "relief" in kinds:
         of_ground = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
         meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), of_ground))
-    if "meshes" in kinds and scene.population.solids is not None:
-        meshes.append((caster_solids(scene.population, buffer.frame), None))
+    if "meshes" in kinds and scene.objects.solids is not None:
+        meshes.append((caster_solids(scene.objects, buffer.frame), None))
     for mesh, rule in meshes:
         key = (*mesh, tuple(light_frame), rule)
         its = _kept.get(*key)

@@ -32,13 +32,13 @@ def silhouette_counts(task: Workload) -> Counts:
 
 
 def _mesh_edges(task: Workload) -> int:
-    return task.facts.silhouette_edges if task.stand("meshes") else 0
+    return task.facts.silhouette_edges if task.caster_facts("meshes") else 0
 
 
 def volume_faces(task: Workload) -> tuple[float, float, float]:
     """Sides and caps of the volumes of meshes, and faces of those of the ground; twice as many under a lamp."""
     ends = 1.0 if task.light == SUN else 2.0
-    closed = getattr(task.stand("meshes"), "closed_share", 0.0)
+    closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
     ground = (task.triangles("relief") + task.outside_triangles) * task.turned_away
     return ends * _mesh_edges(task), ends * caps, ends * ground
@@ -56,7 +56,7 @@ def stencil_counts(task: Workload, settings: VolumeSettings, marked: float | Non
     rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     drawn = edges * np.sqrt(rectangles) + caps + ground
-    layers = sides * task.facts.volume_layers if task.stand("meshes") else 0.0
+    layers = sides * task.facts.volume_layers if task.caster_facts("meshes") else 0.0
     counts = {"blocks": 1.0, "pixels": task.pixels}
     if marked is None:
         counts |= {"faces drawn": sides * drawn, "facing": task.facing, "layers": task.facing * np.sqrt(np.log1p(layers))}
@@ -65,6 +65,6 @@ def stencil_counts(task: Workload, settings: VolumeSettings, marked: float | Non
         counts |= {"faces beside marks": sides * drawn * marked**0.25, "layers beside marks": task.facing * deep}
     if task.in_map:
         parts = np.ceil(task.descriptor.rows / AFFINE_PART_PX) * np.ceil(task.descriptor.cols / AFFINE_PART_PX)
-        relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.stand("relief") else 0.0
-        counts["sheets"] = parts * (relief + (task.stand("meshes") is not None))
+        relief = 1.0 + task.outside_triangles / SHEET_TRIANGLES if task.caster_facts("relief") else 0.0
+        counts["sheets"] = parts * (relief + (task.caster_facts("meshes") is not None))
     return counts

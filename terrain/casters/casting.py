@@ -37,34 +37,34 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
     meshes: list[Mesh] = []
     if buffer.ground is not None and "relief" in kinds:
         meshes.append((buffer.ground.position_frame_m, buffer.ground.triangles))
-    if "meshes" in kinds and scene.population.solids is not None:
-        meshes.append(caster_solids(scene.population, buffer.frame))
+    if "meshes" in kinds and scene.objects.solids is not None:
+        meshes.append(caster_solids(scene.objects, buffer.frame))
     return meshes
 
 
 def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
     """Whether there is anything of some kinds that could cast on a buffer's points."""
     ground = "relief" in kinds and (buffer.surface is not None or buffer.ground is not None)
-    return ground or ("meshes" in kinds and scene.population.solids is not None) or caster_trees(buffer, kinds) is not None
+    return ground or ("meshes" in kinds and scene.objects.solids is not None) or caster_trees(buffer, kinds) is not None
 
 
 def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> TreeInstances | None:
     """The trees that cast, if there are any."""
-    return buffer.stand if "forest" in kinds else None
+    return buffer.tree_instances if "forest" in kinds else None
 
 
 def trees_in_the_way(
-    stand: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
+    instances: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> TreeInstances:
     """Those trees that reach into light-space bounds (3,) or lie before them, towards the sun."""
     before = np.array([low[0], low[1], -np.inf])
-    return stand.some(stand.reaching(rotation, translation, before, high))
+    return instances.some(instances.reaching(rotation, translation, before, high))
 
 
 @cached("scene", 64 * MIB)
-def closed_casters(population: SceneObjects) -> np.ndarray:
+def closed_casters(objects: SceneObjects) -> np.ndarray:
     """Which triangles (m,) of what stands for the meshes bound a closed body with its faces outwards, bool."""
-    placement = population.placement
+    placement = objects.placement
     casting = () if placement is None else placement.casting
     bodies = {id(placed.body): placed.body for placed in casting}  # one body may stand in many places
     closed = {key: body.closed and body.volume_m3 > 0.0 for key, body in bodies.items()}
@@ -73,8 +73,8 @@ def closed_casters(population: SceneObjects) -> np.ndarray:
 
 
 @cached("scene", 512 * MIB)
-def caster_solids(population: SceneObjects, frame: LocalFrame) -> Mesh:
+def caster_solids(objects: SceneObjects, frame: LocalFrame) -> Mesh:
     """What stands for the meshes in a frame; the last ones are kept."""
-    solids = population.solids
+    solids = objects.solids
     assert solids is not None
     return frame.points_from_earth(solids.caster_vertices_earth_m), solids.caster_triangles

@@ -84,7 +84,7 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
         )
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
-        points, pixel = _samples(scene.world, frame, view, low, high + scene.population.tallest_m, curved=True)
+        points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_m, curved=True)
         across = np.column_stack([points, np.ones(len(points))])
         affine, *_ = np.linalg.lstsq(across, pixel, rcond=None)
         worst = max(worst, float(np.linalg.norm(across @ affine - pixel, axis=1).max()))

@@ -159,12 +159,12 @@ def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = N
     return top * (1 - fy) + bottom * fy
 
 
-def trees_as_mesh(stand: TreeInstances) -> AlphaMesh:
+def trees_as_mesh(instances: TreeInstances) -> AlphaMesh:
     """The trees' quads as alpha-tested triangles, with their full-resolution textures."""
-    count = len(stand)
+    count = len(instances)
     first = np.arange(count * 3, dtype=np.int32)[:, None] * 4
     triangles = (first[:, None, :] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)
     uv = np.tile(np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]), (count * 3, 1))
-    layer = np.repeat((2 * stand.look[:, None] + np.array([0, 0, 1])).ravel(), 2)
+    layer = np.repeat((2 * instances.variant[:, None] + np.array([0, 0, 1])).ravel(), 2)
     alpha = foliage().levels[0][..., 3].astype(np.float32) / 255.0
-    return AlphaMesh(stand.corners().reshape(-1, 3), triangles, uv, alpha, THRESHOLD, layer)
+    return AlphaMesh(instances.corners().reshape(-1, 3), triangles, uv, alpha, THRESHOLD, layer)

@@ -28,14 +28,14 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return cast_shadows.sun_kind_verdict(descriptor, "forest")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``drawn``: whether any tree is left of those that are thinned out as they get small."""
-    if scene.population.trees is None:
+    if scene.objects.trees is None:
         return {}
     if isinstance(view, MapView):
         pixel_m = map_pixel_m(scene.world, view)
-        return {"drawn": map_draws_trees(scene.population.trees, pixel_m)}
-    stand = tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+        return {"drawn": map_draws_trees(scene.objects.trees, pixel_m)}
+    stand = tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     return {"drawn": stand is not None and len(stand) > 0}
 
 

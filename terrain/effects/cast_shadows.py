@@ -107,28 +107,30 @@ def can_cast(descriptor: Descriptor) -> bool:
     return descriptor.relief_m > 0.0 or any(kind != "relief" for kind in descriptor.casters)
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``least_slope`` and ``most_slope``: how much the sun's slope exceeds that of the ground's facets towards it, least and most
     (``None``: not known); ``meshes`` and ``forest``: whether their shadows can fall on what a perspective view sees.
     """
     if not scene.sun_is_up:
         return {}
-    least, most = _slopes_under_sun(scene, view, look)
+    least, most = _slopes_under_sun(scene, view, coarse_view)
     found: dict[str, Fact] = {"least_slope": least, "most_slope": most}
-    if look is not None and isinstance(view, PerspectiveView):
-        found |= {kind: _stands_before(scene, view, kind, look) for kind in scene.population.kinds if kind != "relief"}
+    if coarse_view is not None and isinstance(view, PerspectiveView):
+        found |= {kind: _stands_before(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
     return found
 
 
-def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> tuple[float | None, float | None]:
+def _slopes_under_sun(
+    scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None
+) -> tuple[float | None, float | None]:
     assert scene.sun is not None
     if np.ptp(scene.height_range_m) <= 0.0:
         return None, None
     to_sun = direction_enu(scene.sun.azimuth_deg, scene.sun.altitude_deg)
     if isinstance(view, PerspectiveView):
-        assert look is not None
-        ground, frame = ground_mesh(scene, view), look.buffer.frame
-        return above_mesh(scene.world, ground, frame, _corridor(scene, view, look), to_sun)
+        assert coarse_view is not None
+        ground, frame = ground_mesh(scene, view), coarse_view.buffer.frame
+        return above_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
     nodes = node_count(scene.world, scene.elevation, view.grid)
     coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
     least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
@@ -140,12 +142,12 @@ def _slopes_under_sun(scene: Scene, view: MapView | PerspectiveView, look: Coars
 
 
 @cached("scene", 256 * MIB)
-def _trees(population: SceneObjects, view: PerspectiveView, look: CoarseView) -> tuple[TreeInstances | None, bool]:
+def _trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
     """The trees round an eye, and whether leaves of any are in view."""
-    stand = tree_instances_in_perspective(population, look.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
+    stand = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, False
-    eye, camera_from_frame = view.in_frame(look.buffer.frame)
+    eye, camera_from_frame = view.in_frame(coarse_view.buffer.frame)
     ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
     tangents = np.array(ends) / view.focal_px
     near = stand.in_cone(eye, camera_from_frame, tangents)
@@ -158,35 +160,37 @@ def _trees(population: SceneObjects, view: PerspectiveView, look: CoarseView) ->
     return stand, not outside.all()
 
 
-def _seen_m(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
+def _seen_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
-    return look.away_m * look.spacing + (scene.population.tallest_m if _trees(scene.population, view, look)[1] else 0.0)
+    return coarse_view.away_m * coarse_view.spacing + (
+        scene.objects.tallest_m if _trees(scene.objects, view, coarse_view)[1] else 0.0
+    )
 
 
-def _corridor(scene: Scene, view: PerspectiveView, look: CoarseView) -> Corridor:
+def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> Corridor:
     """What lies between what is seen and the sun, as ``above_mesh`` takes it: right of the light, and towards the sun."""
     assert scene.light is not None
-    rotation, translation = scene.light.from_frame(look.buffer.frame)
+    rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
     rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
     offsets = np.array([translation[0], scene.light.towards_sun_m(translation)])
-    at, slack = look.points_frame_m @ rows.T + offsets, _seen_m(scene, view, look)[:, None]
+    at, slack = coarse_view.points_frame_m @ rows.T + offsets, _seen_m(scene, view, coarse_view)[:, None]
     low, high = ((at - slack).min(axis=0), (at + slack).max(axis=0)) if len(at) else (np.full(2, np.inf), np.full(2, -np.inf))
     return rows, offsets, np.array([[low[0], high[0]], [low[1], np.inf]])
 
 
-def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: CoarseView) -> bool:
+def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: CoarseView) -> bool:
     """Whether trees or meshes hide, as the sun sees them, something that is seen; or are trees that are seen themselves."""
     assert scene.light is not None
-    population, frame = scene.population, look.buffer.frame
+    objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
-        first, last = _boxes_of_meshes(population, scene.light)
+        first, last = _boxes_of_meshes(objects, scene.light)
     else:
-        stand, seen = _trees(scene.population, view, look)
+        stand, seen = _trees(scene.objects, view, coarse_view)
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)
-        points = look.points_frame_m @ rotation.T + translation
-        slack = _seen_m(scene, view, look)[:, None]
+        points = coarse_view.points_frame_m @ rotation.T + translation
+        slack = _seen_m(scene, view, coarse_view)[:, None]
         low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
         before = stand.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
         if not 0 < len(before) <= MAX_TREES_TESTED:
@@ -194,14 +198,16 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, look: CoarseV
         at = stand.some(before).outlines() @ rotation.T + translation
         first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
-    return bool(_hide(first, last, look.points_frame_m @ rotation.T + translation, _seen_m(scene, view, look), MASK_CELLS))
+    return bool(
+        _hide(first, last, coarse_view.points_frame_m @ rotation.T + translation, _seen_m(scene, view, coarse_view), MASK_CELLS)
+    )
 
 
 @cached("light", 256 * MIB)
-def _boxes_of_meshes(population: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
+def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
-    assert population.solids is not None
-    return _boxes(light.from_earth(population.solids.caster_vertices_earth_m), population.solids.caster_triangles)
+    assert objects.solids is not None
+    return _boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
 
 
 @compiled

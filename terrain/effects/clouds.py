@@ -111,7 +111,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     return CloudLayer(
         cover, threshold_of(cover), 1.0 - THROUGH * (1.0 - cover**4),
         max(_mean_height_m(scene.elevation) + LAYER_M, scene.height_range_m[1] + CLEARANCE_M),
-        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.population.seconds * np.array(DRIFT_M_PER_S),
+        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.objects.seconds * np.array(DRIFT_M_PER_S),
     )  # fmt: skip
 
 
@@ -239,7 +239,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken:.0%} of the light")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``cover`` of the sky, and the largest share of its light that clouds take from a point: ``taken``, from above.
 
     Of a map all the ground counts that it shows, lit or not.
@@ -248,15 +248,15 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
         return {"cover": cover, "taken": 0.0}
     layer, direct = cloud_layer_of(scene), _direct_share(scene)
-    if look is None:
+    if coarse_view is None:
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         boxes = [] if cells is None else [_box_of_cells(scene, layer, cells)]
         nearest = farthest = _fade(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
-        away_m = look.away_m if len(look.away_m) else np.zeros(1)
-        boxes = _boxes_of_look(scene, layer, look)
+        away_m = coarse_view.away_m if len(coarse_view.away_m) else np.zeros(1)
+        boxes = _boxes_of_look(scene, layer, coarse_view)
         nearest, farthest = (_fade(view.pixel * float(m)) for m in (away_m.min(), away_m.max()))
     densest = max((_densest(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
@@ -271,7 +271,7 @@ def _direct_share(scene: Scene) -> float:
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_of(scene)
     low, high = scene.height_range_m
-    bare = low == high and scene.population.kinds == ("relief",)
+    bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
     sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else SEEN_LEAST)
     return float((direct / (direct + sky)).max())
@@ -286,40 +286,40 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     x, y = scene.elevation.xy(row, col)
     point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
     low, high = scene.height_range_m
-    heights = np.repeat([low, high + scene.population.tallest_m], len(point))
+    heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     places = _places(points @ scene.world.earth_from_anchor, heights, layer)
     # Between the points a meridian bends a little.
     return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
 
 
-def _boxes_of_look(scene: Scene, layer: CloudLayer, look: CoarseView) -> list[CloudBounds]:
+def _boxes_of_look(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
     """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
     between the points looked at too; past the farthest points, under the sky, a quarter farther.
     """
-    rotation, origin_m = scene.world.anchor_from_frame(look.buffer.frame)
-    points, away_m, height_m = look.points_frame_m, look.away_m, look.height_m
-    if not look.buffer.there.all():
+    rotation, origin_m = scene.world.anchor_from_frame(coarse_view.buffer.frame)
+    points, away_m, height_m = coarse_view.points_frame_m, coarse_view.away_m, coarse_view.height_m
+    if not coarse_view.buffer.there.all():
         far = away_m > away_m.max(initial=0.0) / 1.25
-        points = np.concatenate([points, 1.25 * points[far] - 0.25 * look.eye_frame_m])
+        points = np.concatenate([points, 1.25 * points[far] - 0.25 * coarse_view.eye_frame_m])
         away_m, height_m = np.concatenate([away_m, 1.25 * away_m[far]]), np.concatenate([height_m, height_m[far]])
     places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
     octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
-    stood_m = _unseen_rise_m(scene, look) / max(layer.to_sun_anchor[2], LOWEST_SINE)
+    stood_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], LOWEST_SINE)
     found, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
     for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
-        west, east, south, north = _box(places[(octave == near) | (octave == far)], look.spacing * 2.0**far + stood_m)
+        west, east, south, north = _box(places[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + stood_m)
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
     return boxes
 
 
-def _unseen_rise_m(scene: Scene, look: CoarseView) -> float:
+def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
     """How far what is in view may rise above the points that a look has met, metres: trees, and meshes if any reaches into it."""
-    view, trees = look.buffer.view, scene.population.trees
-    if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, look.buffer.frame) > 0.0:
-        return scene.population.tallest_m
+    view, trees = coarse_view.buffer.view, scene.objects.trees
+    if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, coarse_view.buffer.frame) > 0.0:
+        return scene.objects.tallest_m
     return 0.0 if trees is None else float(trees.height_m.max())
 
 

@@ -69,19 +69,19 @@ def called_for(descriptor: Descriptor) -> Verdict:
     )
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """Visibility, the distance from which haze can show, and the farthest that is seen, metres.
 
     The last is what the coarse look has met, where that is enough for haze to show; else nothing that the look may have missed
     lies farther.
     """
     visibility_m = scene.loaded.level.weather.visibility
-    if look is None or visibility_m is None:
+    if coarse_view is None or visibility_m is None:
         return {"visibility_m": visibility_m}
     shows_from_m = _shows_from_m(scene, visibility_m)
-    farthest_m = float(look.away_m.max(initial=0.0))
+    farthest_m = float(coarse_view.away_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
-        farthest_m = max(farthest_m, farthest_in_view_m(scene, view, look))
+        farthest_m = max(farthest_m, farthest_in_view_m(scene, view, coarse_view))
     return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
 
 
@@ -90,16 +90,16 @@ def extinction(visibility_m: float) -> float:
     return float(-np.log(CONTRAST) / visibility_m)
 
 
-def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: CoarseView) -> float:
+def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> float:
     """How far away, in metres, the farthest ground, mesh or tree lies that reaches into the pyramid of a view's pixels, whether or
     not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
     """
-    frame, ground = look.buffer.frame, look.buffer.ground
+    frame, ground = coarse_view.buffer.frame, coarse_view.buffer.ground
     eye, camera_from_frame, tangents, inward = _pyramid(view, frame)
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
         farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
-    stand = tree_instances_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
+    stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is not None:
         seen = stand.in_cone(eye, camera_from_frame, tangents)
         size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
@@ -109,7 +109,7 @@ def farthest_in_view_m(scene: Scene, view: PerspectiveView, look: CoarseView) ->
 
 def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
     """The same of meshes alone; 0 where none reaches into the view."""
-    solids, vertices = scene.population.solids, solids_in(scene.population, frame)
+    solids, vertices = scene.objects.solids, solids_in(scene.objects, frame)
     if solids is None or vertices is None:
         return 0.0
     eye, _, _, inward = _pyramid(view, frame)

@@ -36,7 +36,7 @@ def _names(descriptor: Descriptor) -> str:
     return ", ".join(lamp.name for lamp in descriptor.lamps)
 
 
-def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look: CoarseView | None) -> bool:
+def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> bool:
     """Whether a lamp's light can be seen: on white ground that faces it, wherever a map shows ground or a view looks.
 
     Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
@@ -44,21 +44,21 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, look
     """
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
-    if look is None:
+    if coarse_view is None:
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         if cells is None:
             return False
         points, slack_m = _points_of_cells(scene, cells)
     else:
-        points = look.buffer.frame.points_to_earth(look.points_frame_m)
-        slack_m = look.away_m * look.spacing
+        points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
+        slack_m = coarse_view.away_m * coarse_view.spacing
     to_points = points - lamp.position_earth_m
-    slack_m = slack_m + scene.population.tallest_m
+    slack_m = slack_m + scene.objects.tallest_m
     away_m = np.linalg.norm(to_points, axis=-1)
     near_m = np.maximum(away_m - slack_m, 1e-3)
     light = strength / near_m**2
-    if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.population.kinds == ("relief",):
+    if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
     seen = light > _least_light(scene)
     if lamp.kind == "spot":
@@ -76,7 +76,7 @@ def _least_light(scene: Scene) -> float:
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_of(scene)
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
-    least = 0.25 * sky if "meshes" not in scene.population.kinds else 0.0
+    least = 0.25 * sky if "meshes" not in scene.objects.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
     return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * BAR_STEP)])
 

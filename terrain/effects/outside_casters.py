@@ -34,7 +34,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(False, relief.reason if not relief.called_for else cast_shadows.sun_verdict(descriptor).reason)
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``outside``: whether ground lies outside of a map's picture, or, for blocks of tiles, of the one block that holds it all."""
     if isinstance(view, PerspectiveView):
         return {}

@@ -46,11 +46,11 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(False, f"{said}, which moves no shadow by more than {moves_px:.2g} pixels")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``lift_deg``, and ``moves_m``: how much longer the longest shadow of the level would be without it."""
     if scene.sun is None:
         return {}
-    tallest_m = float(np.ptp(scene.height_range_m)) + scene.population.tallest_m
+    tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_m
     altitude, curved = scene.sun.altitude_deg, not scene.world.flat
     longer_m = longest_shadow_m(tallest_m, altitude - scene.sun.lift_deg, curved) - longest_shadow_m(tallest_m, altitude, curved)
     return {"lift_deg": scene.sun.lift_deg, "moves_m": longer_m}

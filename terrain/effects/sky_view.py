@@ -45,7 +45,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"{what}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{what}a step of 255 at most")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``hidden``: the largest share of the sky that ground hides from any of it that a map shows (as its pixels do) or where a view
     looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
     """
@@ -56,7 +56,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None
     if isinstance(view, MapView):
         hidden = _largest_shown(scene, view, baked)
     else:
-        hidden = 0.0 if look is None else _largest_seen(baked, look)
+        hidden = 0.0 if coarse_view is None else _largest_seen(baked, coarse_view)
     return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene), hidden))}
 
 
@@ -80,7 +80,7 @@ def darkened_steps(light: float, hidden: float) -> int:
 def brightest(scene: Scene) -> float:
     """The brightest linear colour of ground under the whole sky alone: of tints, or of white where a level shows other things."""
     level = scene.loaded.level
-    plain = scene.population.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
+    plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
     albedo = tint_table().max(axis=0) if plain else np.ones(3)
     night = night_of(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
@@ -98,9 +98,9 @@ def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
-def _largest_seen(baked: SkyView, look: CoarseView) -> float:
+def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
     """The largest share hidden from what a perspective view shows: round each point that is looked at, as far as its neighbours."""
-    buffer = look.buffer
+    buffer = coarse_view.buffer
     if not buffer.there.any():
         return 0.0
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)

@@ -113,13 +113,13 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"snow lies on whatever is less steep than {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``lies``: whether there is snow; ``on``: whether there is anything for it, and if not, ``why``."""
     level = scene.loaded.level
     why = None
-    if level.water is not None and scene.population.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
+    if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
         why = f"all ground lies under water, which stands at {level.water.level:g} m"
-    elif look is not None and len(look.points_frame_m) == 0 and scene.population.trees is None:
+    elif coarse_view is not None and len(coarse_view.points_frame_m) == 0 and scene.objects.trees is None:
         why = "nothing but the sky is seen"
     return {"lies": level.weather.snow, "on": why is None, "why": why}
 

@@ -97,7 +97,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(True, f"water at {level_m:.1f} m mirrors {mirrored}: up to {change:.0f} of 255")
 
 
-def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None) -> dict[str, Fact]:
+def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``level_m`` of the water, whether it ``covers`` any ground, by how many 8-bit steps the sky in it changes a colour at the
     most (``change_steps``; ``None``: nothing of it can be seen), and whether the mirrored sun can reach the eye (``glint``).
 
@@ -111,8 +111,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: CoarseView | None
     if isinstance(view, MapView):
         covers = covers and _wet_at(scene, view)
         change = _change_steps(scene, np.array([1.0])) if covers else None
-    elif covers and look is not None:
-        cosines = _cosines(scene, view, look)
+    elif covers and coarse_view is not None:
+        cosines = _cosines(scene, view, coarse_view)
         change = _change_steps(scene, cosines) if len(cosines) else None
     return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and glints(scene, view)}
 
@@ -136,25 +136,25 @@ def _wet_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
     return bool((there & (height_m <= elevation.water_m + SHORE_M)).any())
 
 
-def _cosines(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
+def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Cosines (n,) of the zenith angles under which water may be seen, less the way to a look's next point; none if none is seen.
 
     Where a look's points show no water, it may lie between them: then those pixels are drawn where its nodes would be seen.
     """
-    buffer, eye = look.buffer, look.eye_frame_m
+    buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
     points = buffer.position_frame_m[water_in(buffer, scene)]
     if not len(points):
-        points = _between(scene, view, look)
+        points = _between(scene, view, coarse_view)
     up = points - up_centre(scene, buffer)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     to_eye = eye - points
     cosine = np.einsum("nk,nk->n", to_eye, up) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-9)
-    return np.clip(cosine - look.spacing, 0.0, 1.0)
+    return np.clip(cosine - coarse_view.spacing, 0.0, 1.0)
 
 
-def _between(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarray:
+def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Nodes (n, 3) of the ground under water that are no farther than what a look shows beside them, if water is drawn there."""
-    buffer, ground = look.buffer, look.buffer.ground
+    buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
     coarse, wet = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= SHORE_M
     points = ground.position_frame_m[wet]
@@ -166,9 +166,9 @@ def _between(scene: Scene, view: PerspectiveView, look: CoarseView) -> np.ndarra
     inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
     points, at, row, col = points[inside], at[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.there.shape, np.inf)
-    far_m[buffer.there] = look.away_m
+    far_m[buffer.there] = coarse_view.away_m
     far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
-    seen = np.linalg.norm(at, axis=-1) <= far_m * (1.0 + look.spacing)
+    seen = np.linalg.norm(at, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
     if not seen.any():
         return points[:0]
     each = round(coarse.step / view.step)

@@ -25,9 +25,9 @@ TREE_TRIANGLES = 6
 
 def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeInstances | None) -> tuple[CasterFacts, ...]:
     """The facts of each kind of casters that there is, trees as the view draws them."""
-    population, found = scene.population, [_relief(scene, view)]
-    if population.solids is not None:
-        found.append(_meshes(population))
+    objects, found = scene.objects, [_relief(scene, view)]
+    if objects.solids is not None:
+        found.append(_meshes(objects))
     if trees is not None:
         found.append(_forest(trees))
     return tuple(found)
@@ -36,9 +36,9 @@ def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeIn
 def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
     """The trees as a view draws them, those of a map in the frame at the anchor; ``None`` where the level has none."""
     if isinstance(view, PerspectiveView):
-        return tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+        return tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     frame = scene.world.frame_near_earth(scene.world.anchor_earth_m)
-    return tree_instances_in_map(scene.population, frame, map_pixel_m(scene.world, view))
+    return tree_instances_in_map(scene.objects, frame, map_pixel_m(scene.world, view))
 
 
 def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
@@ -70,11 +70,11 @@ def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) ->
 
 
 @cached("scene", MIB)
-def _meshes(population: SceneObjects) -> CasterFacts:
-    assert population.placement is not None
-    casting = population.placement.casting
+def _meshes(objects: SceneObjects) -> CasterFacts:
+    assert objects.placement is not None
+    casting = objects.placement.casting
     sizes = np.array([np.ptp(placed.body.vertices_m, axis=0) for placed in casting])
-    closed = closed_casters(population)
+    closed = closed_casters(objects)
     return CasterFacts(
         kind="meshes", count=len(casting), triangles=len(closed), closed_share=float(closed.mean()) if len(closed) else 0.0,
         height_m=float(np.median(sizes[:, 2])), width_m=float(np.median(sizes[:, :2].max(axis=1))),
@@ -85,7 +85,7 @@ def _meshes(population: SceneObjects) -> CasterFacts:
 def _forest(trees: TreeInstances) -> CasterFacts:
     """The facts of trees as drawn: where they are thinned out, what is left is larger."""
     sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
-    gaps = leaf_gaps()[2 * trees.look] * trees.shape[:, 2] if len(trees) else np.zeros(1)
+    gaps = leaf_gaps()[2 * trees.variant] * trees.shape[:, 2] if len(trees) else np.zeros(1)
     return CasterFacts(
         kind="forest", count=len(trees), triangles=TREE_TRIANGLES * len(trees), alpha_share=1.0,
         height_m=float(sizes[2]), width_m=2.0 * float(sizes[0]), leaf_gap_m=float(np.median(gaps)),

@@ -76,35 +76,35 @@ class _Coarse:
     ground: GroundMesh
     solids: np.ndarray | None
     seen: IdBuffer
-    stand: None = None
+    tree_instances: None = None
 
 
 def _sight(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     """What a look goes by: what stands on the ground, and which way it is looked at, whatever the light."""
     camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
-    return scene.population, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
+    return scene.objects, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
 @cached("scene", 1024 * MIB, key=_sight)
 def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
     """Everything but the trees in every ``COARSE_STEP_PX``-th pixel; in every one, if those show the sky alone."""
-    look = _look_every(scene, view, COARSE_STEP_PX)
-    return look if len(look.points_frame_m) else _look_every(scene, view, 1, look.crosses)
+    coarse_view = _look_every(scene, view, COARSE_STEP_PX)
+    return coarse_view if len(coarse_view.points_frame_m) else _look_every(scene, view, 1, coarse_view.crosses)
 
 
 def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: NeighbourSamples | None = None) -> CoarseView:
     """A look at every pixel is given the coarse one's crosses: its own would take much to keep."""
     coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
-    ground, solids = ground_mesh(scene, coarse), solids_in(scene.population, frame)
+    ground, solids = ground_mesh(scene, coarse), solids_in(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
-    if solids is not None and scene.population.solids is not None:
-        meshes.append((solids, scene.population.solids.triangles))
+    if solids is not None and scene.objects.solids is not None:
+        meshes.append((solids, scene.objects.solids.triangles))
     number, depth_m = nearest_triangles(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
     seen = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
     if crosses is None:
         row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
-        flat, normals = (len(row), len(CROSS)), mesh_normals(scene.population)
+        flat, normals = (len(row), len(CROSS)), mesh_normals(scene.objects)
         crosses = NeighbourSamples(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
         ends = edges_in_neighbours(crosses.number, crosses.away_m, crosses.ground, crosses.normals)
     else:

@@ -48,7 +48,7 @@ class Foliage(NamedTuple):
     base_frame_m: np.ndarray
     shape: np.ndarray
     turn: np.ndarray
-    look: np.ndarray
+    variant: np.ndarray
     leaf: np.ndarray
 
 
@@ -114,14 +114,14 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    its = Foliage(trees.base_frame_m, trees.shape, trees.turn, trees.look, leaves())
+    its = Foliage(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
     return _first(tree_grid_of(trees), its, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 
 @compiled
 def _first(grid, its, start, direction, length, nearest):
     low, cell, top, first, tree, disc = grid
-    base, shape, turn, look, leaf = its
+    base, shape, turn, variant, leaf = its
     rows, cols = top.shape
     side = leaf.shape[1]
     out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))
@@ -177,7 +177,7 @@ def _first(grid, its, start, direction, length, nearest):
                         else:
                             u, v = 0.5 * ((along if quad == 0 else across) / shape[m, 0] + 1.0), 1.0 - qz / shape[m, 2]
                         if 0.0 <= u < 1.0 and 0.0 <= v < 1.0:
-                            if leaf[2 * look[m] + (1 if quad == 2 else 0), int(v * side), int(u * side)]:
+                            if leaf[2 * variant[m] + (1 if quad == 2 else 0), int(v * side), int(u * side)]:
                                 out[n] = s
                                 normal[n, 0], normal[n, 1], normal[n, 2] = nx, ny, nz
             if out[n] <= leave or leave >= end:

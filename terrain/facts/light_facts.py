@@ -77,11 +77,11 @@ def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts
         return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
     some, share = _lit(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
     rays = rays_to(some.probes, some.direction_frame, some.length_m)
-    blocked = {kind: _blocked(seen, kind, some.probes, rays) for kind in scene.population.kinds} if len(some.probes) else {}
+    blocked = {kind: _blocked(seen, kind, some.probes, rays) for kind in scene.objects.kinds} if len(some.probes) else {}
     shaded = np.logical_or.reduce([of.itself for of in blocked.values()]) if blocked else np.zeros(0, bool)
     edge_m = [some.probes.away_m[of.which[(of.beside[:EDGE_RUNG] != of.itself[of.which]).any(axis=0)]] for of in blocked.values()]
     nearest_m = min((float(away.min()) for away in edge_m if len(away)), default=None)
-    edges = {} if "meshes" not in scene.population.kinds else _silhouette(scene, camera, probes, lamp)
+    edges = {} if "meshes" not in scene.objects.kinds else _silhouette(scene, camera, probes, lamp)
     return LightFacts(
         to_view_deg=to_view, facing_share=share, cast_share=share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
@@ -128,7 +128,7 @@ def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays
         itself = blocked_by_leaves(seen.trees, rays.some(slice(1), everyone))[0]
         return BlockedRays(itself, blocked_by_leaves(seen.trees, rays.some(slice(1, None), which)), which)
     if kind == "meshes":
-        met = blocked_by_meshes(scene.population, probes, rays)
+        met = blocked_by_meshes(scene.objects, probes, rays)
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
         met = blocked_by_relief(scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays)
     else:
@@ -204,7 +204,7 @@ def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, la
         light, at_place = scene.sun.to_sun_earth, False
     else:
         light, at_place = lamp.position_earth_m, True
-    ends = silhouette_of(scene.population, light, at_place)
+    ends = silhouette_of(scene.objects, light, at_place)
     if camera is None or not len(ends):
         return {"silhouette_edges": len(ends)}
     seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera

@@ -45,9 +45,9 @@ class Bvh:
     side_b: np.ndarray
 
 
-def blocked_by_meshes(population: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
+def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Which rays (1 + k, n) of probes meet what stands for the meshes before the light, bool."""
-    tree = _tree_of(population)
+    tree = _tree_of(objects)
     frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
     lift = (RAY_OFFSET_SHARE * tree.extent_m * side)[:, None] * probes.normal_frame
@@ -61,12 +61,12 @@ def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.
 
 
 def first_mesh_hits(
-    population: SceneObjects, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
+    objects: SceneObjects, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far along rays from starts (n, 3), within their lengths (n,), what stands for the meshes is met first (n,), infinite
     where it is not, and its unit normal (n, 3) there, towards the start.
     """
-    tree = _tree_of(population)
+    tree = _tree_of(objects)
     start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
     away_m, triangle = _met_by(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
     normal = frame.directions_from_earth(np.cross(tree.side_a[triangle], tree.side_b[triangle]))
@@ -85,8 +85,8 @@ def _met_by(
 
 
 @cached("scene", 512 * MIB)
-def _tree_of(population: SceneObjects) -> Bvh:
-    solids = population.solids
+def _tree_of(objects: SceneObjects) -> Bvh:
+    solids = objects.solids
     assert solids is not None
     return bvh_of(solids.caster_vertices_earth_m, solids.caster_triangles)
 

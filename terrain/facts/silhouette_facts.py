@@ -62,22 +62,22 @@ def _edges_of_bodies(placement: Placement) -> EdgeFaces:
 
 
 @cached("scene", 256 * MIB)
-def _faces(population: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
+def _faces(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
     """Normals (m, 3), as long as twice the area, and corners (m, 3) of the triangles that cast, earth-fixed."""
-    solids = population.solids
+    solids = objects.solids
     assert solids is not None
     a, b, c = np.moveaxis(solids.caster_vertices_earth_m[solids.caster_triangles], 1, 0)
     return np.cross(b - a, c - a), a
 
 
-def silhouette_of(population: SceneObjects, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
+def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
     """Both ends (k, 2, 3) float64, earth-fixed metres, of the edges in the silhouette of a population's meshes under a light (3,):
     a direction to it, or its place.
     """
-    assert population.solids is not None and population.placement is not None
-    edges, (normal, corner) = _edges_of_bodies(population.placement), _faces(population)
+    assert objects.solids is not None and objects.placement is not None
+    edges, (normal, corner) = _edges_of_bodies(objects.placement), _faces(objects)
     chosen = _chosen(normal, corner, edges.beside, np.asarray(light_earth, np.float64), 1.0 if at_place else 0.0)
-    return population.solids.caster_vertices_earth_m[edges.ends[chosen]]
+    return objects.solids.caster_vertices_earth_m[edges.ends[chosen]]
 
 
 @compiled

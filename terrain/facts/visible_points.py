@@ -35,65 +35,65 @@ EDGES_AMONG_LEAVES = 300
 
 def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> Probes:
     """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of what is seen from above there."""
-    probes = _points_in_map(scene.population, trees)
+    probes = _points_in_map(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
 
-def probes_in_view(look: CoarseView, view: PerspectiveView, trees: TreeInstances | None) -> Probes:
+def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeInstances | None) -> Probes:
     """All points of a coarse look; where there are trees, those of at most ``AMONG_LEAVES`` pixels, or of leaves before them."""
-    return _points_in_look(look, view.pixel) if trees is None else _among_leaves(look, view.pixel, trees)
+    return _points_in_look(coarse_view, view.pixel) if trees is None else _among_leaves(coarse_view, view.pixel, trees)
 
 
 @cached("scene", 64 * MIB)
-def _points_in_look(look: CoarseView, pixel: float) -> Probes:
-    there = look.buffer.there
+def _points_in_look(coarse_view: CoarseView, pixel: float) -> Probes:
+    there = coarse_view.buffer.there
     return Probes(
-        frame=look.buffer.frame, point_frame_m=look.points_frame_m, normal_frame=look.buffer.normal_frame[there].astype(np.float64),
-        pixel_m=look.away_m * pixel, away_m=look.away_m, kind=look.buffer.kind[there], number=np.arange(len(look.away_m)),
+        frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m, normal_frame=coarse_view.buffer.normal_frame[there].astype(np.float64),
+        pixel_m=coarse_view.away_m * pixel, away_m=coarse_view.away_m, kind=coarse_view.buffer.kind[there], number=np.arange(len(coarse_view.away_m)),
     )  # fmt: skip
 
 
 @cached("scene", 64 * MIB)
-def _among_leaves(look: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
-    bare, coarse, there = _points_in_look(look, pixel), look.buffer.view, look.buffer.there.ravel()
+def _among_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
+    bare, coarse, there = _points_in_look(coarse_view, pixel), coarse_view.buffer.view, coarse_view.buffer.there.ravel()
     assert isinstance(coarse, PerspectiveView)
     some = stratified_indices(there.size, AMONG_LEAVES)
     count = len(some)
     row, col = np.divmod(some, coarse.cols)
     tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
-    _, camera_from_frame = coarse.in_frame(look.buffer.frame)
+    _, camera_from_frame = coarse.in_frame(coarse_view.buffer.frame)
     way = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     point, length = (np.cumsum(there) - 1)[some], np.full(count, np.inf)
     length[there[some]] = bare.away_m[point[there[some]]]
-    met, normal = first_leaf_hits(trees, np.tile(look.eye_frame_m, (count, 1)), way, length)
+    met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), way, length)
     leaf = np.isfinite(met)
     leaves = Probes(
-        look.buffer.frame, look.eye_frame_m + met[leaf, None] * way[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
+        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * way[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
         np.full(int(leaf.sum()), FOREST, np.uint8), some[leaf],
     )  # fmt: skip
     return _joined(bare.some(point[there[some] & ~leaf]), leaves)
 
 
-def edge_share(look: CoarseView, trees: TreeInstances | None) -> float:
+def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
     """Share of a view's pixels in which something ends (``terrain.gbuffer.antialias``)."""
-    return look.edge_share if trees is None else _edge_share_among_leaves(look, trees)
+    return coarse_view.edge_share if trees is None else _edge_share_among_leaves(coarse_view, trees)
 
 
 @cached("scene", MIB)
-def _edge_share_among_leaves(look: CoarseView, trees: TreeInstances) -> float:
+def _edge_share_among_leaves(coarse_view: CoarseView, trees: TreeInstances) -> float:
     """The share without the trees, known from many pixels, and what they change about it in some of these."""
-    its = look.crosses
+    its = coarse_view.crosses
     some = stratified_indices(len(its.number), EDGES_AMONG_LEAVES)
     number, depth_m = its.number[some], its.away_m[some]
     bare = edges_in_neighbours(number, depth_m, its.ground, its.normals)
     row, col = (at[some, None] + np.array(CROSS)[:, k] for k, at in enumerate((its.row, its.col)))
     x, y = ((first + at * its.view.step) / its.view.focal_px for first, at in ((its.view.col0, col), (its.view.row0, row)))
-    _, camera_from_frame = its.view.in_frame(look.buffer.frame)
+    _, camera_from_frame = its.view.in_frame(coarse_view.buffer.frame)
     way = np.stack([x, y, np.ones(x.shape)], axis=-1) @ camera_from_frame
     per_depth = np.linalg.norm(way, axis=-1)
     way /= per_depth[..., None]
-    start = np.tile(look.eye_frame_m, (number.size, 1))
+    start = np.tile(coarse_view.eye_frame_m, (number.size, 1))
     met, _ = first_leaf_hits(trees, start, way.reshape(-1, 3), (depth_m * per_depth).ravel())
     leaf = np.isfinite(met).reshape(number.shape)
     # Leaves side by side are told apart by their distance alone, whichever tree they are of: no two have the same number.
@@ -101,7 +101,7 @@ def _edge_share_among_leaves(look: CoarseView, trees: TreeInstances) -> float:
     number = np.where(leaf, numbers.astype(np.uint32), number)
     depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
     among = edges_in_neighbours(number, depth_m, its.ground, its.normals)
-    return float(np.clip(look.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
+    return float(np.clip(coarse_view.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
 
 
 def _joined(bare: Probes, leaves: Probes) -> Probes:
@@ -112,14 +112,14 @@ def _joined(bare: Probes, leaves: Probes) -> Probes:
 
 
 @cached("scene", 64 * MIB)
-def _points_in_map(population: SceneObjects, trees: TreeInstances | None) -> Probes:
-    bare, tallest_m = ground_points(population.world, population.elevation), population.tallest_m
-    away = population.world.curvature * bare.point_frame_m[:, :2]
+def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes:
+    bare, tallest_m = ground_points(objects.world, objects.elevation), objects.tallest_m
+    away = objects.world.curvature * bare.point_frame_m[:, :2]
     up = np.column_stack([away, np.ones(len(bare))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
     start, length = bare.point_frame_m + tallest_m * up, np.full(len(bare), tallest_m)
-    if population.solids is not None:
+    if objects.solids is not None:
         start, length = start + tallest_m * up, 2.0 * length  # higher than what stands on a slope beside
-        bare, length = _with_roofs(population, bare, start, -up, length)
+        bare, length = _with_roofs(objects, bare, start, -up, length)
     if trees is None:
         return bare
     met, normal = first_leaf_hits(trees, start, -up, length)
@@ -133,10 +133,10 @@ def _points_in_map(population: SceneObjects, trees: TreeInstances | None) -> Pro
 
 
 def _with_roofs(
-    population: SceneObjects, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
+    objects: SceneObjects, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
 ) -> tuple[Probes, np.ndarray]:
     """The probes, those below meshes on top of them, and how far below the starts (n, 3) they lie (n,)."""
-    met, normal = first_mesh_hits(population, bare.frame, start, down, length)
+    met, normal = first_mesh_hits(objects, bare.frame, start, down, length)
     roof = np.isfinite(met)
     length = np.where(roof, met, length)
     return replace(

@@ -104,7 +104,7 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     """A view's buffer with samples wherever something ends in it."""
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
-    normals = mesh_normals(scene.population)
+    normals = mesh_normals(scene.objects)
     row, col = np.nonzero(edges_between(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
     if not len(row):
         return MultisampledBuffer(buffer_of(scene, view, visible), view.rows)
@@ -120,9 +120,9 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
 
 
 @cached("scene", 128 * MIB)
-def mesh_normals(population: SceneObjects) -> np.ndarray:
+def mesh_normals(objects: SceneObjects) -> np.ndarray:
     """Unit normals (m, 3) float32 of the faces of a population's meshes."""
-    solids = population.solids
+    solids = objects.solids
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 

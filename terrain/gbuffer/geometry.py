@@ -88,7 +88,7 @@ class GeometryBuffer:
     ground: GroundMesh | None = None
     corners_frame_m: np.ndarray | None = None
     albedo: np.ndarray | None = None
-    stand: TreeInstances | None = None
+    tree_instances: TreeInstances | None = None
     solids_frame_m: np.ndarray | None = None
     samples_from: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None

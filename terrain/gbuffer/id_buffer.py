@@ -56,7 +56,7 @@ def rasterise_perspective(
     frame: LocalFrame,
     ground: GroundMesh,
     solids: tuple[np.ndarray, np.ndarray] | None,
-    stand: TreeInstances | None,
+    instances: TreeInstances | None,
 ) -> IdBuffer:
     """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees."""
     gl = device()
@@ -75,17 +75,17 @@ def rasterise_perspective(
         drawn = gl.draw_triangles(program, ground.position_frame_m, ground.triangles, 0)
         if solids is not None:
             drawn += gl.draw_triangles(program, *solids, drawn)
-        if stand is not None:
+        if instances is not None:
             ends = np.array([[first[k] - 0.5 * view.step, first[k] + (size[k] - 0.5) * view.step] for k in (0, 1)])
-            in_sight = stand.in_cone(eye, camera_from_frame, ends / view.focal_px)
-            _draw_trees(gl, stand, in_sight, stand.base_frame_m, {**uniforms, "in_map": False}, drawn)
-    return _read(gl, target, stand, drawn, None if stand is None else in_sight)
+            in_sight = instances.in_cone(eye, camera_from_frame, ends / view.focal_px)
+            _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, "in_map": False}, drawn)
+    return _read(gl, target, instances, drawn, None if instances is None else in_sight)
 
 
 def rasterise_map(
     view: MapView,
     solids_px: tuple[np.ndarray, np.ndarray] | None,
-    stand: TreeInstances | None,
+    instances: TreeInstances | None,
     bases_px: np.ndarray | None,
     px_from_m: np.ndarray,
     heights_m: tuple[float, float],
@@ -105,27 +105,27 @@ def rasterise_map(
         if solids_px is not None:
             program = _program(gl, "visible_map.vert", "visible.frag", uniforms)
             drawn += gl.draw_triangles(program, (solids_px[0] - shift) * scale, solids_px[1], 0)
-        if stand is not None and bases_px is not None:
-            reach = np.linalg.norm(px_from_m, 2) * stand.shape[:, :2].max(axis=1) * 1.5
+        if instances is not None and bases_px is not None:
+            reach = np.linalg.norm(px_from_m, 2) * instances.shape[:, :2].max(axis=1) * 1.5
             inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
             chosen = np.flatnonzero(inside[0] & inside[1])
             more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
-            _draw_trees(gl, stand, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
-    return _read(gl, target, stand, drawn, chosen)
+            _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
+    return _read(gl, target, instances, drawn, chosen)
 
 
 def _draw_trees(
-    gl: Device, stand: TreeInstances, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
+    gl: Device, instances: TreeInstances, chosen: np.ndarray, base: np.ndarray, uniforms: dict[str, Any], first: int
 ) -> None:
     program = gl.program(
         shader("terrain/gbuffer/tree", "terrain/gbuffer/visible_tree.vert"), shader("terrain/gbuffer/visible_tree.frag")
     )
     texture = gl.layers(foliage().levels)
     texture.use(0)
-    more = {"foliage": 0, "threshold": THRESHOLD, "curvature": stand.curvature, "first": first}
+    more = {"foliage": 0, "threshold": THRESHOLD, "curvature": instances.curvature, "first": first}
     set_uniforms(program, {**uniforms, **more})
-    look = np.concatenate([stand.turn, stand.look[:, None]], axis=1)
-    gl.draw_instances(program, 18, [("base", base[chosen]), ("shape", stand.shape[chosen]), ("look", look[chosen])])
+    variant = np.concatenate([instances.turn, instances.variant[:, None]], axis=1)
+    gl.draw_instances(program, 18, [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])])
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:
@@ -141,10 +141,12 @@ def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
             program[name] = value
 
 
-def _read(gl: Device, target: moderngl.Framebuffer, stand: TreeInstances | None, drawn: int, chosen: np.ndarray | None) -> IdBuffer:
+def _read(
+    gl: Device, target: moderngl.Framebuffer, instances: TreeInstances | None, drawn: int, chosen: np.ndarray | None
+) -> IdBuffer:
     number = gl.read(target, 0, "u4")
     if chosen is None or not len(chosen):
-        none = np.zeros((*number.shape, 4), np.uint8) if stand is not None else np.zeros((0, 0, 4), np.uint8)
+        none = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
         return IdBuffer(number, none, gl.read(target, -1))
     trees = number > drawn  # numbered among the trees in sight: now among all of them
     inside = number[trees].astype(np.int64) - drawn - 1

@@ -81,7 +81,7 @@ class Unresolved(Protocol):
     def seen(self) -> IdBuffer: ...
 
     @property
-    def stand(self) -> TreeInstances | None: ...
+    def tree_instances(self) -> TreeInstances | None: ...
 
 
 class RasterisedView:
@@ -97,13 +97,13 @@ class RasterisedView:
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
-        self.stand: TreeInstances | None = None
+        self.tree_instances: TreeInstances | None = None
         if "forest" in kinds:
-            self.stand = tree_instances_in_perspective(scene.population, frame, tuple(view.eye_earth_m), view.focal_px)
-        self.solids = solids_in(scene.population, frame)
-        solids = scene.population.solids
+            self.tree_instances = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
+        self.solids = solids_in(scene.objects, frame)
+        solids = scene.objects.solids
         drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
-        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.stand)
+        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances)
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
@@ -120,7 +120,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         root = np.concatenate([root, seen.seen.albedo_root[row, col]]) if root.size else root
     eye, camera_from_frame = view.in_frame(visible.frame)
     tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
-    ground, trees, solids = visible.ground, visible.stand, scene.population.solids
+    ground, trees, solids = visible.ground, visible.tree_instances, scene.objects.solids
     image = imagery_of(scene)
     points = resolve_perspective(
         number,
@@ -132,7 +132,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         Solids(_NO_POINTS, np.zeros(0), _NO_FACES)
         if solids is None or visible.solids is None
         else Solids(
-            visible.solids, scene.population.solids_on(scene.map_crs)[:, 2], _solid_faces(scene.population, visible.frame)
+            visible.solids, scene.objects.solids_on(scene.map_crs)[:, 2], _solid_faces(scene.objects, visible.frame)
         ),
         Trees(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
         if trees is None
@@ -146,7 +146,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
         view, visible.frame, points.there, points.position, points.height, points.normal, points.shading, points.crease,
-        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, stand=trees, solids_frame_m=visible.solids,
+        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees, solids_frame_m=visible.solids,
         samples_from=None if below is None else view.rows, sample_pixels=None if below is None else (row, col),
     )  # fmt: skip
 
@@ -157,23 +157,23 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
     pixel_m = map_pixel_m(scene.world, view)
-    solids, trees = scene.population.solids, tree_instances_in_map(scene.population, frame, pixel_m)
+    solids, trees = scene.objects.solids, tree_instances_in_map(scene.objects, frame, pixel_m)
     if solids is None and trees is None:
         return buffer
     crs = view.grid.crs
-    solid_points = solids_in(scene.population, frame)
-    solid_px = None if solids is None else _pixels(view, scene.population.solids_on(crs))
-    tree_px = None if trees is None else _pixels(view, scene.population.trees_on(crs)[trees.number])
+    solid_points = solids_in(scene.objects, frame)
+    solid_px = None if solids is None else _pixels(view, scene.objects.solids_on(crs))
+    tree_px = None if trees is None else _pixels(view, scene.objects.trees_on(crs)[trees.number])
     px_from_m = _px_from_m(scene, view, frame)
     low, high = scene.height_range_m
-    heights = low - 100.0, high + scene.population.tallest_m + 100.0
+    heights = low - 100.0, high + scene.objects.tallest_m + 100.0
     drawn = None if solids is None or solid_px is None else (solid_px, solids.triangles)
     seen = rasterise_map(view, drawn, trees, tree_px, px_from_m, heights)
     albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
     corners = np.zeros((*buffer.there.shape, 9), np.float32)
     solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
     if solid_points is not None and solid_px is not None:
-        solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.population, frame))
+        solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.objects, frame))
     curvature = scene.world.curvature
     tree_parts = TreesInMap(_NO_POINTS, _NO_POINTS, _NO_SHAPE, _NO_TURN, curvature, px_from_m)
     if trees is not None and tree_px is not None:
@@ -183,22 +183,22 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS,
     )  # fmt: skip
     resolve_map(seen.number, solid_parts, tree_parts, seen.albedo_root, points)
-    return replace(buffer, corners_frame_m=corners, albedo=albedo, stand=trees, solids_frame_m=solid_points)
+    return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
 
 
-def solids_in(population: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
+def solids_in(objects: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
     """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
-    solids = population.solids
+    solids = objects.solids
     return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
 
 
 @cached("scene", 512 * MIB)
-def _solid_faces(population: SceneObjects, frame: LocalFrame) -> Faces:
+def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
     """What a population's meshes show in a frame."""
-    solids = population.solids
+    solids = objects.solids
     assert solids is not None
     normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
-    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, population.solid_crease)
+    return Faces(solids.triangles, solids.albedo.astype(np.float32), normals, objects.solid_crease)
 
 
 def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:

@@ -56,17 +56,17 @@ class TreeInstances:
     base_height_m: np.ndarray
     shape: np.ndarray
     turn: np.ndarray
-    look: np.ndarray
+    variant: np.ndarray
     curvature: float
 
     def __len__(self) -> int:
-        return len(self.look)
+        return len(self.variant)
 
     def some(self, which: np.ndarray) -> TreeInstances:
         """The trees at some indices or where a mask says."""
         return TreeInstances(
             self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
-            self.look[which], self.curvature,
+            self.variant[which], self.curvature,
         )  # fmt: skip
 
     def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -87,16 +87,16 @@ class TreeInstances:
     def outlines(self) -> np.ndarray:
         """Corners (n, 3, k, 3) in the frame of convex polygons on the quads that hold all leaves."""
         corners, pictures = self.corners(), leaf_outlines()
-        at = pictures[2 * self.look[:, None] + np.array([0, 0, 1])]
+        at = pictures[2 * self.variant[:, None] + np.array([0, 0, 1])]
         right, up = (corners[:, :, end] - corners[:, :, 0] for end in (1, 3))
         return corners[:, :, :1] + at[..., :1] * right[:, :, None] + at[..., 1:] * up[:, :, None]
 
 
 @cached("scene", 512 * MIB)
-def tree_instances_in_map(population: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
+def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
-    trees = population.trees
-    return None if trees is None else _stand(population, trees, frame, trees.crown_m / (pixel_m * ALL_CROWNS_PX))
+    trees = objects.trees
+    return None if trees is None else _stand(objects, trees, frame, trees.crown_m / (pixel_m * ALL_CROWNS_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
@@ -106,33 +106,33 @@ def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
 
 @cached("scene", 512 * MIB)
 def tree_instances_in_perspective(
-    population: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
+    objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
     """The trees all round an eye; ``None`` without any. The last ones are kept."""
-    trees = population.trees
+    trees = objects.trees
     if trees is None:
         return None
     away_m = np.maximum(np.linalg.norm(trees.base_earth_m - np.array(eye_earth_m), axis=1), 1.0)
-    return _stand(population, trees, frame, trees.height_m * focal_px / (away_m * ALL_TREES_PX))
+    return _stand(objects, trees, frame, trees.height_m * focal_px / (away_m * ALL_TREES_PX))
 
 
-def _stand(population: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
+def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
     """``size`` is each tree's as a share of that from which all are drawn."""
     share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
     base = frame.points_from_earth(trees.base_earth_m[number])
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
-    crown_height = np.array([look.crown_height for look in TREE_VARIANTS], np.float32)[trees.look[number]]
+    crown_height = np.array([variant.crown_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
     turn = np.radians(trees.turn_deg[number].astype(np.float64))
     return TreeInstances(
         number=number,
         base_frame_m=base,
-        base_height_m=population.tree_heights_m[number],
+        base_height_m=objects.tree_heights_m[number],
         shape=(np.stack([half, half, height, height * crown_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
         turn=np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32),
-        look=trees.look[number].astype(np.int32),
-        curvature=population.world.curvature,
+        variant=trees.variant[number].astype(np.int32),
+        curvature=objects.world.curvature,
     )
 
 

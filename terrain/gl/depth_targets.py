@@ -25,7 +25,7 @@ class DepthTargets:
 
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
-        self.name, self.lasts, self.limit_bytes = "terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
+        self.name, self.lifetime, self.limit_bytes = "terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
         self._held: list[_Target] = []  # the one used last at the end
         register(self)
 

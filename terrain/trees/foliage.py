@@ -226,7 +226,7 @@ _KINDS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
         ),
     ),
 )
-TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(look for look, _ in _KINDS)
+TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _KINDS)
 
 
 OUTLINE_CELLS = 16

@@ -244,9 +244,9 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
     there = ground_m > site.elevation.water_m
     stems, x, y, ground_m = stems[there], x[there], y[there], ground_m[there]
     key = stems.places.key
-    look = _looks(key, species)
+    variant = _looks(key, species)
     if stems.crown_m is None:
-        crown_m = _own_crown_m(stems.height_m, look, shares(key, _SPREAD))
+        crown_m = _own_crown_m(stems.height_m, variant, shares(key, _SPREAD))
         crown_m = crown_m if stems.room_m is None else np.minimum(crown_m, stems.room_m)
     else:
         crown_m = stems.crown_m
@@ -256,14 +256,16 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         height_m=stems.height_m.astype(np.float32),
         crown_m=crown_m.astype(np.float32),
         turn_deg=(180.0 * shares(key, _TURN)).astype(np.float32) % np.float32(180.0),
-        look=look,
+        variant=variant,
         rank=np.zeros(len(key), np.float32),  # given to all stands together
     )
 
 
 def _looks(key: np.ndarray, species: Species) -> np.ndarray:
     """Looks uint8 (n,) of a species; of ``mixed`` stands half the trees are conifers."""
-    kinds = {kind: np.array([n for n, look in enumerate(TREE_VARIANTS) if look.species == kind], np.uint8) for kind in CROWN_M}
+    kinds = {
+        kind: np.array([n for n, variant in enumerate(TREE_VARIANTS) if variant.species == kind], np.uint8) for kind in CROWN_M
+    }
     share = shares(key, _LOOK)
     drawn = {kind: looks[(share * len(looks)).astype(int)] for kind, looks in kinds.items()}
     if species != "mixed":
@@ -278,10 +280,10 @@ def _line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[floa
     return base, slope
 
 
-def _own_crown_m(height_m: np.ndarray, look: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _own_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Diameters of single crowns: their species' usual ones, wider or narrower as the look is among its kin."""
     kin = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
-    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / kin[k.species]) for k in TREE_VARIANTS]).T[:, look]
+    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / kin[k.species]) for k in TREE_VARIANTS]).T[:, variant]
     return (base + slope * height_m) * wide * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))
 
 

@@ -29,5 +29,5 @@ class Trees:
     height_m: np.ndarray
     crown_m: np.ndarray
     turn_deg: np.ndarray
-    look: np.ndarray
+    variant: np.ndarray
     rank: np.ndarray

@@ -20,7 +20,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     return Verdict(highest > 50.0, f"the highest ground is at {highest:.0f} m")
 
 
-def facts(scene, view, look) -> dict[str, Fact]:
+def facts(scene, view, coarse_view) -> dict[str, Fact]:
     return {"highest_m": scene.height_range_m[1]}
 
 

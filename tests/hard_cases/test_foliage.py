@@ -103,7 +103,7 @@ def test_billboards(trial: Trial) -> dict[str, float]:
             with painted(cut_outs(float(share))):
                 asked = {"map_size": round(side_m / texel_m) + 25, "filter": 1, "cascades": 1, "fit": "tight"}
                 seen = trial.see(scene, view, **asked)
-            assert len(seen.buffer.stand) == len(places)
+            assert len(seen.buffer.tree_instances) == len(places)
             area = (seen.dark & (seen.buffer.kind == RELIEF)).sum() * (side_m / px) ** 2
             off = area / (len(places) * CROWN_M**2) - share
             worst = max(worst, abs(off))
@@ -232,12 +232,12 @@ def test_stands(trial: Trial) -> dict[str, float]:
     scene = planted(trial, area, (240.0, 40.0), density=1000.0, **small)
     eye = np.array([0.0, -0.75 * side_m, 0.3 * side_m])
     view = look_at(eye, np.array([0.0, -0.1 * side_m, 0.0]), UP, 40.0, *_size(trial))
-    assert scene.population.trees is not None
-    count = len(scene.population.trees.rank)
+    assert scene.objects.trees is not None
+    count = len(scene.objects.trees.rank)
     assert count > (990_000 if trial.thorough else 19_000)
     seen = trial.see(scene, view.finer(SIDE), map_size=texels)
     error, shadow = coverage_of(seen, blocks)
-    assert seen.buffer.stand is not None and len(seen.buffer.stand) < 0.7 * count and 0.1 < shadow < 0.9
+    assert seen.buffer.tree_instances is not None and len(seen.buffer.tree_instances) < 0.7 * count and 0.1 < shadow < 0.9
     errors = [error]
     with whole_stands():
         everything = geometry_of(scene, view.finer(SIDE))

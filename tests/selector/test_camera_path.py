@@ -223,15 +223,15 @@ def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(row
     assert frames == max(np.ceil(differ.sum() / most), 1)
 
 
-def pick(algorithms: str, **settings: int) -> Choice:
+def choice(algorithms: str, **settings: int) -> Choice:
     """Algorithms of relief, meshes and foliage."""
     return Choice(algorithms, dict(zip(("relief", "meshes", "forest"), algorithms.split(), strict=True)), settings)
 
 
-COARSE = pick("shadow_map shadow_map shadow_map", map_size=1024, cascades=1)
-CASCADES = pick("shadow_map shadow_map shadow_map", map_size=2048, cascades=4)
-PERSPECTIVE = pick("perspective_shadow_map perspective_shadow_map perspective_shadow_map", map_size=4096)
-EXACT = pick("sweep shadow_volume shadow_map", map_size=4096)
+COARSE = choice("shadow_map shadow_map shadow_map", map_size=1024, cascades=1)
+CASCADES = choice("shadow_map shadow_map shadow_map", map_size=2048, cascades=4)
+PERSPECTIVE = choice("perspective_shadow_map perspective_shadow_map perspective_shadow_map", map_size=4096)
+EXACT = choice("sweep shadow_volume shadow_map", map_size=4096)
 
 
 class Turning:
@@ -239,13 +239,13 @@ class Turning:
     are expected to be right.
     """
 
-    def __init__(self, *picks: Choice, least_ms: float = 1.0, other_ms: float = 10.0) -> None:
-        self.picks, self.now, self.least_ms, self.other_ms = picks, 0, least_ms, other_ms
+    def __init__(self, *choices: Choice, least_ms: float = 1.0, other_ms: float = 10.0) -> None:
+        self.choices, self.now, self.least_ms, self.other_ms = choices, 0, least_ms, other_ms
 
-    def __call__(self, descriptor: Descriptor, wishes: Level, overrides: dict | None) -> Plan:
-        taken = {SUN: self.picks[self.now]}
-        plan = make_plan(descriptor, wishes, overrides, taken)
-        own = chosen(plan) == chosen(make_plan(descriptor, wishes, None, taken))
+    def __call__(self, descriptor: Descriptor, plan_request: Level, overrides: dict | None) -> Plan:
+        taken = {SUN: self.choices[self.now]}
+        plan = make_plan(descriptor, plan_request, overrides, taken)
+        own = chosen(plan) == chosen(make_plan(descriptor, plan_request, None, taken))
         predicted = Predicted(ms=self.least_ms if own else self.other_ms, wrong=0.0, wrong_cast=0.0)
         return plan.model_copy(update={"policy": "predict", "predicted": predicted})
 

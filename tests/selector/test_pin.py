@@ -175,8 +175,8 @@ def test_of_a_plan_of_the_rules_the_algorithms_are_pinned_alone(scene):
 
 def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
     facts, level = describe(scene, scene.view()), scene.loaded.level
-    pick = Choice("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
-    plan = make_plan(facts, level, picks={"sun": pick})
+    choice = Choice("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
+    plan = make_plan(facts, level, choices={"sun": choice})
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
     again = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))

@@ -320,9 +320,9 @@ def test_lights_are_chosen_for_by_themselves_and_times_add_up():
     """A lamp whose shadows are hardly seen beside a sun: both are given what the target takes, and share the time."""
     lamp = LampFacts(name="lamp", kind="spot", cutoff_deg=45.0, reference_m=50.0)
     view = described(lamps=(lamp,), lights={SUN: casting(), "lamp": casting(0.05)})
-    wishes = StandaloneRequest(Shadows(max_error=0.01), (SUN, "lamp"))
-    plan = predicted_plan(view, wishes, None, device(), ERRORS)
-    planner = planner_of(view, wishes)
+    plan_request = StandaloneRequest(Shadows(max_error=0.01), (SUN, "lamp"))
+    plan = predicted_plan(view, plan_request, None, device(), ERRORS)
+    planner = planner_of(view, plan_request)
     both = [option_of(plan, planner, light, device()) for light in (SUN, "lamp")]
     assert plan.predicted.ms == pytest.approx(sum(one.ms for one in both)) and min(one.ms for one in both) > 0.0
     assert plan.predicted.wrong_cast == pytest.approx(max(one.errors.wrong_cast for one in both))

@@ -49,7 +49,7 @@ def test_of_times_alike_the_more_accurate_is_taken():
     close = CandidateFigures("close", 20.0 * TIME_TIE_RATIO, 0.01, 0.0)
     assert best([MIDDLE, close], 0.03).winner is close
     assert best([MIDDLE, CandidateFigures("later", 20.0 * TIME_TIE_RATIO + 0.1, 0.01, 0.0)], 0.03).winner is MIDDLE
-    assert best([MIDDLE, close], 0.03, alike=1.0).winner is MIDDLE
+    assert best([MIDDLE, close], 0.03, tie_ratio=1.0).winner is MIDDLE
 
 
 def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():

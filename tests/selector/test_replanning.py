@@ -61,11 +61,11 @@ class Table:
     def __init__(self, **rows: tuple[float, float]) -> None:
         self.rows = rows
 
-    def __call__(self, descriptor: Descriptor, wishes: Level, overrides: dict | None) -> Plan:
+    def __call__(self, descriptor: Descriptor, plan_request: Level, overrides: dict | None) -> Plan:
         asked = (overrides or {}).get("algorithm")
         right = [name for name, (_, error) in self.rows.items() if error <= 0.03] or list(self.rows)
         name = asked["sun"]["meshes"] if asked else min(right, key=lambda name: self.rows[name])
-        plan = make_plan(descriptor, wishes, {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}})
+        plan = make_plan(descriptor, plan_request, {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}})
         ms, error = self.rows.get(name, (1.0, 0.0))
         target = plan.target.model_copy(update={"met": error <= 0.03})
         predicted = Predicted(ms=ms, wrong=error / 10.0, wrong_cast=error)
@@ -158,12 +158,12 @@ def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, leve
     """The map is kept, its texels are those that a plan of the view alone has with such a map."""
     director = Replanner(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
     first = director.plan(descriptor, level)
-    picks = choices_of(first)
-    assert first.settings == make_plan(descriptor, level, picks=picks).settings
+    choices = choices_of(first)
+    assert first.settings == make_plan(descriptor, level, choices=choices).settings
     near = replace(scene.view("eye"), eye_earth_m=scene.view("eye").eye_earth_m + np.array([14.0, 22.0, -8.0]))
     closer = describe(scene, near, "eye")
-    kept, alone = director.plan(closer, level), make_plan(closer, level, picks=picks)
-    assert choices_of(kept) == picks
+    kept, alone = director.plan(closer, level), make_plan(closer, level, choices=choices)
+    assert choices_of(kept) == choices
     assert (kept.settings, kept.passes, kept.runs) == (alone.settings, alone.passes, alone.runs)
     assert kept.settings != first.settings
 
@@ -171,7 +171,7 @@ def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, leve
 def test_picks_are_what_a_plan_chose(descriptor, level):
     for name in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "none"):
         plan = make_plan(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
-        again = make_plan(descriptor, level, picks=choices_of(plan))
+        again = make_plan(descriptor, level, choices=choices_of(plan))
         if name != "none":  # which nothing picks
             assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
         assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}

@@ -51,7 +51,7 @@ def alone(name: str, kind: str) -> dict[str, str]:
 
 
 def test_all_kinds_are_there_and_cast(gl, village, buffer):
-    assert village.population.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
+    assert village.objects.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     for kind in KINDS:
         one = truth(village, buffer, (kind,))
         assert 0.01 < (~one.lit & ~one.attached & one.there).sum() / one.there.sum() < 0.5

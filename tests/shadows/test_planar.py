@@ -177,7 +177,7 @@ def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
     view = scene.view("back")
     buffer = multisampled(scene, view).buffer
     assert len(buffer.there) > view.rows
-    kinds = scene.population.kinds
+    kinds = scene.objects.kinds
     found = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
     real = truth_fill(buffer, scene, light, kinds, casters_of(scene, buffer), TruthSettings(), PassLog())
     samples = (buffer.kind == RELIEF) & ~attached(buffer, scene, light)
@@ -212,7 +212,7 @@ def test_nothing_falls_on_the_casters_themselves(gl, build):
     scene = build(180.0, 20.0, meshes=[{"source": "box.obj", "at": [[0, 0], [0, 9]]}])
     view = view_of(scene, "perspective")
     buffer = geometry_of(scene, view)
-    kinds = scene.population.kinds
+    kinds = scene.objects.kinds
     found = planar.fill(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
     meshes = buffer.kind == MESHES
     assert (found[meshes] == 1.0).all()

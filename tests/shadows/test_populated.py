@@ -128,7 +128,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     view = view_of(scene, "perspective")
     buffer = geometry_of(scene, view)
     casters = casters_of(scene, buffer)
-    all_kinds = scene.population.kinds
+    all_kinds = scene.objects.kinds
     assert all_kinds == ("relief", "meshes", "forest")
     real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
     together = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
@@ -222,8 +222,8 @@ def test_a_moving_caster_s_shadow_turns_with_the_clock(gl, build):
     moving = {"source": "plank.obj", "at": [0, 0], "motion": {"spin": 30.0}}
     scene = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES])
     later = scene.at_second(3.0)
-    assert later.population is not scene.population and later.population.trees is scene.population.trees
-    assert scene.at_second(None) is scene and scene.at_second(0.0).population is scene.population
+    assert later.objects is not scene.objects and later.objects.trees is scene.objects.trees
+    assert scene.at_second(None) is scene and scene.at_second(0.0).objects is scene.objects
     turned = build(180.0, 45.0, "level", meshes=[{"source": "plank.obj", "at": [0, 0], "turn": 90.0}], forest=[TREES])
     started = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES], seconds=3.0)
     masks = [floor_shadow(s)[0] for s in (scene, later, turned, started)]

@@ -96,7 +96,7 @@ def test_a_key_of_ones_own():
 
 
 def test_what_lasts_for_a_light_is_forgotten_by_itself_and_a_scene_with_what_stands_on_it():
-    of_light, of_scene, of_process = (Cache(f"test {lasts}", lasts, 1000) for lasts in ("light", "scene", "process"))
+    of_light, of_scene, of_process = (Cache(f"test {lifetime}", lifetime, 1000) for lifetime in ("light", "scene", "process"))
     mine, other = Ground(), Ground()
     all_of_them = of_light, of_scene, of_process
     standing = [Standing(mine), Standing(other)]

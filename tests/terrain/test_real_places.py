@@ -80,7 +80,7 @@ def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
 @pytest.mark.parametrize("name", PLACES)
 def test_a_real_place_is_planned_and_drawn(scene_of, name):
     town, scene = PLACES[name], scene_of(name)
-    assert scene.population.kinds == town.casters
+    assert scene.objects.kinds == town.casters
     for view in (scene.view("air"), scene.view("map", size=(128, 128))):
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level, {})
         assert tuple(plan.algorithm["sun"]) == town.casters
@@ -93,14 +93,14 @@ def test_a_real_place_is_planned_and_drawn(scene_of, name):
 @pytest.mark.parametrize("name", PLACES)
 def test_trees_are_the_canopys(scene_of, shared_data, name):
     town, scene = PLACES[name], scene_of(name)
-    trees = scene.population.trees
+    trees = scene.objects.trees
     canopy_m, transform = heights_of(shared_data / town.canopy)
     canopy_m2 = (canopy_m >= LEAST_HEIGHT_M).sum() * abs(transform.determinant)
     crowns_m2 = (np.pi / 4 * trees.crown_m.astype(np.float64) ** 2).sum()
     assert 0.4 < crowns_m2 / canopy_m2 < 1.5
     assert 0.8 * canopy_m.max() < trees.height_m.max() <= canopy_m.max() + 0.01
     assert trees.height_m.min() >= LEAST_HEIGHT_M
-    x, y, foot_m = scene.population.trees_on(scene.elevation.crs).T
+    x, y, foot_m = scene.objects.trees_on(scene.elevation.crs).T
     np.testing.assert_allclose(foot_m, scene.elevation.ground_m(x, y), atol=1e-3)
     col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
     inside = (row >= 0) & (row < canopy_m.shape[0]) & (col >= 0) & (col < canopy_m.shape[1])
@@ -113,7 +113,7 @@ def test_trees_are_the_canopys(scene_of, shared_data, name):
 
 def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(scene_of, shared_data):
     town, scene = PLACES["goteborg"], scene_of("goteborg")
-    solids = scene.population.solids
+    solids = scene.objects.solids
     assert all(solids.closed)
     ground_m, transform = heights_of(shared_data / town.ground)
     surface_m, _ = heights_of(shared_data / town.surface)
@@ -124,7 +124,7 @@ def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(s
 
     rows, cols = np.indices(ground_m.shape)
     x, y = transform.c + transform.a * (cols + 0.5), transform.f + transform.e * (rows + 0.5)
-    vertex_m = scene.population.solids_on(scene.elevation.crs)
+    vertex_m = scene.objects.solids_on(scene.elevation.crs)
     off = []
     for body in range(len(solids.closed)):
         corners = vertex_m[np.unique(solids.triangles[solids.body == body])]
@@ -142,10 +142,10 @@ def test_the_wooded_valley_has_a_village_and_no_tree_in_a_house():
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro_wooded.yaml"))
     houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
     footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]
-    assert scene.population.kinds == ("relief", "meshes", "forest")
-    assert len(footprints) == len(scene.population.solids.closed) > 100 and all(scene.population.solids.closed)
+    assert scene.objects.kinds == ("relief", "meshes", "forest")
+    assert len(footprints) == len(scene.objects.solids.closed) > 100 and all(scene.objects.solids.closed)
     assert heights_m.min() > 2 and heights_m.max() < 25
-    x, y, _ = scene.population.trees_on(scene.elevation.crs).T
+    x, y, _ = scene.objects.trees_on(scene.elevation.crs).T
     assert 60_000 < len(x) < 250_000
     nearest = shapely.STRtree(footprints).query(shapely.points(x, y), predicate="intersects")
     assert not nearest.size

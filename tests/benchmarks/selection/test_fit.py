@@ -155,7 +155,7 @@ def test_views_without_cast_shadow_tell_nothing_of_its_errors(kept):
     assert without and not any(cases_of(view) for view in without)
     first = next(view for view in views if view["error"] == "wrong_cast")
     assert {one.error for one in cases_of(first)} <= {row["wrong_cast"] for row in first["rows"].values()}
-    assert len(cases_of(first)) == len({name for pick, name in first["picks"].items() if not pick.startswith("rules ")})
+    assert len(cases_of(first)) == len({name for choice, name in first["picks"].items() if not choice.startswith("rules ")})
 
 
 def test_parts_that_are_judged_have_nothing_of_those_that_are_fitted(kept):

@@ -31,9 +31,9 @@ def row(ms: float, error: float, interior: float = 0.0, algorithms: str = "shado
     return {"ms": ms, "wrong_cast": error, "interior": interior, "algorithms": algorithms.split("+")}
 
 
-def viewed(rows: Figures, picks: dict[str, str] | None = None, name: str = "view") -> Figures:
+def viewed(rows: Figures, choices: dict[str, str] | None = None, name: str = "view") -> Figures:
     """A view's record; every row is a pick's of the same name unless ``picks`` says otherwise."""
-    names = {each: each for each in rows} if picks is None else picks
+    names = {each: each for each in rows} if choices is None else choices
     return {"name": name, "error": "wrong_cast", "noise_floor": 0.0, "rows": rows, "picks": names}
 
 
@@ -110,8 +110,8 @@ WOODED = {
         ("planar", None),
     ],
 )
-def test_a_pick_stands_for_what_it_comes_to_in_a_view(pick, found):
-    assert stand_in(pick, viewed({}, WOODED)) == found
+def test_a_pick_stands_for_what_it_comes_to_in_a_view(choice, found):
+    assert stand_in(choice, viewed({}, WOODED)) == found
 
 
 def test_a_pick_without_settings_stands_for_itself_where_sizes_say_nothing():

@@ -12,7 +12,7 @@ from tests.selector.cost.test_cost_model import described
 
 def split_at(far_m: float) -> Plan:
     """Two maps, of which the nearer ends there."""
-    plan = make_plan(described(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), picks={})
+    plan = make_plan(described(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), choices={})
     (kinds,) = (plan.settings[light] for light in plan.settings)
     near, far = next(iter(kinds.values())).cascades
     its = {

@@ -41,10 +41,10 @@ def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
         f"shadow_map-{number}": dict(zip(ROW_COLUMNS, (["shadow_map"], 1.5 + number, 0.01, 0.1, 0.0, 0.2, 2**number), strict=True))
         for number in range(count)
     }
-    picks = {f"shadow_map {number}": row for number, row in enumerate(rows)} | {"rules 0.03": "shadow_map-0"}
+    choices = {f"shadow_map {number}": row for number, row in enumerate(rows)} | {"rules 0.03": "shadow_map-0"}
     return {
         "name": name, "terrain": "made", "light": SUN, "error": "wrong_cast", "noise_floor": 1e-4, "plan_ms": 20.25, "rows": rows,
-        "picks": picks, "measured": {"3 %": "shadow_map-1"}, "descriptor": described().model_dump(mode="json"),
+        "picks": choices, "measured": {"3 %": "shadow_map-1"}, "descriptor": described().model_dump(mode="json"),
     }  # fmt: skip
 
 
@@ -97,13 +97,13 @@ def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
 def test_enough_views_are_kept_with_every_pick_and_no_more_than_there_may_be(kept):
     views, _ = kept
     assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
-    picks = {view["name"]: {pick for pick in view["picks"] if not pick.startswith("rules ")} for view in views}
-    assert max(map(len, picks.values())) <= MAX_CHOICES == 40
+    choices = {view["name"]: {choice for choice in view["picks"] if not choice.startswith("rules ")} for view in views}
+    assert max(map(len, choices.values())) <= MAX_CHOICES == 40
     for view in views:
         descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
         casting = planner_of(descriptor, StandaloneRequest(Shadows(), tuple(descriptor.lights))).casting(light)
-        assert picks[view["name"]] <= {pick.name for pick in portfolio(descriptor, light, casting)}, view["name"]
-    assert all(any(pick.startswith("rules ") for pick in view["picks"]) for view in views)
+        assert choices[view["name"]] <= {choice.name for choice in portfolio(descriptor, light, casting)}, view["name"]
+    assert all(any(choice.startswith("rules ") for choice in view["picks"]) for view in views)
 
 
 def leaves(value: Any):

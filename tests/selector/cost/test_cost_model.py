@@ -185,8 +185,8 @@ def test_a_part_without_rates_is_refused_by_name():
 
 def test_a_changed_calibration_changes_every_prediction():
     descriptor, factor = described(), 2.5
-    for pick in portfolio(descriptor, SUN, descriptor.casters):
-        plan = make_plan(descriptor, StandaloneRequest(Shadows(), (SUN,)), picks={SUN: pick})
+    for choice in portfolio(descriptor, SUN, descriptor.casters):
+        plan = make_plan(descriptor, StandaloneRequest(Shadows(), (SUN,)), choices={SUN: choice})
         for step in plan.steps:
             about = step.light, step.kinds, step.algorithm, step.settings
             one = predicted_ms(all_at(1.0, descriptor, *about), descriptor, *about)

@@ -59,9 +59,9 @@ def test_with_every_pixel_errors_are_those_of_the_metrics(gl, scene, name):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=64, filter=1)
     visibility = render_frame(scene, view, plan).visibility
     pixel_m = describe(scene, view, name).pixel_m
-    thin = subsampled_truth(truth_of_view(scene, view, "sun"), 1)
-    found = thin.errors(visibility, plan.steps, pixel_m)
-    plain = errors_of(visibility, thin.truth, pixel_m, 0.0)
+    subsampled = subsampled_truth(truth_of_view(scene, view, "sun"), 1)
+    found = subsampled.errors(visibility, plan.steps, pixel_m)
+    plain = errors_of(visibility, subsampled.truth, pixel_m, 0.0)
     assert (found.wrong, found.wrong_cast) == (plain.wrong, plain.wrong_cast)
     assert 0.0 < found.wrong_cast < 1.0 and found.interior <= plain.interior
 
@@ -72,8 +72,8 @@ def test_every_third_pixel_tells_the_error_of_all(gl, scene):
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256, filter=1, cascades=1)
     found, real = {}, truth_of_view(scene, view, "sun")
     for every in (1, 3):
-        thin = subsampled_truth(real, every)
-        found[every] = thin.errors(render_frame(scene, thin.buffer.view, plan).visibility, plan.steps, 1.0)
+        subsampled = subsampled_truth(real, every)
+        found[every] = subsampled.errors(render_frame(scene, subsampled.buffer.view, plan).visibility, plan.steps, 1.0)
     assert found[1].wrong_cast > 0.01 and found[1].spread == 0.0 < found[3].spread < 0.2 * found[1].wrong_cast
     assert abs(found[3].wrong_cast - found[1].wrong_cast) < 3.0 * found[3].spread
     wide = subsampled_view(view, 3)
@@ -120,18 +120,18 @@ def test_larger_maps_are_not_run_where_smaller_ones_decide(gl, scene, monkeypatc
     monkeypatch.setattr(trials, "TRIAL_PIXELS", 2000)
     view = scene.view("eye")
     seen = []
-    rows = measured_rows(scene, view, "eye", wanted=TargetBounds(0.9), on_step=lambda done, total: seen.append((done, total)))[
+    rows = measured_rows(scene, view, "eye", bounds=TargetBounds(0.9), on_step=lambda done, total: seen.append((done, total)))[
         "sun"
     ]
-    assert rows.probe.pixels < view.rows * view.cols / 4
-    tried, left_out = ({trial.candidate.pick.name for trial in rows.trials}, {one.pick.name for one in rows.not_tried})
+    assert rows.trial_view.pixels < view.rows * view.cols / 4
+    tried, left_out = ({trial.candidate.choice.name for trial in rows.trials}, {one.choice.name for one in rows.not_tried})
     assert "shadow_map 512 x1" in tried and "shadow_map 4096 x1" in left_out
     assert seen[-1] == (len(tried) + len(left_out), len(tried) + len(left_out))
-    assert not any(trial.on_all for trial in rows.trials)
+    assert not any(trial.at_full_resolution for trial in rows.trials)
     whole = confirm_winners({"sun": rows}, TargetBounds(0.9))
     winner = winners(whole, TargetBounds(0.9))["sun"].winner
     (trial,) = (one for one in whole["sun"].trials if one.figures == winner)
-    assert trial.on_all and winner.ms == pytest.approx(np.median(trial.times_ms))
+    assert trial.at_full_resolution and winner.ms == pytest.approx(np.median(trial.times_ms))
 
 
 @pytest.mark.parametrize("name", ["eye", "map"])
@@ -141,9 +141,9 @@ def test_who_wins_has_the_errors_of_all_pixels(gl, scene, monkeypatch, name):
     view = scene.view(name)
     rows = measured_rows(scene, view, name)
     for max_error in (0.1, 0.03, 0.01):
-        wanted = TargetBounds(max_error)
-        whole = confirm_winners(rows, wanted)["sun"]
-        verdict = winners({"sun": whole}, wanted)["sun"]
+        bounds = TargetBounds(max_error)
+        whole = confirm_winners(rows, bounds)["sun"]
+        verdict = winners({"sun": whole}, bounds)["sun"]
         (trial,) = (one for one in whole.trials if one.figures == verdict.winner)
         row = measure_plan(scene, view, trial.candidate.plan)
         assert verdict.met and (trial.figures.error, trial.figures.interior) == (row.figures["wrong_cast"], row.figures["interior"])
@@ -158,12 +158,12 @@ class Confirming:
     def __init__(self, **whole: CandidateFigures) -> None:
         self.known = whole
 
-    def drawn_on_all(self, candidate: Candidate) -> Trial:
-        figures = self.known[candidate.pick.name]
+    def full_resolution_trial(self, candidate: Candidate) -> Trial:
+        figures = self.known[candidate.choice.name]
         return Trial(candidate, figures, figures.error, times_ms=(figures.ms,))
 
     def trial(self, candidate: Candidate) -> Trial:
-        return Trial(candidate, self.known[candidate.pick.name], 0.0, spread=1e-4)
+        return Trial(candidate, self.known[candidate.choice.name], 0.0, spread=1e-4)
 
     def timed(self, trial: Trial, runs: int) -> Trial:
         return replace(trial, times_ms=(*trial.times_ms, *[trial.figures.ms] * runs))
@@ -184,20 +184,20 @@ def test_who_leads_by_chance_does_not_win():
         CandidateFigures("near", 1.0, 0.02, 0.0011),
         CandidateFigures("near", 9.0, 0.02, 0.0),
     ):
-        probe = Confirming(near=worse, far=CandidateFigures("far", 4.0, 0.02, 0.0))
-        rows = confirm_winners({"sun": LightTrials(probe, few)}, TargetBounds(0.03))
+        trial_view = Confirming(near=worse, far=CandidateFigures("far", 4.0, 0.02, 0.0))
+        rows = confirm_winners({"sun": LightTrials(trial_view, few)}, TargetBounds(0.03))
         assert winners(rows, TargetBounds(0.03))["sun"].winner.name == "far"
     better = Confirming(near=CandidateFigures("near", 1.0, 0.0299, 0.0))
     rows = confirm_winners({"sun": LightTrials(better, few)}, TargetBounds(0.03))
     assert winners(rows, TargetBounds(0.03))["sun"].winner.name == "near"
-    assert [trial.on_all for trial in rows["sun"].trials] == [True, False]
+    assert [trial.at_full_resolution for trial in rows["sun"].trials] == [True, False]
 
 
 def test_the_next_larger_map_is_tried_when_the_smaller_one_fails():
     small, large = candidate_of("small", map_size=512), candidate_of("large", map_size=1024)
-    probe = Confirming(small=CandidateFigures("small", 1.0, 0.05, 0.0), large=CandidateFigures("large", 2.0, 0.01, 0.0))
+    trial_view = Confirming(small=CandidateFigures("small", 1.0, 0.05, 0.0), large=CandidateFigures("large", 2.0, 0.01, 0.0))
     few = Trial(small, CandidateFigures("small", 1.0, 0.02, 0.0), 0.0, 1e-4)
-    rows = confirm_winners({"sun": LightTrials(probe, (few,), (large,))}, TargetBounds(0.03))
+    rows = confirm_winners({"sun": LightTrials(trial_view, (few,), (large,))}, TargetBounds(0.03))
     assert rows["sun"].not_tried == () and winners(rows, TargetBounds(0.03))["sun"].winner.name == "large"
 
 
@@ -228,11 +228,11 @@ def test_lights_that_turn_out_slower_leave_less_time_for_others():
     other = LightTrials(
         Confirming(lamp=CandidateFigures("lamp", 12.0, 0.0, 0.0)), (Trial(lamp, CandidateFigures("lamp", 9.0, 0.0, 0.0), 0.0),)
     )
-    wanted = TargetBounds(5e-4, 20.0)
-    rows = confirm_winners({"sun": sun, "lamp": other}, wanted)
-    verdicts = winners(rows, wanted)
+    bounds = TargetBounds(5e-4, 20.0)
+    rows = confirm_winners({"sun": sun, "lamp": other}, bounds)
+    verdicts = winners(rows, bounds)
     assert [verdict.winner.name for verdict in verdicts.values()] == ["quick", "lamp"]
-    assert all(trial.on_all for its in rows.values() for trial in its.trials)
+    assert all(trial.at_full_resolution for its in rows.values() for trial in its.trials)
 
 
 def test_of_a_large_map_the_block_in_the_middle_is_measured(scene):

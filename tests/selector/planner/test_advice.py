@@ -92,8 +92,8 @@ def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> st
 def test_a_descriptor_of_which_little_is_known_breaks_nothing():
     """A rule whose facts are not known does not apply: what is left is a map."""
     for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
-        pick = advised(descriptor, Shadows())["sun"]
-        assert pick.algorithm == {"meshes": "shadow_map"} and pick.why == {"meshes": NO_RULE}
+        choice = advised(descriptor, Shadows())["sun"]
+        assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
     round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
     assert rule_of(round_earth, "relief") is None
     assert advised(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None), Shadows())
@@ -221,12 +221,12 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
         stands=[stand(triangles=triangles, closed_share=closed)],
     )  # fmt: skip
     asked = Shadows(max_error=max_error)
-    picks = advised(descriptor, asked)
-    assert list(picks) == ["sun", "lamp"]
-    for of, pick in picks.items():
-        assert set(pick.algorithm) == set(pick.why) == set(casters)
-        for kind, name in pick.algorithm.items():
-            assert can_serve(name, descriptor, of, kind) and pick.why[kind]
+    choices = advised(descriptor, asked)
+    assert list(choices) == ["sun", "lamp"]
+    for of, choice in choices.items():
+        assert set(choice.algorithm) == set(choice.why) == set(casters)
+        for kind, name in choice.algorithm.items():
+            assert can_serve(name, descriptor, of, kind) and choice.why[kind]
             assert not (is_map and name == "perspective_shadow_map")
             assert not (kind == "forest" and name in ("shadow_volume", "hybrid", "sweep"))
     plan = make_plan(descriptor, StandaloneRequest(asked, ("sun", "lamp")))

@@ -57,9 +57,9 @@ def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
     assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
     assert said["shadow_volume"] == f"sweep goes before it: {said['sun/relief: sweep']}"
     assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "there are casters and light"
-    picks = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
+    choices = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
     given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
-    plan = make_plan(describe(scene, scene.view()), scene.loaded.level, picks=picks, rejected=given)
+    plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=given)
     said = reasons_of(plan)
     assert plan.headline == "hybrid" and said["sun/relief: hybrid"] == "it is mine" and said["sweep"] == "12 ms more"
     assert said["shadow_volume"] == "hybrid goes before it: it is mine"

@@ -62,7 +62,7 @@ class Look:
 
     def seen(self, mask: str | None = None, log: PassLog | None = None, **settings: Any) -> np.ndarray:
         """Visibility by volumes, or with ``mask`` by the hybrid: attached shadow is dark, NaN where there is no surface."""
-        buffer, kinds, log = self.buffer, tuple(k for k in self.scene.population.kinds if k != "forest"), log or PassLog()
+        buffer, kinds, log = self.buffer, tuple(k for k in self.scene.objects.kinds if k != "forest"), log or PassLog()
         if mask is None:
             found = shadow_volume.fill(buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log)
         else:
@@ -78,7 +78,7 @@ class Look:
 
     def rays(self) -> np.ndarray:
         """Visibility by rays from the very points, as ``seen``."""
-        kinds, log = self.scene.population.kinds, PassLog()
+        kinds, log = self.scene.objects.kinds, PassLog()
         return self.finished(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
     def truth(self) -> Truth:

@@ -135,7 +135,7 @@ def everything(
 
 def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") -> np.ndarray:
     light = light_in_frame(at.buffer, at.scene, at.light)
-    volumes = volumes_of(at.buffer, at.scene, light, at.scene.population.kinds, at.casters, PassRecord("volumes"))
+    volumes = volumes_of(at.buffer, at.scene, light, at.scene.objects.kinds, at.casters, PassRecord("volumes"))
     return count(at.buffer, at.scene, light, volumes, VolumeSettings(counting=counting), wanted, marked, PassRecord("stencil"))
 
 

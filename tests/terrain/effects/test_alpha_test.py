@@ -48,8 +48,8 @@ def test_what_a_map_draws_is_known_without_drawing_it(wood, pixel_m: float):
     scene = wood()
     view = scene.view(bounds=(-50.0, -50.0, 50.0, 50.0), size=(20, 20))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
-    stand = tree_instances_in_map(scene.population, frame, pixel_m)
-    assert stand is not None and map_draws_trees(scene.population.trees, pixel_m) == (len(stand) > 0)
+    stand = tree_instances_in_map(scene.objects, frame, pixel_m)
+    assert stand is not None and map_draws_trees(scene.objects.trees, pixel_m) == (len(stand) > 0)
 
 
 @pytest.mark.parametrize("lights", [{}, {"lamp": {"kind": "omni", "position": [0.0, 0.0, 300.0]}}], ids=["sun", "lamp"])

@@ -71,7 +71,7 @@ def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
 
 
 def at_second(scene: Scene, seconds: float) -> Scene:
-    return replace(scene, population=SceneObjects(scene.loaded, scene.world, scene.elevation, seconds))
+    return replace(scene, objects=SceneObjects(scene.loaded, scene.world, scene.elevation, seconds))
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])

@@ -136,7 +136,7 @@ def test_trees_do_not_stand_in_water(make_lake, tmp_path):
     features = [{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": place}} for place in places]
     path = tmp_path / "trees.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
-    trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).population.trees for m in (0.0, LEVEL_M)]
+    trees = [make_lake(level_m=m, forest=[{"source": str(path)}]).objects.trees for m in (0.0, LEVEL_M)]
     assert [len(found.rank) for found in trees] == [2, 1]
 
 

@@ -117,9 +117,9 @@ def test_what_is_buried_is_not_seen_and_what_stands_highest_is(gl, floor, make_s
     np.testing.assert_allclose(buffer.height_m[low], 8.0, atol=1e-5)
 
     raised = make_scene(floor, meshes=[{"source": "raised.obj", "at": [0, 0]}])
-    solids = raised.population.solids
+    solids = raised.objects.solids
     sunk = type(solids)(**{**vars(solids), "vertices_earth_m": solids.vertices_earth_m - [0.0, 0.0, 60.0]})
-    raised.population.__dict__["solids"] = sunk
+    raised.objects.__dict__["solids"] = sunk
     buffer, _, _ = buffers(raised, (-80, -80, 80, 80), (160, 160))
     assert (buffer.kind == RELIEF).all() and (buffer.height_m == 5.0).all()
 
@@ -146,8 +146,8 @@ def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_p
     scene = make_scene(rolling, forest=[{"source": source, "height": "height", "crown": "crown", "species": species}])
     buffer, x, y = buffers(scene, (place[0] - 16, place[1] - 16, place[0] + 16, place[1] + 16), (256, 256))
     tree = buffer.kind == FOREST
-    assert len(buffer.stand) == 1 and tree.sum() > 300
-    turn = np.radians(scene.population.trees.turn_deg[0])
+    assert len(buffer.tree_instances) == 1 and tree.sum() > 300
+    turn = np.radians(scene.objects.trees.turn_deg[0])
     # The frame's axes are the anchor's east and north; the zone's grid is turned from them by its convergence there.
     east, north = x[tree] - place[0], y[tree] - place[1]
     convergence = -np.radians(_convergence_deg(*place))
@@ -159,11 +159,11 @@ def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_p
     assert max(np.abs(along).max(), np.abs(across).max()) > 4.5
     assert abs(along.mean()) < 0.6 and abs(across.mean()) < 0.6
     ground = float(scene.elevation.ground_m(*place))
-    crown = 20.0 * TREE_VARIANTS[int(scene.population.trees.look[0])].crown_height
+    crown = 20.0 * TREE_VARIANTS[int(scene.objects.trees.variant[0])].crown_height
     level = np.abs(buffer.height_m[tree] - ground - crown) < 0.01
     assert level.mean() > 0.9  # the rest are the upright quads, seen edge on
     np.testing.assert_allclose(buffer.normal_frame[tree][level][:, 2], 1.0, atol=1e-6)
-    away = np.linalg.norm(buffer.position_frame_m[tree] - buffer.stand.base_frame_m, axis=-1)
+    away = np.linalg.norm(buffer.position_frame_m[tree] - buffer.tree_instances.base_frame_m, axis=-1)
     assert away.max() < np.hypot(np.hypot(6, 6), 20.0) + 0.1
     assert np.isfinite(buffer.albedo[tree]).all() and buffer.albedo[tree][:, 1].mean() > buffer.albedo[tree][:, 2].mean()
 
@@ -188,7 +188,7 @@ def test_a_wood_s_trees_are_all_where_they_stand(gl, rolling, make_scene, tmp_pa
     plain, _, _ = buffers(bare, bounds, size)
     away = np.hypot(x[..., None] - places[:, 0], y[..., None] - places[:, 1])
     tree = buffer.kind == FOREST
-    assert len(buffer.stand) == 60 and not tree[away.min(axis=-1) > np.hypot(4, 4) + 0.1].any()
+    assert len(buffer.tree_instances) == 60 and not tree[away.min(axis=-1) > np.hypot(4, 4) + 0.1].any()
     assert all((tree & (away[..., k] < 4.0)).sum() > 5 for k in range(60))
     np.testing.assert_array_equal(buffer.position_frame_m[~tree], plain.position_frame_m[~tree])
     assert (buffer.height_m >= plain.height_m).all()

@@ -57,7 +57,7 @@ def eye_at(scene: Scene, eye, target, fov: float = 50.0, size=(64, 64)) -> Persp
 
 
 def stand_of(scene: Scene, view: PerspectiveView) -> TreeInstances:
-    found = tree_instances_in_perspective(scene.population, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+    found = tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     assert found is not None
     return found
 
@@ -74,7 +74,7 @@ def quad_coordinates(point: np.ndarray, quad: np.ndarray) -> tuple[np.ndarray, n
 def alpha_at(stand: TreeInstances, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Full-resolution alpha (n,) of trees' quads at texture coordinates (n, 2)."""
     alpha = foliage().levels[0][..., 3] / 255.0
-    return sample_alpha(alpha, uv, 2 * stand.look[tree] + (part == 2))
+    return sample_alpha(alpha, uv, 2 * stand.variant[tree] + (part == 2))
 
 
 # -- the quads
@@ -87,7 +87,7 @@ def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor
     view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
     visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = buffer_of(scene, view, visible)
-    stand = visible.stand
+    stand = visible.tree_instances
     assert stand is not None and len(stand) == 1
     quads = stand.corners()[0]
     eye, camera_from_frame = view.in_frame(visible.frame)
@@ -120,7 +120,7 @@ def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wo
     view = eye_at(scene, (5.0, -75.0, 14.0), (0.0, 0.0, 6.0), 50.0, (400, 300))
     visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = buffer_of(scene, view, visible)
-    stand = visible.stand
+    stand = visible.tree_instances
     assert stand is not None
     seen = buffer.kind == FOREST
     number = visible.seen.number[seen].astype(int) - 1 - len(visible.ground.triangles)
@@ -139,7 +139,7 @@ def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wo
 def test_a_tree_s_corners_in_closed_form(floor, wooded):
     """Two upright quads across each other and a level one in between, of the tree's height and crown, turned about its foot."""
     scene = wooded(floor, [[120.0, -33.0]], height=16.0, crown=7.0)
-    trees = scene.population.trees
+    trees = scene.objects.trees
     stand = stand_of(scene, eye_at(scene, (120, -60, 5), (120, -33, 5)))
     corners = stand.corners()[0] - stand.base_frame_m[0]
     np.testing.assert_allclose(stand.base_frame_m[0] - [120, -33, 0], 0, atol=1e-9)
@@ -149,7 +149,7 @@ def test_a_tree_s_corners_in_closed_form(floor, wooded):
     for quad, side in ((0, along), (1, across)):
         expected = [-3.5 * side, 3.5 * side, 3.5 * side + top, -3.5 * side + top]
         np.testing.assert_allclose(corners[quad], expected, atol=1e-5)
-    crown = np.array([0, 0, 16.0 * TREE_VARIANTS[int(trees.look[0])].crown_height])
+    crown = np.array([0, 0, 16.0 * TREE_VARIANTS[int(trees.variant[0])].crown_height])
     expected = [crown + 3.5 * (a * along + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     np.testing.assert_allclose(corners[2], expected, atol=1e-5)
 
@@ -163,12 +163,12 @@ def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, wooded):
     lon, lat = (v + 0.05 for v in (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg))
     x, y = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)
     frame = scene.world.frame_near(scene.elevation.crs, x, y)
-    stand = tree_instances_in_map(scene.population, frame, 0.5)
+    stand = tree_instances_in_map(scene.objects, frame, 0.5)
     assert stand is not None and len(stand) == 200
     top = stand.corners()[:, 0, 2:].mean(axis=1)
     earth = top @ frame.frame_from_earth + frame.origin_earth_m
     found = np.stack(scene.world.map_position(scene.elevation.crs, earth), axis=-1)
-    expected = scene.population.trees_on(scene.elevation.crs)[stand.number]
+    expected = scene.objects.trees_on(scene.elevation.crs)[stand.number]
     away = np.hypot(*stand.base_frame_m[:, :2].T)
     near = away < 20_000
     assert near.sum() > 20 and away[near].max() > 12_000
@@ -204,13 +204,13 @@ def test_in_perspective_the_share_follows_the_distance(floor, wooded):
     rng = np.random.default_rng(6)
     scene = wooded(floor, rng.uniform(-390, 390, (20_000, 2)), height=5.0, crown=3.0)
     view = eye_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
-    trees, stand = scene.population.trees, stand_of(scene, view)
+    trees, stand = scene.objects.trees, stand_of(scene, view)
     away = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
     share = np.clip((5.0 * view.focal_px / away / module.ALL_TREES_PX) ** 2, module.MIN_DRAWN_SHARE, 1.0)
     np.testing.assert_array_equal(stand.number, np.flatnonzero(trees.rank < share))
     assert share.max() == 1.0 and share.min() < 0.2
     larger = 1 / np.sqrt(share[stand.number])
-    crown_height = np.array([TREE_VARIANTS[k].crown_height for k in stand.look])
+    crown_height = np.array([TREE_VARIANTS[k].crown_height for k in stand.variant])
     expected = np.stack([1.5 * larger, 1.5 * larger, 5.0 * larger, 5.0 * larger * crown_height], axis=1)
     np.testing.assert_allclose(stand.shape, expected, rtol=1e-5)
     for nearer, farther in ((30, 150), (150, 300), (300, 450), (450, 700)):
@@ -237,13 +237,13 @@ def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
     scene = wooded(floor, rng.uniform(-390, 390, (8000, 2)), height=6.0, crown=4.0)
     frame = scene.world.frame_near(scene.elevation.crs, 0.0, 0.0)
     for pixel_m, share in ((0.5, 1.0), (4.0, (4.0 / 6.0) ** 2), (8.0, (4.0 / 12.0) ** 2), (100.0, module.MIN_DRAWN_SHARE)):
-        stand = tree_instances_in_map(scene.population, frame, pixel_m)
+        stand = tree_instances_in_map(scene.objects, frame, pixel_m)
         assert stand is not None and len(stand) / 8000 == pytest.approx(share, abs=0.002)
         np.testing.assert_allclose(stand.shape[:, 0], 2.0 / np.sqrt(share), rtol=1e-5)
         x, y, _ = stand.base_frame_m.T
         for west in (-390, -130, 130):
             for south in (-390, -130, 130):
-                whole = scene.population.trees.base_earth_m
+                whole = scene.objects.trees.base_earth_m
                 inside = (whole[:, 0] >= west) & (whole[:, 0] < west + 260) & (whole[:, 1] >= south) & (whole[:, 1] < south + 260)
                 kept = ((x >= west) & (x < west + 260) & (y >= south) & (y < south + 260)).sum()
                 assert kept / inside.sum() == pytest.approx(share, abs=0.02)

@@ -53,8 +53,8 @@ def hill(write_raster) -> Path:
 
 def test_a_level_without_meshes_has_no_solids(scene_of):
     scene = scene_of(FLOOR)
-    assert scene.population.solids is None and not len(assembled(scene).triangles)
-    assert not scene.population.solid_crease.size and scene.population.tallest_m == 0
+    assert scene.objects.solids is None and not len(assembled(scene).triangles)
+    assert not scene.objects.solid_crease.size and scene.objects.tallest_m == 0
 
 
 def test_a_model_stands_at_its_place_turned_and_scaled(scene_of):
@@ -91,8 +91,8 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     shell.invert()
     shell.export(tmp_path / "shell.ply")
     scene = scene_of(FLOOR, {"source": "arrow.ply", "at": [20, 10], "motion": {"spin": 30}}, {"source": "shell.ply"})
-    at_rest = scene.population
-    later = scene.at_second(3.0).population
+    at_rest = scene.objects
+    later = scene.at_second(3.0).objects
     assert at_rest.at_second(0.0) is at_rest and later.placement is at_rest.placement
     monkeypatch.setattr("terrain.meshes.assemble.place_meshes", None)
     np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
@@ -103,9 +103,9 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
 
 
 def test_meshes_without_motion_know_no_clock(scene_of):
-    population = scene_of(FLOOR, {"source": "ball.ply", "scale": 4}).population
-    assert population.at_second(9.0) is population
-    assert population.tallest_m == pytest.approx(8.0)
+    objects = scene_of(FLOOR, {"source": "ball.ply", "scale": 4}).objects
+    assert objects.at_second(9.0) is objects
+    assert objects.tallest_m == pytest.approx(8.0)
 
 
 def test_several_places_are_several_bodies(scene_of):
@@ -161,7 +161,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
     scene = scene_of({"source": str(dem)}, {"source": "ball.ply"})
     height = scene.world.map_position(scene.elevation.crs, assembled(scene).vertices_earth_m)[2]
     assert height.min() == pytest.approx(80.0, abs=1e-3)
-    assert scene.population.tallest_m == pytest.approx(2.0, abs=1e-3)
+    assert scene.objects.tallest_m == pytest.approx(2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -128,15 +128,15 @@ def test_a_threshold_outside_alpha_is_refused(threshold: float) -> None:
 
 
 def test_looks() -> None:
-    assert len({look.name for look in TREE_VARIANTS}) == len(TREE_VARIANTS)
-    assert sum(look.species == "conifer" for look in TREE_VARIANTS) >= 4
-    assert sum(look.species == "broadleaf" for look in TREE_VARIANTS) >= 4
-    assert {look.species for look in TREE_VARIANTS} == {"conifer", "broadleaf"}
-    assert all(0.0 < look.crown_height < 1.0 and 0.1 < look.crown_to_height < 1.2 for look in TREE_VARIANTS)
+    assert len({variant.name for variant in TREE_VARIANTS}) == len(TREE_VARIANTS)
+    assert sum(variant.species == "conifer" for variant in TREE_VARIANTS) >= 4
+    assert sum(variant.species == "broadleaf" for variant in TREE_VARIANTS) >= 4
+    assert {variant.species for variant in TREE_VARIANTS} == {"conifer", "broadleaf"}
+    assert all(0.0 < variant.crown_height < 1.0 and 0.1 < variant.crown_to_height < 1.2 for variant in TREE_VARIANTS)
 
 
 def test_a_look_names_the_proportions_it_is_painted_in() -> None:
-    assert all(look.crown_to_height == pytest.approx(2.0 * model.radius) for look, model in module._KINDS)
+    assert all(variant.crown_to_height == pytest.approx(2.0 * model.radius) for variant, model in module._KINDS)
 
 
 def test_levels(pictures: Foliage) -> None:
@@ -191,15 +191,15 @@ def test_the_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
 
 
 @pytest.mark.parametrize("look", WHORLED)
-def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, look: int) -> None:
-    width = opaque(pictures.levels[0][2 * look]).sum(axis=1)
+def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, variant: int) -> None:
+    width = opaque(pictures.levels[0][2 * variant]).sum(axis=1)
     thirds = [band.mean() for band in np.array_split(width[1:230], 3)]
     assert 1.5 * thirds[0] < thirds[1] and 1.15 * thirds[1] < thirds[2]
 
 
 @pytest.mark.parametrize("look", range(len(TREE_VARIANTS)))
-def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, look: int) -> None:
-    shown = opaque(pictures.levels[0][2 * look + 1])
+def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, variant: int) -> None:
+    shown = opaque(pictures.levels[0][2 * variant + 1])
     y, x = np.indices(shown.shape) - 127.5
     away = np.hypot(x, y) / 128.0
     assert shown[away < 0.5].mean() > 0.8

@@ -24,7 +24,7 @@ from tests.rasters import ENGINEERING
 UTM = "EPSG:32632"
 X0, Y0 = 500000.0, 5202000.0
 SIDE = 2000.0
-CONIFERS = [n for n, look in enumerate(TREE_VARIANTS) if look.species == "conifer"]
+CONIFERS = [n for n, variant in enumerate(TREE_VARIANTS) if variant.species == "conifer"]
 
 
 def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -178,7 +178,7 @@ def test_looks_follow_the_species_and_crowns_the_height(hill, vectors, make_scen
     shares_of = {}
     for species in ("conifer", "broadleaf", "mixed"):
         trees = planted(make_scene(hill, forest=[{"source": source, "density": 40, "species": species, "height": [5, 30]}]))
-        shares_of[species] = np.isin(trees.look, CONIFERS).mean()
+        shares_of[species] = np.isin(trees.variant, CONIFERS).mean()
         base, slope = np.mean([module.CROWN_M[s] for s in (["conifer", "broadleaf"] if species == "mixed" else [species])], axis=0)
         usual = base + slope * trees.height_m
         assert (trees.crown_m / usual).mean() == pytest.approx(1.0, abs=0.02)
@@ -297,7 +297,7 @@ def test_a_canopy_stands_on_the_terrain_in_another_crs(hill, make_scene, write_r
     trees = planted(scene)
     x, y, height = xyh(scene, trees).T
     np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
-    assert (trees.height_m == 17.0).all() and np.isin(trees.look, CONIFERS).all()
+    assert (trees.height_m == 17.0).all() and np.isin(trees.variant, CONIFERS).all()
     lon, lat = to_degrees.transform(x, y)
     np.testing.assert_allclose(((lon - west) / 1.3e-5 - 20.5) / 40 % 1, 0.5, atol=0.5)
     np.testing.assert_allclose((((lon - west) / 1.3e-5 - 20.5) / 40 + 0.5) % 1, 0.5, atol=1e-3)
