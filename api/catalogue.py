@@ -49,7 +49,7 @@ def remarks(path: Path) -> list[str]:
     Raises ``SkuggaError``.
     """
     scene = build_scene(load_level(path))
-    objects, made = scene.objects, scene.loaded.level.terrain.source is None
+    objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
     for name in scene.loaded.level.views:
         scene.view(name)
     imagery_of(scene)
@@ -73,10 +73,10 @@ def remarks(path: Path) -> list[str]:
         notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
-    if elevation.units is None and not made:
+    if elevation.units is None and not is_generated:
         notes.append("the raster does not say its unit of height: taken as metres; set terrain.units if that is wrong")
         if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):
             notes.append("its horizontal unit is a foot: are its heights in feet too?")
-    if scene.world.flat and not made:
+    if scene.world.flat and not is_generated:
         notes.append("an engineering CRS has no place on earth: no web tiles, and a sun by angles only")
     return notes

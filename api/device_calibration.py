@@ -18,8 +18,8 @@ from terrain.level.level import Shadows
 
 def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
     """This device's calibration where there is something to choose; ``None`` where it has none, or there is no OpenGL."""
-    asked = overrides.get("algorithm") or shadows.algorithm
-    named = ALGORITHMS.get(asked) if isinstance(asked, str) else None
+    algorithm = overrides.get("algorithm") or shadows.algorithm
+    named = ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None
     return None if named is not None and not named.needs_opengl else calibration()
 
 
@@ -40,7 +40,7 @@ def digest_of(device: DeviceProfile | None) -> str:
 def format_calibration(profile: DeviceProfile, path: Path) -> str:
     """What a calibration measured, how well it fits and where it is kept, as text for a terminal."""
     rates = sum(map(len, profile.rates_ns.values()))
-    said = [
+    lines = [
         f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {format_duration(1000.0 * profile.took_s)}.",
         f"{rates} rates were measured, of {len(profile.rates_ns)} parts of the work.",
     ]
@@ -49,10 +49,10 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
             f"{display_name(name)} {format_percent(fit.median)} off in the median, {format_percent(fit.p90)} in nine tenths"
             for name, fit in profile.residuals.items()
         ]
-        said.append(f"How well the rates give the times that they come from: {'; '.join(fits)}.")
-    said += [
+        lines.append(f"How well the rates give the times that they come from: {'; '.join(fits)}.")
+    lines += [
         f"Kept in {path}.",
         "Choices by prediction go by it from now on, on this device and driver alone; a service that runs takes it up with the "
         "next render process that it starts.",
     ]
-    return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said)
+    return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)

@@ -65,16 +65,16 @@ class Settings(BaseSettings):
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
 
 
-def load_settings(**given: Any) -> Settings:
+def load_settings(**overrides: Any) -> Settings:
     """Settings of the environment, with the ones given (as from a command line) going before them.
 
     Raises ``InputError`` that names the environment variable or the argument.
     """
     try:
-        return Settings(**given)
+        return Settings(**overrides)
     except ValidationError as error:
         detail = error.errors()[0]
         field = str(detail["loc"][0])
-        name = field if field in given else f"SKUGGA_{field.upper()}"
+        name = field if field in overrides else f"SKUGGA_{field.upper()}"
         allowed = detail["msg"].removeprefix("Input should be ")
         raise InputError(name, detail["input"], allowed[:1].lower() + allowed[1:]) from None

@@ -131,8 +131,8 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
     azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
 
     def plan_under(lit: Scene, algorithm: str, map_size: int) -> Plan:
-        asked = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
-        return make_plan(describe(lit, view, "main"), lit.loaded.level, asked)
+        overrides = {"algorithm": algorithm, "map_size": map_size, "cascades": 1, **settings}
+        return make_plan(describe(lit, view, "main"), lit.loaded.level, overrides)
 
     def under(number: int) -> Scene:
         return scene.with_sun(SunSpec(azimuth=azimuth + SUN_STEP_DEG * number, altitude=altitude))
@@ -156,13 +156,13 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
             if number >= 2:  # the first ones compile, allocate, and draw the map that is kept
                 times.setdefault(key, []).append(time.perf_counter() - start)
     rows = {}
-    for key, taken in times.items():
+    for key, milliseconds in times.items():
         passes = drawn[key].passes
         rows[key] = {
             "row": key[0],
-            "ratio": float(np.median(taken) / np.median(times["none", 0])),
-            "median_ms": 1000.0 * float(np.median(taken)),
-            "p95_ms": 1000.0 * float(np.quantile(taken, 0.95)),
+            "ratio": float(np.median(milliseconds) / np.median(times["none", 0])),
+            "median_ms": 1000.0 * float(np.median(milliseconds)),
+            "p95_ms": 1000.0 * float(np.quantile(milliseconds, 0.95)),
             "map_draws": sum(record.draws for record in passes if record.name.endswith("depth map")),
             "pass_mib": max(record.bytes for record in passes) / 2**20,
             "passes_ms": {record.name: round(record.ms, 1) for record in passes},
@@ -194,14 +194,14 @@ def cascades() -> list[Row]:
     """Errors of four cascades and of one map in the same memory."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        whole = ridges(Path(folder))
-        view = whole.view("main")
+        scene_and_view = ridges(Path(folder))
+        view = scene_and_view.view("main")
         for azimuth, altitude in SUNS:
-            scene = whole.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+            scene = scene_and_view.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
             descriptor = describe(scene, view, "main")
             for count, size in ((1, 2048), (4, 1024)):
-                asked = {"algorithm": "shadow_map", "cascades": count, "map_size": size, "depth_bits": 24}
-                plan = make_plan(descriptor, scene.loaded.level, asked)
+                overrides = {"algorithm": "shadow_map", "cascades": count, "map_size": size, "depth_bits": 24}
+                plan = make_plan(descriptor, scene.loaded.level, overrides)
                 figures = measure_plan(scene, view, plan).figures
                 keys = ("edge_p95", "edge_mean", "wrong_cast", "false_shadow", "missed_shadow", "interior", "boundary")
                 ends = [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]  # type: ignore[union-attr]
@@ -285,17 +285,17 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
     found = Turns({}, {}, {}, {})
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
-            its, plan = runs[key]
+            view_shot, plan = runs[key]
             clear_caches("light")
             for how in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
-                visibility = its.visibility(plan, log)
+                visibility = view_shot.visibility(plan, log)
                 if number >= 2:  # the first ones compile and allocate
                     found.times_ms.setdefault((key, how), []).append(1000.0 * (clock() - start))
                     passes_ms = {record.name.split(": ")[1]: record.ms for record in log.records.values()}
                     found.passes_ms.setdefault((key, how), []).append(passes_ms)
                 if how == "redrawn":
-                    found.logs[key], found.darks[key] = log, its.dark(visibility)
+                    found.logs[key], found.darks[key] = log, view_shot.dark(visibility)
     return found
 
 
@@ -307,14 +307,14 @@ def plans_of(its: Shot, asked: dict[str, dict[str, Any]]) -> dict[str, Plan]:
 
 def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
     """A row for each of what is asked; ratios are to the first."""
-    its = shot(level, name, given.size)
-    plans = plans_of(its, asked)
-    runs = {key: (its, plan) for key, plan in plans.items()}
+    view_shot = shot(level, name, given.size)
+    plans = plans_of(view_shot, asked)
+    runs = {key: (view_shot, plan) for key, plan in plans.items()}
     found = turns(runs, given.repeats, time.process_time if given.cpu else time.perf_counter)
     times, logs, darks = found.times_ms, found.logs, found.darks
     first = [*plans][0]
-    medians = {key: float(np.median(taken)) for key, taken in times.items()}
-    there, rows = its.there, []
+    medians = {key: float(np.median(milliseconds)) for key, milliseconds in times.items()}
+    there, rows = view_shot.there, []
     tiles = int(marked_tiles(*np.nonzero(there), there.shape).sum())
     for key in plans:
         records = logs[key].records.values()
@@ -334,16 +334,16 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
 
 def targets(rows: Sequence[Row]) -> list[Row]:
     """The targets, met or not, as far as rows hold them. What is redrawn counts; kept stands beside it."""
-    at = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
+    row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     found = []
     for scene, view, one, other, word, most in TARGETS:
         for under in (scene, f"{scene}_sun"):
-            a, b = at.get((under, view, one)), at.get((under, view, other))
+            a, b = row_by_key.get((under, view, one)), row_by_key.get((under, view, other))
             if a is not None and b is not None:
                 measured, kept = (a[how] / b[how] for how in ("redrawn", "kept"))
                 met = measured < most if word == "under" else measured <= most
                 found.append(_target(under, view, f"{one} / {other}: {word} {most}", measured, kept, met))
-    for (scene, view, key), row in at.items():
+    for (scene, view, key), row in row_by_key.items():
         if key == "hybrid" and view in (IN_SHADOW, "close"):
             share = row["marked"]
             found.append(_target(scene, view, f"marked pixels: at most {MOST_MARKED}", share, share, share <= MOST_MARKED))
@@ -398,20 +398,20 @@ def main() -> None:
     parser.add_argument("--cpu", action="store_true", help="CPU time of all threads, of thesis and stencil")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
-    rows = MEASUREMENTS[given.what](given)
-    asked = targets(rows)
+    args = parser.parse_args()
+    rows = MEASUREMENTS[args.what](args)
+    target_rows = targets(rows)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    clock = "CPU time of all threads" if given.cpu else "wall clock"
-    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {given.repeats} repeats"
-    text = "\n".join([f"{where}\n", *(table(some) for some in (rows, ratios(rows), asked) if some)])
+    clock = "CPU time of all threads" if args.cpu else "wall clock"
+    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; {clock}, {args.repeats} repeats"
+    text = "\n".join([f"{where}\n", *(table(table_rows) for table_rows in (rows, ratios(rows), target_rows) if table_rows)])
     print(text, end="")
-    if given.markdown:
-        given.markdown.write_text(text, encoding="utf-8")
-    if given.json:
-        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": given.repeats, "cpu": given.cpu}
-        report |= {"rows": rows, "targets": asked}
-        given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text(text, encoding="utf-8")
+    if args.json:
+        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": args.repeats, "cpu": args.cpu}
+        report |= {"rows": rows, "targets": target_rows}
+        args.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

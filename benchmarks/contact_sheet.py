@@ -164,22 +164,22 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
-    size = given.width, round(given.width / ASPECT)
+    args = parser.parse_args()
+    size = args.width, round(args.width / ASPECT)
     cells = {}
-    for name in given.columns:
-        for key, cell in zip(given.rows, column(*VIEWS[name], given.rows, size, given.repeats), strict=True):
+    for name in args.columns:
+        for key, cell in zip(args.rows, column(*VIEWS[name], args.rows, size, args.repeats), strict=True):
             cells[key, name] = cell
             print(f"{key} {name}: {cell.text}", flush=True)
-    page = sheet(cells, given.rows, given.columns, given.width)
-    given.output.write_bytes(sheet_bytes(page, given.output.suffix, 1000 * given.most))
-    if given.markdown:
-        what = "wrong pixels in % of cast shadow / 95th percentile of the displacement of shadow edges, pixels"
-        text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {what}\n\n{table(cells)}"
-        given.markdown.write_text(text, encoding="utf-8")
-    if given.json:
+    page = sheet(cells, args.rows, args.columns, args.width)
+    args.output.write_bytes(sheet_bytes(page, args.output.suffix, 1000 * args.most))
+    if args.markdown:
+        legend = "wrong pixels in % of cast shadow / 95th percentile of the displacement of shadow edges, pixels"
+        text = f"{device().renderer}, {size[0]} x {size[1]} pixels; {legend}\n\n{table(cells)}"
+        args.markdown.write_text(text, encoding="utf-8")
+    if args.json:
         rows = [{"algorithm": key, "view": VIEWS[name], "text": cell.text, **cell.figures} for (key, name), cell in cells.items()]
-        given.json.write_text(
+        args.json.write_text(
             json.dumps({"renderer": device().renderer, "size": size, "rows": rows}, indent=2) + "\n", encoding="utf-8"
         )
 

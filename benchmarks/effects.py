@@ -127,19 +127,19 @@ def timed(work: Callable[..., object], *of: object) -> float:
 
 def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
     """What each returns, time after time; who begins takes turns, and the first round does not count."""
-    taken: list[list[T]] = [[] for _ in works]
+    results: list[list[T]] = [[] for _ in works]
     for number in range(repeats + 1):
         for which in [*range(len(works))][:: 1 if number % 2 else -1]:
             result = works[which]()
             if number:
-                taken[which].append(result)
-    return taken
+                results[which].append(result)
+    return results
 
 
 def forced(scene: Scene, effects: dict[EffectName, str]) -> Scene:
     """The same scene in a level that forces effects."""
-    its = scene.loaded.level
-    level = its.model_copy(update={"effects": {**({} if its.effects == "auto" else its.effects), **effects}})
+    own_level = scene.loaded.level
+    level = own_level.model_copy(update={"effects": {**({} if own_level.effects == "auto" else own_level.effects), **effects}})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
 
 
@@ -153,14 +153,16 @@ def levels(given: argparse.Namespace) -> list[Row]:
         main = next(iter(scene.loaded.level.views))
         for name in dict.fromkeys([main, "map"] if high > low else [main]):
             view = scene.view(name)
-            some, all_on = interleaved(given.repeats, *(partial(planned, each, view, name) for each in (scene, everything)))
+            planned_frames, all_on = interleaved(
+                given.repeats, *(partial(planned, each, view, name) for each in (scene, everything))
+            )
             rows.append({
                 "level": path.stem, "view": name, "Mpx": view.rows * view.cols / 1e6,
-                "runs": f"{len(some[0].effects)} of {len(EFFECTS)}",
-                "plan_ms": _median(one.plan_ms for one in some), "planned_ms": _median(one.ms for one in some),
+                "runs": f"{len(planned_frames[0].effects)} of {len(EFFECTS)}",
+                "plan_ms": _median(one.plan_ms for one in planned_frames), "planned_ms": _median(one.ms for one in planned_frames),
                 "all_on_ms": _median(one.ms for one in all_on),
-                "planned / all on": _ratio(some, all_on, "ms"), "wall": _ratio(some, all_on, "wall_ms"),
-                "effects": sorted(some[0].effects),
+                "planned / all on": _ratio(planned_frames, all_on, "ms"), "wall": _ratio(planned_frames, all_on, "wall_ms"),
+                "effects": sorted(planned_frames[0].effects),
             })  # fmt: skip
             print(path.stem, name, f"{rows[-1]['planned / all on']:.2f}", flush=True)
     return rows
@@ -182,7 +184,7 @@ def plain(given: argparse.Namespace) -> list[Row]:
             frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level))
             if frame.effects or (frame.color != bare_frame(scene, view)[0]).any():
                 raise AssertionError(f"{name}: not the bare frame; it ran {sorted(frame.effects)}")
-            ratio, forced_on = (_median(one.ms / ms for one, ms in zip(some, bare, strict=True)) for some in (drawn, all_on))
+            ratio, forced_on = (_median(one.ms / ms for one, ms in zip(frames, bare, strict=True)) for frames in (drawn, all_on))
             rows.append({
                 "view": name, "bare_ms": _median(bare), "plan_ms": _median(one.plan_ms for one in drawn),
                 "without plan": _median((one.ms - one.plan_ms) / ms for one, ms in zip(drawn, bare, strict=True)),
@@ -211,15 +213,15 @@ def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray
     shading: no cast shadows, no effects.
     """
     blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    whole: list[np.ndarray] = []
+    arrays: list[np.ndarray] = []
     for part, row, col in blocks:
         pieces = _bare_block(scene, part)
-        whole = whole or [np.zeros((view.rows, view.cols, *piece.shape[2:]), piece.dtype) for piece in pieces]
-        ours = tuple(slice(max(at, 0), end) for at, end in ((row, view.rows), (col, view.cols)))
-        for out, piece in zip(whole, pieces, strict=True):
+        arrays = arrays or [np.zeros((view.rows, view.cols, *piece.shape[2:]), piece.dtype) for piece in pieces]
+        window = tuple(slice(max(offset, 0), end) for offset, end in ((row, view.rows), (col, view.cols)))
+        for out, piece in zip(arrays, pieces, strict=True):
             inside = piece[max(-row, 0) : view.rows - row, max(-col, 0) : view.cols - col]
-            out[ours][: inside.shape[0], : inside.shape[1]] = inside
-    return whole
+            out[window][: inside.shape[0], : inside.shape[1]] = inside
+    return arrays
 
 
 def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
@@ -271,7 +273,7 @@ def _scene_of(folder: Path, keys: dict[str, Any]) -> Scene:
 
 def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int) -> Row:
     view, off = scene.view(name), forced(scene, {effect: "off"})
-    run, left_out = interleaved(repeats, *(partial(planned, its, view, name) for its in (scene, off)))
+    run, left_out = interleaved(repeats, *(partial(planned, variant, view, name) for variant in (scene, off)))
     row: Row = {"effect": effect, "view": name, "on / off": _ratio(run, left_out, "ms"), "wall": _ratio(run, left_out, "wall_ms")}
     row |= {"ms/Mpx": "", "of shading": "", "facts_ms": ""}
     if EFFECTS[effect].part is not None:
@@ -284,29 +286,29 @@ def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int)
 
 def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, float]:
     """Milliseconds that effects' facts take in one description."""
-    with _facts_timed() as taken:
+    with _facts_timed() as milliseconds:
         describe(scene, view)
-    return taken
+    return milliseconds
 
 
 @contextmanager
 def _facts_timed() -> Iterator[dict[EffectName, float]]:
     """Effects whose facts put the milliseconds that they take on record."""
-    taken: dict[EffectName, float] = {}
+    milliseconds: dict[EffectName, float] = {}
     untimed = dict(EFFECTS)
 
     def watched(name: EffectName, facts: Callable[..., T]) -> Callable[..., T]:
         def found(*of: Any) -> T:
             start = time.perf_counter()
             result = facts(*of)
-            taken[name] = 1000.0 * (time.perf_counter() - start)
+            milliseconds[name] = 1000.0 * (time.perf_counter() - start)
             return result
 
         return found
 
-    EFFECTS.update({name: replace(its, facts=its.facts and watched(name, its.facts)) for name, its in untimed.items()})
+    EFFECTS.update({name: replace(effect, facts=effect.facts and watched(name, effect.facts)) for name, effect in untimed.items()})
     try:
-        yield taken
+        yield milliseconds
     finally:
         EFFECTS.update(untimed)
 
@@ -342,17 +344,17 @@ def main() -> None:
     parser.add_argument("--effects", nargs="+", choices=get_args(EffectName), help="of each")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
-    rows = MEASUREMENTS[given.what](given)
+    args = parser.parse_args()
+    rows = MEASUREMENTS[args.what](args)
     peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
-    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; CPU time of all threads, {given.repeats} repeats"
+    where = f"{device().renderer}; peak memory {peak_mib:.0f} MiB; CPU time of all threads, {args.repeats} repeats"
     text = f"{where}\n\n{table(rows)}"
     print(text, end="")
-    if given.markdown:
-        given.markdown.write_text(text, encoding="utf-8")
-    if given.json:
-        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": given.repeats, "rows": rows}
-        given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text(text, encoding="utf-8")
+    if args.json:
+        report = {"renderer": device().renderer, "peak_mib": peak_mib, "repeats": args.repeats, "rows": rows}
+        args.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

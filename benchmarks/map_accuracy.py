@@ -88,10 +88,10 @@ def main() -> None:
     parser.add_argument("--filter", type=int, default=1)
     parser.add_argument("--pixels", type=int, default=400)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scenes = []
-        for raster in sorted(given.folder.rglob("*.tif")):
+        for raster in sorted(args.folder.rglob("*.tif")):
             try:
                 scene = scene_of(raster, Path(folder))
             except SkuggaError as error:
@@ -99,9 +99,9 @@ def main() -> None:
                 continue
             scenes.append((slope_p95_deg(scene), raster, scene))
         scenes.sort(key=lambda item: -item[0])
-        maps = f", map {given.map_size}, {given.filter} tap(s) a side" if given.algorithm == "shadow_map" else ""
+        maps = f", map {args.map_size}, {args.filter} tap(s) a side" if args.algorithm == "shadow_map" else ""
         lines = [
-            f"# `{given.algorithm}` against truth, {given.pixels} pixels{maps}",
+            f"# `{args.algorithm}` against truth, {args.pixels} pixels{maps}",
             "",
             f"Made by `benchmarks/map_accuracy.py` on {device().renderer}. Shares in per cent, edges in pixels.",
             "",
@@ -111,7 +111,7 @@ def main() -> None:
         ]
         print(lines[-2])
         for slope, raster, scene in scenes:
-            for row in measure(scene, given.pixels, given.algorithm, given.map_size, given.filter):
+            for row in measure(scene, args.pixels, args.algorithm, args.map_size, args.filter):
                 shares = (100 * row[key] for key in ("shadow", "wrong", "wrong_cast", "false_shadow", "missed_shadow"))
                 lines.append(
                     f"| {raster.parent.name}/{raster.stem} | {slope:.0f}° | {row['azimuth']:.0f} / {row['altitude']:.0f} | "
@@ -119,8 +119,8 @@ def main() -> None:
                     + f" | {row['edge_p95']:.2f} | {100 * row['interior']:.4f} | {100 * row['boundary']:.1f} |"
                 )
                 print(lines[-1], flush=True)
-    if given.markdown:
-        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene
 def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
     """The plans to compare: all with one map of a size and the same taps and depths."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
-    asked = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
-    maps = {fit: make_plan(descriptor, level, {**asked, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
-    return {**maps, "perspective": make_plan(descriptor, level, {**asked, "algorithm": "perspective_shadow_map"})}
+    overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
+    maps = {fit: make_plan(descriptor, level, {**overrides, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
+    return {**maps, "perspective": make_plan(descriptor, level, {**overrides, "algorithm": "perspective_shadow_map"})}
 
 
 def errors(given: argparse.Namespace) -> list[Row]:
@@ -73,7 +73,7 @@ def times(given: argparse.Namespace) -> list[Row]:
     for level, scene, name, view in views(given.levels, tuple(given.size)):
         buffer = geometry_of(scene, view)
         casters = casters_of(scene, buffer)
-        taken: dict[str, list[float]] = {}
+        times_by_map: dict[str, list[float]] = {}
         held, notes = {}, {}
         todo = plans(scene, view, name, given.map_size, given.filter)
         for number in range(given.repeats + 2):
@@ -83,10 +83,10 @@ def times(given: argparse.Namespace) -> list[Row]:
                 for light in todo[map_name].lights:
                     fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].runs, log)
                 if number >= 2:  # the first ones compile and allocate
-                    taken.setdefault(map_name, []).append(time.perf_counter() - start)
+                    times_by_map.setdefault(map_name, []).append(time.perf_counter() - start)
                 held[map_name] = max(record.bytes for record in log.records.values())
                 notes[map_name] = " ".join(record.note for record in log.records.values()).strip()
-        medians = {map_name: float(np.median(some)) for map_name, some in taken.items()}
+        medians = {map_name: float(np.median(milliseconds)) for map_name, milliseconds in times_by_map.items()}
         row = {"view": f"{level} {name}", "ms": 1000.0 * medians["perspective"]}
         row |= {f"over {fit}": medians["perspective"] / medians[fit] for fit in FITS}
         row |= {f"MiB {map_name}": count / 2**20 for map_name, count in held.items()}
@@ -104,14 +104,14 @@ def main() -> None:
     parser.add_argument("--filter", type=int, default=3)
     parser.add_argument("--repeats", type=int, default=40)
     parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
-    given.size = given.size or {"errors": (640, 512), "times": (1280, 1024)}[given.what]
-    rows = {"errors": errors, "times": times}[given.what](given)
+    args = parser.parse_args()
+    args.size = args.size or {"errors": (640, 512), "times": (1280, 1024)}[args.what]
+    rows = {"errors": errors, "times": times}[args.what](args)
     keys = list(rows[0])
     table = [keys, ["---"] * len(keys), *([f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows)]
     print(device().renderer, "", *(f"| {' | '.join(line)} |" for line in table), sep="\n")
-    if given.json:
-        given.json.write_text(json.dumps({"renderer": device().renderer, "rows": rows}, indent=2) + "\n", encoding="utf-8")
+    if args.json:
+        args.json.write_text(json.dumps({"renderer": device().renderer, "rows": rows}, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -86,13 +86,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("write", "check"))
     parser.add_argument("file", type=Path)
-    given = parser.parse_args()
+    args = parser.parse_args()
     found = all_hashes()
-    if given.what == "write":
-        given.file.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
-        print(f"{len(found)} hashes written to {given.file}")
+    if args.what == "write":
+        args.file.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+        print(f"{len(found)} hashes written to {args.file}")
         return 0
-    before = json.loads(given.file.read_text(encoding="utf-8"))
+    before = json.loads(args.file.read_text(encoding="utf-8"))
     differ = [name for name in sorted(before.keys() | found.keys()) if before.get(name) != found.get(name)]
     for name in differ:
         print(f"differs: {name}: {before.get(name, 'not there')} before, {found.get(name, 'not there')} now")

@@ -143,19 +143,19 @@ def main() -> None:
     parser.add_argument("--trees", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
-    if given.what == "trees":
-        trees(given.trees, given.repeats)
-    elif given.what == "thinning":
-        thinning(given.trees)
+    args = parser.parse_args()
+    if args.what == "trees":
+        trees(args.trees, args.repeats)
+    elif args.what == "thinning":
+        thinning(args.trees)
     else:
-        width, height = (int(part) for part in given.size.split("x"))
+        width, height = (int(part) for part in args.size.split("x"))
         head = "| level | view | casters | wrong cast % | false % | missed % | interior % | coverage % | boundary % | edge p95 px |"
         head += "\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
         print(head)
-        rows = accuracy(given.levels, (width, height), given.map_size)
-        if given.markdown:
-            given.markdown.write_text(head + "\n" + "\n".join(line(row) for row in rows) + "\n", encoding="utf-8")
+        rows = accuracy(args.levels, (width, height), args.map_size)
+        if args.markdown:
+            args.markdown.write_text(head + "\n" + "\n".join(line(row) for row in rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -124,9 +124,9 @@ class GridRays:
     def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
         seen = np.empty(len(nodes), bool)
         for first in range(0, len(nodes), BATCH_RAYS):
-            some = slice(first, first + BATCH_RAYS)
-            start = self._nodes[nodes[some]] + np.array([0.0, 0.0, offsets * NODE_OFFSET * rays.offset_m])
-            seen[some] = ~rays.blocked(start, to_sun)
+            batch = slice(first, first + BATCH_RAYS)
+            start = self._nodes[nodes[batch]] + np.array([0.0, 0.0, offsets * NODE_OFFSET * rays.offset_m])
+            seen[batch] = ~rays.blocked(start, to_sun)
         return seen
 
     def _grid(self, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -178,7 +178,7 @@ def read(path: Path, crop: int) -> Raster:
     shape = elevation.shape
     known = np.nonzero(np.isfinite(elevation.overview.heights_m))
     size = [min(crop, length) for length in shape]
-    middle = [int(np.median(at) + 0.5) * 2**elevation.overview.level for at in known]
+    middle = [int(np.median(indices) + 0.5) * 2**elevation.overview.level for indices in known]
     first = [int(np.clip(m - s // 2, 0, length - s)) for m, s, length in zip(middle, size, shape, strict=True)]
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
     height_m, there = elevation.heights_at(0, row, col)
@@ -261,34 +261,32 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--markdown", type=Path)
     parser.add_argument("--json", type=Path, help="every figure of every sun")
-    given = parser.parse_args()
-    every = given.all_azimuths is not None
-    azimuths = np.arange(360.0) if every else (np.arange(given.azimuths) + 0.5) * 360.0 / given.azimuths
+    args = parser.parse_args()
+    every = args.all_azimuths is not None
+    azimuths = np.arange(360.0) if every else (np.arange(args.azimuths) + 0.5) * 360.0 / args.azimuths
     if not every and not (azimuths % 45.0).all():
-        parser.error(
-            f"--azimuths {given.azimuths}: one of them is a multiple of 45 degrees, where errors hide; 8, 24 or 72 are not"
-        )
-    suns = [(float(a), h) for h in given.altitudes or ([10.0] if every else [3.0, 10.0, 30.0]) for a in azimuths]
-    rasters = list(rasters_of(given.folder, given.crop or (512 if every else 1024)))
+        parser.error(f"--azimuths {args.azimuths}: one of them is a multiple of 45 degrees, where errors hide; 8, 24 or 72 are not")
+    suns = [(float(a), h) for h in args.altitudes or ([10.0] if every else [3.0, 10.0, 30.0]) for a in azimuths]
+    rasters = list(rasters_of(args.folder, args.crop or (512 if every else 1024)))
     if every:
-        rasters = [raster for raster in rasters if given.all_azimuths in raster.name][:1]
+        rasters = [raster for raster in rasters if args.all_azimuths in raster.name][:1]
     if not rasters:
-        parser.error(f"no raster of heights below {given.folder}" + (f" is called {given.all_azimuths}" if every else ""))
+        parser.error(f"no raster of heights below {args.folder}" + (f" is called {args.all_azimuths}" if every else ""))
     rasters.sort(key=lambda raster: -raster.height_m.size)  # the longest work first, so that no core waits at the end
-    parts = [suns[first :: given.processes] for first in range(given.processes)] if every else [suns]
+    parts = [suns[first :: args.processes] for first in range(args.processes)] if every else [suns]
     start, figures = time.perf_counter(), []
-    with ProcessPoolExecutor(given.processes) as pool:
-        work = {pool.submit(measure, raster, part, given.lines): raster.name for raster in rasters for part in parts}
+    with ProcessPoolExecutor(args.processes) as pool:
+        work = {pool.submit(measure, raster, part, args.lines): raster.name for raster in rasters for part in parts}
         for done in as_completed(work):
             figures += done.result()
             mean, worst = (100 * f([row.wrong for row in done.result()]) for f in (np.mean, np.max))
             print(f"{time.perf_counter() - start:4.0f} s  {work[done]}: wrong {mean:.4f} %, worst {worst:.4f} %", flush=True)
-    lines = report(rasters, figures, given.lines)
+    lines = report(rasters, figures, args.lines)
     print("\n".join(lines))
-    if given.markdown:
-        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    if given.json:
-        given.json.write_text(json.dumps([asdict(row) for row in figures], indent=1), encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if args.json:
+        args.json.write_text(json.dumps([asdict(row) for row in figures], indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -185,8 +185,8 @@ def report(
         "| what | threads | ms | million cells/s: median | slowest sun | per core and s | memory MB |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for tool, taken in seconds.items():
-        per_sun, core_s = np.median(taken, axis=0).T
+    for tool, tool_seconds in seconds.items():
+        per_sun, core_s = np.median(tool_seconds, axis=0).T
         rows.append(
             f"| {tool.name} | {tool.threads} | {1000 * np.median(per_sun):.0f} | {side**2 / np.median(per_sun) / 1e6:.0f} | "
             f"{side**2 / per_sun.max() / 1e6:.0f} | {side**2 / np.median(core_s) / 1e6:.0f} | {memory[tool] / 1e6:.0f} |"
@@ -206,16 +206,20 @@ def report(
 
 def _targets(seconds: dict[SweepTool, np.ndarray], wrong: dict[SweepTool, np.ndarray], side: int) -> list[str]:
     """What was aimed at, and what came out; ratios are medians over the pairs of one run."""
-    by_threads = {(bool(tool.lines), tool.threads): taken[..., 0] for tool, taken in seconds.items()}
+    by_threads = {(bool(tool.lines), tool.threads): tool_seconds[..., 0] for tool, tool_seconds in seconds.items()}
     own = by_threads[True, 1]
     found = [("million cells/s on one core", side**2 / np.median(own) / 1e6, CELLS_PER_S / 1e6)]
     if (True, 2) in by_threads:
         found.append(("two cores against one", float(np.median(own / by_threads[True, 2])), CORES_RATIO))
     if (False, 1) in by_threads:
         found.append(("speed against insolation's, one core", float(np.median(by_threads[False, 1] / own)), 1.0))
-        ours, theirs = (float(np.mean([w[:, 0] for t, w in wrong.items() if bool(t.lines) == own])) for own in (True, False))
-        found.append(("insolation's wrong cells against the sweep's", theirs / ours if ours else np.inf, WRONG_RATIO))
-    return [f"- {what}: {value:.2f}, aim at least {aim:g}: {'met' if value >= aim else 'missed'}" for what, value, aim in found]
+        our_wrong, their_wrong = (
+            float(np.mean([w[:, 0] for t, w in wrong.items() if bool(t.lines) == own])) for own in (True, False)
+        )
+        found.append(
+            ("insolation's wrong cells against the sweep's", their_wrong / our_wrong if our_wrong else np.inf, WRONG_RATIO)
+        )
+    return [f"- {target}: {value:.2f}, aim at least {aim:g}: {'met' if value >= aim else 'missed'}" for target, value, aim in found]
 
 
 def _processor() -> str:
@@ -233,9 +237,9 @@ def main() -> None:
     parser.add_argument("--lines", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--markdown", type=Path)
-    given = parser.parse_args()
+    args = parser.parse_args()
     cores = os.cpu_count() or 1
-    tools = [SweepTool("sweep", count, given.lines) for count in sorted({1, min(2, cores)})]
+    tools = [SweepTool("sweep", count, args.lines) for count in sorted({1, min(2, cores)})]
     try:
         import insolation  # noqa: F401
     except ImportError:
@@ -244,12 +248,12 @@ def main() -> None:
         others = [SweepTool("insolation", count, 0) for count in sorted({1, cores})]  # all cores are its default
         check_convention(others[0])
         tools += others
-    seconds, memory = timed(tools, given.side, given.repeats)
-    wrong = wrong_cells([tool for tool in tools if tool.threads == 1], given.truth_side)
-    lines = report(given.side, seconds, memory, given.truth_side, wrong)
+    seconds, memory = timed(tools, args.side, args.repeats)
+    wrong = wrong_cells([tool for tool in tools if tool.threads == 1], args.truth_side)
+    lines = report(args.side, seconds, memory, args.truth_side, wrong)
     print("\n".join(lines))
-    if given.markdown:
-        given.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def name_of(plan: Plan, light: str = SUN) -> str:
         kinds.setdefault("-".join([name, *([] if settings is None else settings.label)]), []).append(kind)
     if len(kinds) <= 1:
         return next(iter(kinds), NO_SHADOWS)
-    return ",".join(f"{'+'.join(its)}={name}" for name, its in kinds.items())
+    return ",".join(f"{'+'.join(algorithm_kinds)}={name}" for name, algorithm_kinds in kinds.items())
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
@@ -68,17 +68,17 @@ def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
             yield from _as_far_as_it_serves(descriptor, level, light, {"algorithm": each.name, **overrides})
 
 
-def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, asked: dict[str, Any]) -> list[Plan]:
-    name: AlgorithmName = asked["algorithm"]
+def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
+    name: AlgorithmName = overrides["algorithm"]
     parts = [name, *([{"relief": name, "meshes": name}, {"relief": name}] if light == SUN else [])]
-    return next(filter(None, (_served(descriptor, level, light, asked | {"algorithm": part}) for part in parts)), [])
+    return next(filter(None, (_served(descriptor, level, light, overrides | {"algorithm": part}) for part in parts)), [])
 
 
-def _served(descriptor: Descriptor, level: Level, light: str, asked: dict[str, Any]) -> list[Plan]:
+def _served(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
     """The plan of what is asked, if it is served and really taken under the light."""
     with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-        plan = make_plan(descriptor, level, asked, choices={})  # what is not named goes by shadow maps
-        wanted = asked["algorithm"]
+        plan = make_plan(descriptor, level, overrides, choices={})  # what is not named goes by shadow maps
+        wanted = overrides["algorithm"]
         names = set(wanted.values()) if isinstance(wanted, dict) else {wanted}
         if names & set(plan.algorithm.get(light, {}).values()) or not plan.algorithm:
             return [plan]

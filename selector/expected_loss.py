@@ -55,19 +55,28 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
 
     ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """
-    able = [one for one in forecasts if one.figures.name != NO_SHADOWS] or list(forecasts)
-    likely = [one for one in able if one.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
+    candidates = [forecast for forecast in forecasts if forecast.figures.name != NO_SHADOWS] or list(forecasts)
+    likely = [forecast for forecast in candidates if forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
     if likely:
-        miss_ms = MISS_PENALTY * sorted(one.figures.ms for one in likely)[len(likely) // 2]
-        winner = min(likely, key=lambda one: (_expected(one.figures.ms, miss_ms, one.miss_chance(max_ms)), one.figures.name))
+        miss_ms = MISS_PENALTY * sorted(forecast.figures.ms for forecast in likely)[len(likely) // 2]
+        winner = min(
+            likely,
+            key=lambda forecast: (_expected(forecast.figures.ms, miss_ms, forecast.miss_chance(max_ms)), forecast.figures.name),
+        )
         return RankingResult(winner.figures, True, None)
-    in_time = [one for one in able if max_ms is not None and late_chance(one.figures.ms, max_ms) <= LIKELY_MISS_CHANCE]
+    in_time = [
+        forecast for forecast in candidates if max_ms is not None and late_chance(forecast.figures.ms, max_ms) <= LIKELY_MISS_CHANCE
+    ]
     if not in_time:
-        return best([one.figures for one in able], max_error, max_ms)
-    over = {one.figures.name: relative_overshoot(one.figures, max_error) for one in in_time}
+        return best([forecast.figures for forecast in candidates], max_error, max_ms)
+    over = {forecast.figures.name: relative_overshoot(forecast.figures, max_error) for forecast in in_time}
     missed = MISS_PENALTY * sorted(over.values())[len(over) // 2]
     nearest = min(
-        in_time, key=lambda one: (_expected(over[one.figures.name], missed, late_chance(one.figures.ms, max_ms)), one.figures.ms)
+        in_time,
+        key=lambda forecast: (
+            _expected(over[forecast.figures.name], missed, late_chance(forecast.figures.ms, max_ms)),
+            forecast.figures.ms,
+        ),
     )
     return best([nearest.figures], max_error, max_ms)
 

@@ -20,8 +20,8 @@ def format_duration(ms: float) -> str:
 
 def format_list(names: Sequence[str], most: int = 4) -> str:
     """``a``, ``a and b``, ``a, b and c``, or the first few ``and 5 others``."""
-    shown = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+    items = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
 def format_two_digits(value: float) -> str:

@@ -61,16 +61,16 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
     automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
         values = _values(plan, key)
-        picked = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
-        if picked and len(set(values.values())) == 1:
+        is_chosen = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
+        if is_chosen and len(set(values.values())) == 1:
             chosen[key] = next(iter(values.values()))
     return chosen
 
 
 def pinned(path: Path) -> tuple[str, ...]:
     """The keys of ``shadows`` that an earlier pin has written into a level file. Raises ``LevelError``."""
-    found = _PIN.search(_read(path))
-    return _keys_of(found.group()) if found else ()
+    match = _PIN.search(_read(path))
+    return _keys_of(match.group()) if match else ()
 
 
 def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
@@ -107,12 +107,12 @@ def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str
     """
     before = _load(text)
     earlier = _PIN.search(text)
-    bare = _PIN.sub("", text)
+    unpinned = _PIN.sub("", text)
     wanted = {**dict.fromkeys(_keys_of(earlier.group()) if earlier else (), "auto"), **chosen}
     with suppress(YAMLError, ValueError, IndexError):
-        after = _rewritten(bare, wanted, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
-        asked = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
-        if _load(after) == asked:
+        after = _rewritten(unpinned, wanted, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
+        expected = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
+        if _load(after) == expected:
             return after
     return None
 
@@ -120,13 +120,13 @@ def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str
 def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
     line_end = "\r\n" if "\r\n" in text else "\n"
     root = YAML(typ="safe", pure=True).compose(text)
-    own = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
+    shadows_pair = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
     quoted = root.flow_style and bool(root.value) and root.value[0][0].style == '"'
-    head = root if root.flow_style or own is None else own[0]
+    head = root if root.flow_style or shadows_pair is None else shadows_pair[0]
     edits: list[Edit] = []
-    if own is None and root.flow_style:
+    if shadows_pair is None and root.flow_style:
         edits.append(_inserted(text, root.value, {"shadows": wanted}, quoted))
-    elif own is None:
+    elif shadows_pair is None:
         indent = " " * root.start_mark.column
         lines = [f"{indent}shadows:", *(f"{indent}  {key}: {_flow(value, quoted)}" for key, value in wanted.items())]
         ended = _DOCUMENT_END.search(text)
@@ -134,11 +134,11 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
         text = text.removesuffix(rest)
         gap = "" if text.endswith(("\n", "\r")) else line_end
         return f"{text}{gap}{line_end.join([*_comment(why, indent), *lines])}{'' if gap else line_end}{rest}"
-    elif _is_alias(*own):
-        start, end = _span(text, own)
+    elif _is_alias(*shadows_pair):
+        start, end = _span(text, shadows_pair)
         edits.append((start, end, _flow({**_load(text)["shadows"], **wanted}, quoted)))
     else:
-        edits += _changes(text, own[1], wanted, quoted, line_end)
+        edits += _changes(text, shadows_pair[1], wanted, quoted, line_end)
     start = _line_start(text, head.start_mark.index)
     indent = " " * (head.start_mark.column if head is not root else 0)
     edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
@@ -160,21 +160,23 @@ def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted:
         edits.append(_inserted(text, shadows.value, new, quoted) if shadows.value else _filled(shadows, new, quoted))
     elif new:
         first, last = shadows.value[0][0], _span(text, shadows.value[-1])[1]
-        at = _line_end(text, last)
+        insert_at = _line_end(text, last)
         indent = " " * first.start_mark.column
-        edits.append((at, at, "".join(f"{line_end}{indent}{key}: {_flow(value, quoted)}" for key, value in new.items())))
+        edits.append(
+            (insert_at, insert_at, "".join(f"{line_end}{indent}{key}: {_flow(value, quoted)}" for key, value in new.items()))
+        )
     return edits
 
 
 def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
-    at = _span(text, pairs[-1])[1]
-    return at, at, f", {_flow(new, quoted)[1:-1]}"
+    insert_at = _span(text, pairs[-1])[1]
+    return insert_at, insert_at, f", {_flow(new, quoted)[1:-1]}"
 
 
 def _filled(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
     """An empty mapping in braces, filled."""
-    at = empty.end_mark.index - 1
-    return at, at, _flow(new, quoted)[1:-1]
+    insert_at = empty.end_mark.index - 1
+    return insert_at, insert_at, _flow(new, quoted)[1:-1]
 
 
 def _span(text: str, pair: Pair) -> tuple[int, int]:
@@ -183,10 +185,10 @@ def _span(text: str, pair: Pair) -> tuple[int, int]:
     """
     key, value = pair
     if _is_alias(key, value):
-        found = _ALIAS.match(text, key.end_mark.index)
-        if found is None:
+        alias = _ALIAS.match(text, key.end_mark.index)
+        if alias is None:
             raise ValueError("an alias in no plain place")
-        return found.span(1)
+        return alias.span(1)
     start = value.start_mark.index
     if isinstance(value, MappingNode) and not value.flow_style:  # its place is behind the colon, on the key's own line
         start = text.index(":", key.end_mark.index) + 1
@@ -216,23 +218,23 @@ def _flow(value: Any, quoted: bool) -> str:
 
 
 def _comment(why: Sequence[str], indent: str) -> list[str]:
-    said = ["".join(letter if letter.isprintable() else " " for letter in line) for line in why]
-    return [f"{indent}#: {part}" for line in said for part in wrap(line, COMMENT_WIDTH)]
+    lines = ["".join(letter if letter.isprintable() else " " for letter in line) for line in why]
+    return [f"{indent}#: {part}" for line in lines for part in wrap(line, COMMENT_WIDTH)]
 
 
 def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
     """A setting's values by light and kind of casters, of those that have it."""
-    found: dict[tuple[str, str], Any] = {}
+    values: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
             if (value := settings.asked_as.get(key)) is not None:
-                found[light, kind] = value
-    return found
+                values[light, kind] = value
+    return values
 
 
 def _keys_of(comment: str) -> tuple[str, ...]:
-    found = _KEYS.search(comment)
-    return tuple(key.strip() for key in found.group(1).split(",")) if found else ()
+    match = _KEYS.search(comment)
+    return tuple(key.strip() for key in match.group(1).split(",")) if match else ()
 
 
 def _line_start(text: str, index: int) -> int:
@@ -241,8 +243,8 @@ def _line_start(text: str, index: int) -> int:
 
 
 def _line_end(text: str, index: int) -> int:
-    found = re.compile(r"[\r\n]").search(text, index)
-    return found.start() if found else len(text)
+    match = re.compile(r"[\r\n]").search(text, index)
+    return match.start() if match else len(text)
 
 
 def _load(text: str) -> Any:

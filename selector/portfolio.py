@@ -45,18 +45,18 @@ def _alone(algorithm: Algorithm) -> str:
 
 
 def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Choice]:
-    seen = set()
-    for company, named in companies():
+    yielded = set()
+    for combination, named in companies():
         algorithm = {kind: named.get(kind, FALLBACK) for kind in kinds}
         if not all(can_serve(name, descriptor, light, kind) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.hopeless(descriptor, kind) for kind, name in algorithm.items()):
             continue
         for settings in _settings(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
-            words = [company, *(SHORT.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
+            words = [combination, *(SHORT.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
             key = (tuple(algorithm.items()), tuple(settings.items()))
-            if key not in seen:
-                seen.add(key)
+            if key not in yielded:
+                yielded.add(key)
                 yield Choice(" ".join(words), algorithm, settings)
 
 

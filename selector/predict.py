@@ -60,7 +60,7 @@ def predicted_plan(
     Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
     """
     planner = planner_of(descriptor, plan_request, overrides)
-    asked = planner.asked
+    shadows = planner.asked
     casting = {light: planner.casting(light) for light in descriptor.light_kinds}
     unmeasured: dict[AlgorithmName, str] = {}
     options = {
@@ -68,26 +68,37 @@ def predicted_plan(
     }
     if not all(options.values()):
         return _by_rules(planner, unmeasured)
-    forecasts = {light: [each.forecast(asked.max_error) for each in its] for light, its in options.items()}
-    verdicts = {light: least_expected_loss(its, asked.max_error) for light, its in forecasts.items()}
-    needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
-    if asked.max_ms is not None and options:
-        shares = {light: asked.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
-        verdicts = {light: least_expected_loss(its, asked.max_error, shares[light]) for light, its in forecasts.items()}
-    taken = {light: next(each for each in its if each.choice.name == verdicts[light].winner.name) for light, its in options.items()}
-    choices = {
-        light: _with_words(each, options[light], casting[light], verdicts[light], asked.max_error) for light, each in taken.items()
+    forecasts = {
+        light: [option.forecast(shadows.max_error) for option in light_options] for light, light_options in options.items()
     }
-    plan = planner.plan(choices, unmeasured | _rejected(options, taken, asked.max_error))
+    verdicts = {light: least_expected_loss(light_options, shadows.max_error) for light, light_options in forecasts.items()}
+    needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
+    if shadows.max_ms is not None and options:
+        shares = {light: shadows.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
+        verdicts = {
+            light: least_expected_loss(light_options, shadows.max_error, shares[light])
+            for light, light_options in forecasts.items()
+        }
+    winners = {
+        light: next(option for option in light_options if option.choice.name == verdicts[light].winner.name)
+        for light, light_options in options.items()
+    }
+    choices = {
+        light: _with_words(option, options[light], casting[light], verdicts[light], shadows.max_error)
+        for light, option in winners.items()
+    }
+    plan = planner.plan(choices, unmeasured | _rejected(options, winners, shadows.max_error))
     return plan.model_copy(
         update={
             "policy": "predict",
             "predicted": Predicted(
-                ms=sum(each.ms for each in taken.values()),
-                wrong=max((each.errors.wrong for each in taken.values()), default=0.0),
-                wrong_cast=max((each.errors.wrong_cast for each in taken.values()), default=0.0),
+                ms=sum(option.ms for option in winners.values()),
+                wrong=max((option.errors.wrong for option in winners.values()), default=0.0),
+                wrong_cast=max((option.errors.wrong_cast for option in winners.values()), default=0.0),
             ),
-            "target": Target(max_error=asked.max_error, max_ms=asked.max_ms, met=all(verdict.met for verdict in verdicts.values())),
+            "target": Target(
+                max_error=shadows.max_error, max_ms=shadows.max_ms, met=all(verdict.met for verdict in verdicts.values())
+            ),
             "reasons": [*_missed(verdicts), *plan.reasons],
         }
     )
@@ -113,13 +124,13 @@ def predicted_choices(
     An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
     """
     descriptor, model = planner.descriptor, errors or packaged_model()
-    found: dict[tuple[object, ...], PredictedChoice] = {}
+    options: dict[tuple[object, ...], PredictedChoice] = {}
     known: dict[object, tuple[float, float]] = {}
     for choice in portfolio(descriptor, light, kinds):
         steps = planner.steps(light, choice)
         # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
-        if keys in found:
+        if keys in options:
             continue
         try:
             for key, step in zip(keys, steps, strict=True):
@@ -131,37 +142,37 @@ def predicted_choices(
                 unmeasured[error.algorithm] = error.why
             continue
         wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
-        found[keys] = PredictedChoice(
+        options[keys] = PredictedChoice(
             choice, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
         )
-    return list(found.values())
+    return list(options.values())
 
 
 def _with_words(
-    taken: PredictedChoice,
+    winner: PredictedChoice,
     options: Sequence[PredictedChoice],
     kinds: Sequence[CasterKind],
     verdict: RankingResult,
     max_error: float,
 ) -> Choice:
     """The choice with the reasons for it."""
-    its = f"{format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)} expected"
-    settings = " ".join(f"{key} {value}" for key, value in taken.choice.settings.items())
+    expectation = f"{format_percent(winner.errors.wrong_cast)} of the cast shadow wrong in {format_duration(winner.ms)} expected"
+    settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
-        why = f"{its}: nothing is expected to meet the target, and this comes nearest"
+        why = f"{expectation}: nothing is expected to meet the target, and this comes nearest"
     else:
-        why = f"{its}, {_chance(taken, max_error)}; "
-        others = [each for each in options if each.algorithms != taken.algorithms]
-        likely = [each for each in others if each.errors.chance_over(max_error) <= LIKELY_MISS_CHANCE]
-        beside = min(likely, key=lambda each: each.ms, default=None)
+        why = f"{expectation}, {_chance(winner, max_error)}; "
+        others = [option for option in options if option.algorithms != winner.algorithms]
+        likely = [option for option in others if option.errors.chance_over(max_error) <= LIKELY_MISS_CHANCE]
+        beside = min(likely, key=lambda option: option.ms, default=None)
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
-        elif beside.ms >= taken.ms:
+        elif beside.ms >= winner.ms:
             why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.choice.name}, {format_duration(beside.ms)}"
         else:
             why += f"{beside.choice.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
     sizes = f"what the target takes ({settings})"
-    return replace(taken.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.choice.settings, sizes)})
+    return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
 
 
 def _chance(option: PredictedChoice, max_error: float) -> str:
@@ -174,25 +185,25 @@ def _limit(max_error: float) -> str:
 
 
 def _rejected(
-    options: Mapping[str, Sequence[PredictedChoice]], taken: Mapping[str, PredictedChoice], max_error: float
+    options: Mapping[str, Sequence[PredictedChoice]], winners: Mapping[str, PredictedChoice], max_error: float
 ) -> dict[AlgorithmName, str]:
     """Why algorithms that could serve were not taken: the best that was expected of them."""
-    said: dict[AlgorithmName, str] = {}
+    reasons: dict[AlgorithmName, str] = {}
     for name in ALGORITHMS:
-        for light, its in options.items():
-            able = [each for each in its if name in each.algorithms]
-            if not able or name in taken[light].algorithms:
+        for light, light_options in options.items():
+            candidates = [option for option in light_options if name in option.algorithms]
+            if not candidates or name in winners[light].algorithms:
                 continue
-            verdict = least_expected_loss([each.forecast(max_error) for each in able], max_error)
-            nearest = next(each for each in able if each.choice.name == verdict.winner.name)
+            verdict = least_expected_loss([option.forecast(max_error) for option in candidates], max_error)
+            nearest = next(option for option in candidates if option.choice.name == verdict.winner.name)
             if verdict.met:
-                said[name] = (
+                reasons[name] = (
                     f"{format_duration(nearest.ms)} expected of {nearest.choice.name} {_chance(nearest, max_error)}; "
-                    f"{format_duration(taken[light].ms)} of what is taken"
+                    f"{format_duration(winners[light].ms)} of what is taken"
                 )
             else:
-                said[name] = f"expected at best: {verdict.missed_by}"
-    return said
+                reasons[name] = f"expected at best: {verdict.missed_by}"
+    return reasons
 
 
 def _missed(verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:

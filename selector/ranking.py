@@ -47,18 +47,20 @@ def best(
     What still ties goes by error, interior, time and name. ``none`` is never taken because an error happens to be small: only where
     there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """
-    able = [one for one in candidates if one.name != NO_SHADOWS] or list(candidates)
-    if not able:
+    capable = [figures for figures in candidates if figures.name != NO_SHADOWS] or list(candidates)
+    if not capable:
         raise ValueError("of no candidates there is no best one")
-    in_time = [one for one in able if max_ms is None or one.ms <= max_ms]
-    accurate = [one for one in in_time if one.error <= max_error and one.interior <= MOST_INTERIOR]
+    in_time = [figures for figures in capable if max_ms is None or figures.ms <= max_ms]
+    accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MOST_INTERIOR]
     if accurate:
-        least_ms = min(one.ms for one in accurate)
-        return RankingResult(min((one for one in accurate if one.ms <= tie_ratio * least_ms), key=_accuracy), True, None)
+        least_ms = min(figures.ms for figures in accurate)
+        return RankingResult(
+            min((figures for figures in accurate if figures.ms <= tie_ratio * least_ms), key=_accuracy), True, None
+        )
     if max_ms is not None and in_time:
-        winner = min(in_time, key=lambda one: (_clean(one, max_error), *_accuracy(one)))
+        winner = min(in_time, key=lambda figures: (_clean(figures, max_error), *_accuracy(figures)))
     else:
-        winner = min(able, key=lambda one: (relative_overshoot(one, max_error, max_ms), *_accuracy(one)))
+        winner = min(capable, key=lambda figures: (relative_overshoot(figures, max_error, max_ms), *_accuracy(figures)))
     return RankingResult(winner, False, _missed_by(winner, max_error, max_ms))
 
 

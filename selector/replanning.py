@@ -118,11 +118,11 @@ class Replanner:
         the new one (``Frame.visibilities``): then no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch
         lasts until this has been 1. Called once a frame; 1 where no switch is under way.
         """
-        standing = self._standing
-        if standing is None or standing.handover is None:
+        state = self._standing
+        if state is None or state.handover is None:
             return 1.0
-        share = next_share(before, after, standing.shown)
-        self._standing = replace(standing, step=0.0, handover=replace(standing.handover, share=share))
+        share = next_share(before, after, state.shown)
+        self._standing = replace(state, step=0.0, handover=replace(state.handover, share=share))
         return share
 
     @property
@@ -132,7 +132,7 @@ class Replanner:
 
 
 def next_state(
-    standing: PlanState | None,
+    state: PlanState | None,
     descriptor: Descriptor,
     plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
@@ -140,38 +140,38 @@ def next_state(
 ) -> PlanState:
     """What stands after the next plan."""
     fresh = plans(descriptor, plan_request, overrides)
-    asked = (descriptor.view_kind, plan_request.shadows, plan_request.effects, overrides or {})
+    request = (descriptor.view_kind, plan_request.shadows, plan_request.effects, overrides or {})
     choices = choices_of(fresh)
     fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
-    taken = PlanState(fresh, choices, asked, PATIENCE)
-    if standing is None or standing.asked != asked:
-        return taken
+    next_standing = PlanState(fresh, choices, request, PATIENCE)
+    if state is None or state.asked != request:
+        return next_standing
     try:
-        kept = make_plan(descriptor, plan_request, overrides, standing.choices)
-        alike = _choices(choices_of(kept)) == _choices(choices)
-        kept = fresh if alike else _judged(kept, descriptor, plan_request, overrides, plans)
+        kept = make_plan(descriptor, plan_request, overrides, state.choices)
+        same_choices = _choices(choices_of(kept)) == _choices(choices)
+        kept = fresh if same_choices else _judged(kept, descriptor, plan_request, overrides, plans)
     except UnsupportedError:
-        return taken
-    standing = replace(standing, plan=kept)
-    if standing.handover is not None and standing.left is not None:
-        return _going_on(standing, standing.handover, standing.left, descriptor, plan_request, overrides)
-    if alike:
-        return replace(standing, choices=_joined(standing.choices, choices), better_for=0)
+        return next_standing
+    state = replace(state, plan=kept)
+    if state.handover is not None and state.left is not None:
+        return _going_on(state, state.handover, state.left, descriptor, plan_request, overrides)
+    if same_choices:
+        return replace(state, choices=_joined(state.choices, choices), better_for=0)
     cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
-    unpicked = cast - {(light, kind) for light, choice in standing.choices.items() for kind in choice.algorithm}
+    unpicked = cast - {(light, kind) for light, choice in state.choices.items() for kind in choice.algorithm}
     if not unpicked and not is_better(fresh, kept):
-        return replace(standing, better_for=0)
-    if not unpicked and standing.better_for + 1 < standing.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
-        return replace(standing, better_for=standing.better_for + 1)
-    taken = taken if unpicked else replace(taken, patience=2 * standing.patience)
+        return replace(state, better_for=0)
+    if not unpicked and state.better_for + 1 < state.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
+        return replace(state, better_for=state.better_for + 1)
+    next_standing = next_standing if unpicked else replace(next_standing, patience=2 * state.patience)
     if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
-        return taken
+        return next_standing
     step = 1.0 / max(transition_frames(kept, fresh), SHORTEST)
-    return replace(taken, left=standing.choices, step=step, handover=PlanTransition(kept, step))
+    return replace(next_standing, left=state.choices, step=step, handover=PlanTransition(kept, step))
 
 
 def _going_on(
-    standing: PlanState,
+    state: PlanState,
     handover: PlanTransition,
     left: Mapping[str, Choice],
     descriptor: Descriptor,
@@ -179,15 +179,15 @@ def _going_on(
     overrides: dict[str, Any] | None,
 ) -> PlanState:
     """What stands in the next frame of a switch, or at its end."""
-    ended = replace(standing, left=None, handover=None)
-    share = handover.share + standing.step
+    ended = replace(state, left=None, handover=None)
+    share = handover.share + state.step
     if share > 1.0 - 1e-9:
         return ended
     try:
         plan = make_plan(descriptor, plan_request, overrides, left)
     except UnsupportedError:  # what is left no longer serves
         return ended
-    return replace(standing, shown=handover.share, handover=PlanTransition(plan, share))
+    return replace(state, shown=handover.share, handover=PlanTransition(plan, share))
 
 
 def is_better(fresh: Plan, kept: Plan) -> bool:
@@ -207,15 +207,15 @@ def transition_frames(kept: Plan, fresh: Plan) -> int:
     return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, LONGEST))
 
 
-def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], shown: float) -> float:
-    """The share of the pixels to show ``after`` when it was ``shown`` a frame ago, for the visibilities (rows, cols) of each light
+def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
+    """The share of the pixels to show ``after`` when it was ``last_share`` a frame ago, for the visibilities (rows, cols) of each light
     in the two pictures of a view, NaN where there is no surface: the largest with which no more than ``MOST_CHANGED`` of the
     surface's pixels (one, if that is less) change from shadow to light or back.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
-    there = np.logical_or.reduce([~np.isnan(each) for each in after.values()])
+    there = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
     order = _order(*differ.shape)
-    waiting = np.sort(order[differ & (order >= shown)])
+    waiting = np.sort(order[differ & (order >= last_share)])
     most = max(int(MOST_CHANGED * there.sum()), 1)
     return float(waiting[most]) if most < len(waiting) else 1.0
 
@@ -238,7 +238,7 @@ def _order(rows: int, cols: int) -> np.ndarray:
 
 def casting(plan: Plan) -> dict[str, frozenset[str]]:
     """The kinds of casters that cast, by light."""
-    return {light: frozenset(kind for kind, name in its.items() if name != NO_SHADOWS) for light, its in plan.algorithm.items()}
+    return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 
 
 def choices_of(plan: Plan) -> dict[str, Choice]:
@@ -263,7 +263,7 @@ def _judged(
 ) -> Plan:
     """A plan of picks with what the policy expects of it."""
     judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_of(kept))})
-    reasons = [*kept.reasons, *(one for one in judged.reasons if one.name.startswith("target"))]
+    reasons = [*kept.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
     return kept.model_copy(update=expected)
 

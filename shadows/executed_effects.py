@@ -22,18 +22,18 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     it on (also where none stood in the light's way) or a program that looks its texture up drew depths, and edges were soft if the
     sun's maps were looked up by more than one tap. Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of that.
     """
-    found: set[EffectName] = set()
+    ran: set[EffectName] = set()
     for record in passes:
         if record.name in EFFECTS:
-            found.add(record.name)
+            ran.add(record.name)
         light, is_algorithm, work = record.name.partition("/")
         if not is_algorithm:
             continue
-        found.add("cast_shadows")
+        ran.add("cast_shadows")
         words = {word for label in record.programs for word in label.split()}
         if words & FOLIAGE_PARTS or "forest" in work.partition(":")[0].split("+"):
-            found.add("alpha_test")
+            ran.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}
         if light == SUN and (taps - {"taps=1"} or DISC_PART in words):
-            found.add("soft_edges")
-    return frozenset(found)
+            ran.add("soft_edges")
+    return frozenset(ran)

@@ -23,17 +23,21 @@ class LayerCollector:
         self._of_pixels: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
         self._others: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
 
-    def add(self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], ours: PixelWindow, theirs: PixelWindow) -> None:
-        """Put in what a block's passes kept; its pixels ``theirs`` are the frame's ``ours``. Raises ``InputError`` for too much."""
+    def add(
+        self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
+    ) -> None:
+        """Put in what a block's passes kept; its pixels ``block_window`` are the frame's ``frame_window``. Raises ``InputError`` for too much."""
         for (layer, light), pictures in kept.items():
             if layer in OF_PIXELS:
-                wholes = self._of_pixels.setdefault((layer, light), [_empty(self._size, each.dtype) for each in pictures])
-                for whole, each in zip(wholes, pictures, strict=True):
-                    whole[ours] = each[theirs]
+                frame_pictures = self._of_pixels.setdefault(
+                    (layer, light), [_empty(self._size, picture.dtype) for picture in pictures]
+                )
+                for frame_picture, picture in zip(frame_pictures, pictures, strict=True):
+                    frame_picture[frame_window] = picture[block_window]
             else:
                 others = self._others.setdefault((layer, light), [])
                 others += pictures
-                if sum(each.size for each in others) > MAX_TEXELS:
+                if sum(picture.size for picture in others) > MAX_TEXELS:
                     raise InputError("layer", layer, f"at most {MAX_TEXELS} texels: a smaller view, or smaller maps")
 
     @property
@@ -47,12 +51,12 @@ class LayerCollector:
 
 def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
     """Pictures (rows, cols) of one type row by row in a grid that is about as wide as high, NaN (or 0) between them."""
-    rows, cols = (max(each.shape[axis] for each in pictures) for axis in (0, 1))
+    rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     across = int(np.ceil(np.sqrt(len(pictures))))
     out = _empty((-(-len(pictures) // across) * rows, across * cols), pictures[0].dtype)
-    for number, each in enumerate(pictures):
+    for number, picture in enumerate(pictures):
         row, col = number // across * rows, number % across * cols
-        out[row : row + each.shape[0], col : col + each.shape[1]] = each
+        out[row : row + picture.shape[0], col : col + picture.shape[1]] = picture
     return out
 
 

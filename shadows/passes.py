@@ -72,14 +72,14 @@ class PassLog:
                 record.programs = tuple(dict.fromkeys([*record.programs, *(program.label for program in drawn_with)]))
                 record.textures = tuple(sorted({*record.textures, *(name for program in drawn_with for name in program.textures)}))
 
-    def keep(self, layer: PassLayer, light: str, made: Callable[..., np.ndarray], *of: object) -> None:
+    def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
         """Keep the picture ``made(*of)``, which is made only if it is wanted.
 
         One of ``OF_PIXELS`` has the rows and columns of the geometry buffer (rows of samples below its own do not count); of
         any other, row 0 is the upper one.
         """
         if layer in self.wanted:
-            self.layers.setdefault((layer, light), []).append(made(*of))
+            self.layers.setdefault((layer, light), []).append(make(*args))
 
     def take(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
         """What was kept since the last call."""

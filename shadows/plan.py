@@ -131,13 +131,13 @@ def plan_steps(
     steps: list[Step] = []
     for light, per_kind in algorithm.items():
         for kind, name in per_kind.items():
-            its = settings.get(light, {}).get(kind)
+            kind_settings = settings.get(light, {}).get(kind)
             for number, step in enumerate(steps):
-                if step.light == light and step.algorithm == name and step.settings == its:
-                    steps[number] = Step(light, (*step.kinds, kind), name, its)
+                if step.light == light and step.algorithm == name and step.settings == kind_settings:
+                    steps[number] = Step(light, (*step.kinds, kind), name, kind_settings)
                     break
             else:
-                steps.append(Step(light, (kind,), name, its))
+                steps.append(Step(light, (kind,), name, kind_settings))
     return steps
 
 

@@ -127,11 +127,13 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
     origin[2] = scene.height_range_m[0]
     if light == SUN:
         assert scene.sun is not None
-        at = np.append(scene.sun.in_frame(frame), 0.0)
+        light_m = np.append(scene.sun.in_frame(frame), 0.0)
     else:
-        at = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
+        light_m = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
     meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground shades nothing
-    return Projected(origin, at, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds))
+    return Projected(
+        origin, light_m, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds)
+    )
 
 
 def _stencil(

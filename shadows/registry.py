@@ -51,7 +51,7 @@ def served_algorithms() -> tuple[AlgorithmName, ...]:
 def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     """The algorithms to choose from that can serve all of these together."""
     parts = tuple(parts)
-    return [each.name for each in chosen_from() if each.refusal(parts) is None]
+    return [algorithm.name for algorithm in chosen_from() if algorithm.refusal(parts) is None]
 
 
 def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind) -> bool:

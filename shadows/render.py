@@ -105,7 +105,7 @@ def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     def parts(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
 
-    first, outside = ([name for name in (one,) if name in effects] for one in (REFRACTION_PASS, CASTERS_PASS))
+    first, outside = ([name for name in (pass_name,) if name in effects] for pass_name in (REFRACTION_PASS, CASTERS_PASS))
     before = [name for stage in BEFORE_SHADING for name in parts(stage)]
     return [*first, GEOMETRY_PASS, *outside, *shadow_passes, ATTACHED_PASS, *before, SHADING_PASS, *parts("color")]
 
@@ -136,17 +136,20 @@ def render_frame(
     for done, (part, row, col) in enumerate(parts, start=1):
         block = _render_block(scene, part, plan, log)
         reach = _worse(reach, block.reach)
-        ours = (
+        frame_window = (
             slice(max(row, 0), min(row + part.rows, view.rows)),
             slice(max(col, 0), min(col + part.cols, view.cols)),
         )
-        theirs = (slice(ours[0].start - row, ours[0].stop - row), slice(ours[1].start - col, ours[1].stop - col))
-        color[ours], height[ours] = block.color[theirs], block.height_m[theirs]
-        for light, whole in visibilities.items():
-            whole[ours] = block.visibilities[light][theirs]
+        block_window = (
+            slice(frame_window[0].start - row, frame_window[0].stop - row),
+            slice(frame_window[1].start - col, frame_window[1].stop - col),
+        )
+        color[frame_window], height[frame_window] = block.color[block_window], block.height_m[block_window]
+        for light, frame_visibility in visibilities.items():
+            frame_visibility[frame_window] = block.visibilities[light][block_window]
         if position is not None and block.position_frame_m is not None:
-            position[ours] = block.position_frame_m[theirs]
-        kept.add(log.take(), ours, theirs)
+            position[frame_window] = block.position_frame_m[block_window]
+        kept.add(log.take(), frame_window, block_window)
         if on_block is not None:
             on_block(done, len(parts))
     if log.names != plan.passes:
@@ -156,10 +159,10 @@ def render_frame(
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
-    has = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
-    for layer in sorted(layers - has):
-        able = ", ".join(name for name, each in ALGORITHMS.items() if layer in each.layers) or "nothing"
-        raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {able}")
+    available = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
+    for layer in sorted(layers - available):
+        capable = ", ".join(name for name, algorithm in ALGORITHMS.items() if layer in algorithm.layers) or "nothing"
+        raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {capable}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
@@ -178,11 +181,11 @@ def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
-        buffer, own = picture.buffer, picture.own
-        reach = reach_of(scene, own) if CASTERS_PASS not in plan.runs else None
+        buffer, own_pixels = picture.buffer, picture.own
+        reach = reach_of(scene, own_pixels) if CASTERS_PASS not in plan.runs else None
     if reach is None:
         with log.run(CASTERS_PASS):
-            casters = casters_of(scene, own)
+            casters = casters_of(scene, own_pixels)
     else:
         casters = Casters((), reach)
     visibilities = _visibilities(scene, plan, buffer, casters, log)
@@ -196,10 +199,10 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
         if not isinstance(view, MapView):
             linear = picture.averaged(linear)
         for light, visibility in visibilities.items():
-            visibilities[light] = np.where(own.there, visibility[: view.rows], np.float32(np.nan))
+            visibilities[light] = np.where(own_pixels.there, visibility[: view.rows], np.float32(np.nan))
         color = srgb_encoded(linear)
-    position, frame = (None, None) if isinstance(view, MapView) else (own.position_frame_m, own.frame)
-    return Frame(view, plan, color, visibilities, own.height_m, position, frame, (), casters.reach)
+    position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
+    return Frame(view, plan, color, visibilities, own_pixels.height_m, position, frame, (), casters.reach)
 
 
 def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:

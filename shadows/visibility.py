@@ -29,11 +29,11 @@ def fill_steps(
     steps = list(steps)
     visibility = np.ones(buffer.there.shape, np.float32)
     if steps:
-        asked = without_hidden_points(buffer, scene, steps[0].light, effects)
+        receivers = without_hidden_points(buffer, scene, steps[0].light, effects)
         for step in steps:
             fill = ALGORITHMS[step.algorithm].fill
             assert fill is not None, step.algorithm
-            visibility *= fill(asked, scene, step.light, step.kinds, casters, step.settings, log)
+            visibility *= fill(receivers, scene, step.light, step.kinds, casters, step.settings, log)
     return visibility
 
 

@@ -155,10 +155,10 @@ class Cache(Generic[V]):
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
         """A key whose value goes as soon as one of its parts does."""
         held: list[tuple[Hashable, ...]] = []
-        ours = weakref.ref(self)
+        cache_ref = weakref.ref(self)
 
         def gone(_: object) -> None:
-            cache = ours()
+            cache = cache_ref()
             if cache is not None and held and not sys.is_finalizing():
                 with _lock:
                     cache._drop(held[0])

@@ -78,9 +78,9 @@ def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -
     """What is seen at a time as a share of the level's area across the sun's light."""
     if seen_light_m is None or scene.light is None:
         return 1.0
-    at = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
-    whole = np.maximum(np.ptp(at, axis=0), 1e-9) if len(at) else np.ones(3)
-    return float(np.prod(np.minimum(np.array(seen_light_m[:2]) / whole[:2], 1.0)))
+    ground_light = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
+    extent = np.maximum(np.ptp(ground_light, axis=0), 1e-9) if len(ground_light) else np.ones(3)
+    return float(np.prod(np.minimum(np.array(seen_light_m[:2]) / extent[:2], 1.0)))
 
 
 def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
@@ -101,8 +101,10 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
         bands = _bands(away_m, points @ rotation.T + translation, scene.objects.tallest_m, coarse_view.spacing)
-        whole = join_bands(bands) if bands else None
-        span = np.full(3, median_m * view.pixel) if whole is None else np.subtract(whole.high_light_m, whole.low_light_m)
+        all_bands = join_bands(bands) if bands else None
+        span = (
+            np.full(3, median_m * view.pixel) if all_bands is None else np.subtract(all_bands.high_light_m, all_bands.low_light_m)
+        )
         extent = tuple(span.tolist())
     grid = ground_mesh(scene, view).grid
     return {

@@ -65,11 +65,11 @@ def lamp_of(name: str, spec: LightSpec, place: Geolocator, where: str) -> Lamp:
         forward, reference_m, cutoff = -up, max(spec.position[2], 1.0), 180.0
     else:
         target, _ = place.above_ground(spec.target, f"{where}.target")
-        way = target - position
-        reference_m = float(np.linalg.norm(way))
+        to_target = target - position
+        reference_m = float(np.linalg.norm(to_target))
         if not reference_m > 1e-6:
             raise LevelError(f"{where}.target", spec.target, "a point apart from the position")
-        forward, cutoff = way / reference_m, spec.cutoff
+        forward, cutoff = to_target / reference_m, spec.cutoff
     return Lamp(name, spec.kind, position, axes_along(forward, up), cutoff, spec.color, spec.intensity, reference_m)
 
 

@@ -103,9 +103,9 @@ class Scene:
         """West, south, east, north in degrees of what is looked at; ``None`` in a flat world."""
         if self.world.flat:
             return None
-        given = self.loaded.level.terrain.bounds
-        if given is not None:
-            return given
+        level_bounds = self.loaded.level.terrain.bounds
+        if level_bounds is not None:
+            return level_bounds
         west, south, east, north = transformer(self.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
             *self.elevation.bounds, densify_pts=21
         )

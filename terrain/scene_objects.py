@@ -118,8 +118,8 @@ class SceneObjects:
         tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())
         if self.solids is None:
             return tree_m
-        at = self.solids_on(self.elevation.crs)
-        above = at[:, 2] - self.elevation.filled_ground_m(at[:, 0], at[:, 1])
+        solid_positions = self.solids_on(self.elevation.crs)
+        above = solid_positions[:, 2] - self.elevation.filled_ground_m(solid_positions[:, 0], solid_positions[:, 1])
         return max(tree_m, float(np.nanmax(above, initial=0.0)))
 
 

@@ -226,8 +226,8 @@ def tint_table() -> np.ndarray:
     stops = np.array([stop for stop, _ in TINT])
     colours = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in TINT])
     linear = linear_of_srgb(colours)
-    at = np.linspace(0.0, 1.0, 256)
-    return np.stack([np.interp(at, stops, linear[:, k]) for k in range(3)], axis=1)
+    shares = np.linspace(0.0, 1.0, 256)
+    return np.stack([np.interp(shares, stops, linear[:, k]) for k in range(3)], axis=1)
 
 
 @cached("process", MIB)

@@ -61,8 +61,8 @@ def _calibration() -> Finding:
     except SkuggaError:
         return Finding("calibration", True, "there is no device to calibrate")
     profile = load_profile(gl.renderer, gl.version)
-    said = missing_profile_reason(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
-    return Finding("calibration", True, said or "")
+    text = missing_profile_reason(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
+    return Finding("calibration", True, text or "")
 
 
 def _drawing() -> Finding:

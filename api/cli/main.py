@@ -66,8 +66,8 @@ def serve(
     from api.http.app import serve as run
     from api.settings import load_settings
 
-    given = {"host": host, "port": port, "workers": workers}
-    settings = load_settings(**{key: value for key, value in given.items() if value is not None})
+    options = {"host": host, "port": port, "workers": workers}
+    settings = load_settings(**{key: value for key, value in options.items() if value is not None})
     run(settings, [find_level(name) for name in levels] if levels else bundled_levels())
 
 
@@ -96,7 +96,7 @@ def render(
     overrides = overrides_of("render", asked)
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
-        kept = frozenset(each for each in PASS_LAYERS if each == layer)
+        kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
         scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
@@ -130,15 +130,15 @@ def select(
     from api.report.plan_text import format_plan
 
     overrides = overrides_of("select", asked)
-    seen = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
+    view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
-        choice = plan_level_view(find_level(level), view, policy, overrides, *seen, ignore_pin=write)
-        said = pin_plan(choice) if write else None
+        choice = plan_level_view(find_level(level), view, policy, overrides, *view_options, ignore_pin=write)
+        message = pin_plan(choice) if write else None
     if descriptor is not None:
         write_descriptor(choice, descriptor)
     typer.echo(choice.plan.model_dump_json(indent=2) if as_json else format_plan(choice.plan, choice.heading))
-    if said is not None:
-        typer.echo(said, err=True)
+    if message is not None:
+        typer.echo(message, err=True)
 
 
 @app.command()
@@ -182,9 +182,9 @@ def compare(
 
     path, sun, shape = find_level(level), parse_sun(time, azimuth, altitude), _size(size)
     check_outputs(output, json_file)
-    scene, seen = scene_and_view(path, view, sun, shape, _bounds(bounds), crs)
+    scene, view_value = scene_and_view(path, view, sun, shape, _bounds(bounds), crs)
     with _progress("Comparing") as advance:
-        comparison = measure(scene, seen, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
+        comparison = measure(scene, view_value, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
     show(comparison)
     if output is not None:
         write(scene, comparison, output, view)
@@ -288,22 +288,22 @@ def _bounds(text: str | None) -> tuple[float, float, float, float] | None:
 
 
 @contextmanager
-def _waiting(what: str) -> Iterator[None]:
+def _waiting(task: str) -> Iterator[None]:
     """A sign of life on a terminal, for work that does not tell how far it is."""
     if not sys.stderr.isatty():
         yield
         return
     from rich.console import Console
 
-    with Console(stderr=True).status(what):
+    with Console(stderr=True).status(task):
         yield
 
 
 class _progress:  # noqa: N801  (used as a function)
     """A progress bar on a terminal for work of more than a few blocks; silent elsewhere."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, task: str) -> None:
+        self._what = task
         self._bar: Any = None
 
     def __enter__(self) -> Any:

@@ -54,11 +54,11 @@ def plan_level_view(
     """Choose for a view of a level; ``anew`` as if no earlier choice had been pinned into its file. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
-    scene, seen = scene_and_view(path, view, sun, size, bounds, crs, seconds)
+    scene, view_value = scene_and_view(path, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
         scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
-    return PlannedView(path, scene, seen, plan_of_view(scene, seen, view, overrides, cast(PolicyName, policy), device))
+    return PlannedView(path, scene, view_value, plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device))
 
 
 def pin_plan(choice: PlannedView) -> str:

@@ -31,10 +31,10 @@ def snapshot(
     layers: frozenset[PassLayer] = frozenset(),
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
-    scene, seen = scene_and_view(level, view, sun, size, bounds, crs, seconds)
+    scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     device = calibration_for(scene.loaded.level.shadows, overrides)
-    plan = plan_of_view(scene, seen, view, overrides, device=device)
-    return scene, render_frame(scene, seen, plan, on_block, layers)
+    plan = plan_of_view(scene, view_value, view, overrides, device=device)
+    return scene, render_frame(scene, view_value, plan, on_block, layers)
 
 
 def scene_and_view(

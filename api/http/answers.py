@@ -34,8 +34,8 @@ def tag_of(*parts: object) -> str:
 
 def is_fresh(request: Request, tag: str) -> bool:
     """Whether the client says that it has this very answer (RFC 9110, section 13.1.2: weak comparison)."""
-    given = request.headers.get("if-none-match", "")
-    return given.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in given.split(","))
+    client_tags = request.headers.get("if-none-match", "")
+    return client_tags.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in client_tags.split(","))
 
 
 def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
@@ -53,14 +53,14 @@ def json_answer(request: Request, value: object) -> Response:
     return answer
 
 
-def drawn_headers(drawn: RenderedBlock | Snapshot, what: str, kept: bool, encode_ms: float) -> dict[str, str]:
-    """What a picture says of what it is made of (``what``: a block or a snapshot): the passes that drew it, whether it was
+def drawn_headers(drawn: RenderedBlock | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
+    """What a picture says of what it is made of (``subject``: a block or a snapshot): the passes that drew it, whether it was
     drawn for this answer or kept from an earlier one, and caster reach.
 
     The passes' names are made into tokens: runs of other characters become hyphens.
     """
     timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in drawn.passes]
-    timings += [f"encode;dur={encode_ms:.1f}", f"{what};desc={'kept' if kept else 'drawn'}"]
+    timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if kept else 'drawn'}"]
     return {
         "Server-Timing": ", ".join(timings),
         **reach_headers(drawn.headline, drawn.reach_used_m, drawn.reach_needed_m, drawn.reach_clipped),

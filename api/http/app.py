@@ -112,8 +112,8 @@ class BoundedBody:
         error = TooLargeError(
             "body", f"more than {self.max_bytes} bytes", f"at most {self.max_bytes} bytes (SKUGGA_MAX_BODY_BYTES)"
         )
-        told = dict(scope["headers"]).get(b"content-length", b"0")
-        if told.isdigit() and int(told) > self.max_bytes:
+        content_length = dict(scope["headers"]).get(b"content-length", b"0")
+        if content_length.isdigit() and int(content_length) > self.max_bytes:
             await problems.domain_problem(Request(scope), error)(scope, receive, send)
             return
         read = 0

@@ -34,11 +34,11 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
     """A dependency that refuses query parameters other than these, and repeated ones. Raises ``InputError``."""
 
     async def refuse(request: Request) -> None:
-        given = request.query_params.multi_items()
-        for name, value in given:
+        items = request.query_params.multi_items()
+        for name, value in items:
             if name not in names:
                 raise InputError(name, value, f"the parameters {', '.join(names)}" if names else "no parameters")
-            if sum(name == other for other, _ in given) > 1:
+            if sum(name == other for other, _ in items) > 1:
                 raise InputError(name, "given more than once", "one value")
 
     return refuse

@@ -60,8 +60,8 @@ async def tilejson(
     sun = await run_in_threadpool(served.sun, wanted.sun)
     where: dict[str, Any] | None = None
     if sun is not None:
-        own = {} if sun.time is None else {"time": sun.time.isoformat()}
-        where = {**own, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
+        time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
+        where = {**time_default, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
     assert served.bounds is not None  # it has zooms, so it has a place on earth
     west, south, east, north = served.bounds
     query = wanted.query(**({} if layer == "color" else {"layer": layer}))

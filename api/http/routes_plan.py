@@ -51,8 +51,10 @@ async def plan(
 ) -> Any:
     """What the selector chooses for a view, or for the tiles of a zoom, and why."""
     served = await service.level(level)
-    seen = _seen(served, view, zoom, tms)
-    job = PlanJob(level=served.key, view=seen, policy=wanted.policy, asked=PictureRequest(sun=sun, overrides=wanted.overrides))
+    view_or_tiles = _seen(served, view, zoom, tms)
+    job = PlanJob(
+        level=served.key, view=view_or_tiles, policy=wanted.policy, asked=PictureRequest(sun=sun, overrides=wanted.overrides)
+    )
     answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
     return json_answer(request, json.loads(answer.plan_json))
@@ -103,10 +105,10 @@ async def plan_of_descriptor(
     """
     if wanted.policy == "predict":
         await cancel_on_disconnect(request, service.pool.settled())
-    asked = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
+    plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
     overrides = wanted.overrides.for_selector()
-    made = await run_in_threadpool(select, described, asked, overrides, wanted.policy, service.pool.device)
-    return JSONResponse(made.model_dump(mode="json"), headers={"Cache-Control": "no-store"})
+    plan = await run_in_threadpool(select, described, plan_request, overrides, wanted.policy, service.pool.device)
+    return JSONResponse(plan.model_dump(mode="json"), headers={"Cache-Control": "no-store"})
 
 
 def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:

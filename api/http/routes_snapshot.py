@@ -55,14 +55,14 @@ async def snapshot(
         light=None if LAYERS[layer].to_look_at else light, seconds=seconds, asked=wanted,
     )  # fmt: skip
 
-    asked = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
+    tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
     drawn = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *asked), fresh_s)
+    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *tag_parts), fresh_s)
     headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
     return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])

@@ -100,8 +100,8 @@ async def _answer(
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
     fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
-    asked = (level.version, name, tms, zxy, scale, format, layer, wanted.query())
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *asked), fresh_s)
+    tag_parts = (level.version, name, tms, zxy, scale, format, layer, wanted.query())
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -117,7 +117,7 @@ async def _answer(
     block = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(block, RenderedBlock)
     body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
-    headers = cache_headers(tag_of(block.renderer, block.calibration, *asked), fresh_s)
+    headers = cache_headers(tag_of(block.renderer, block.calibration, *tag_parts), fresh_s)
     headers |= drawn_headers(block, "block", kept, encode_ms)
     return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
 

@@ -84,8 +84,8 @@ class ServedLevel:
 
     def sun(self, spec: SunSpec | None) -> Sun | None:
         """The sun of a request, or the level's own; ``None`` where it has none. Raises ``InputError``."""
-        own = self.loaded.level.sun
-        chosen = spec if spec is not None else None if own == "none" else own
+        level_sun = self.loaded.level.sun
+        chosen = spec if spec is not None else None if level_sun == "none" else level_sun
         return None if chosen is None else sun_of(chosen, self.world)
 
     def summary(self) -> dict[str, Any]:
@@ -133,8 +133,8 @@ class ServedLevels:
             raise NotServedError("level", f"There is no level {name[:60]!r} here; there are {', '.join(self._levels)}.")
         with self._lock:
             stamps, level = self._levels[name]
-            now = _stamps(level.loaded)
-            if now != stamps:
+            current_stamps = _stamps(level.loaded)
+            if current_stamps != stamps:
                 level = self._read(level.loaded.path)
                 self._levels[name] = _stamps(level.loaded), level
                 log.info("level %s has changed and was read anew", name)
@@ -185,8 +185,8 @@ def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
         )
         data_bounds = (west, south, east + 360.0 if east < west else east, north)
         cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
-        found = {name: zoom_range(each, world, bounds, cell_m) for name, each in served_matrix_sets().items()}
-        zooms = {name: range_ for name, range_ in found.items() if range_ is not None}
+        zooms_by_set = {name: zoom_range(matrix_set, world, bounds, cell_m) for name, matrix_set in served_matrix_sets().items()}
+        zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
     text = repr((loaded.digest, *(_stamp(Path(source)) for source in loaded.sources)))
     version = hashlib.sha256(text.encode()).hexdigest()[:16]
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}

@@ -44,15 +44,15 @@ TheService = Annotated[Service, Depends(service_of)]
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
     """The result of work, which is cancelled when the client goes away. Raises ``ClientGoneError``."""
-    working = asyncio.ensure_future(work)
+    task = asyncio.ensure_future(work)
     gone = asyncio.ensure_future(_gone(request))
     try:
-        await asyncio.wait({working, gone}, return_when=asyncio.FIRST_COMPLETED)
-        if not working.done():
+        await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not task.done():
             raise ClientGoneError
-        return working.result()
+        return task.result()
     finally:
-        working.cancel()
+        task.cancel()
         gone.cancel()
 
 

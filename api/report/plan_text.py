@@ -60,12 +60,12 @@ def format_sun(sun: Sun | None) -> str:
 def format_plan(plan: Plan, title: str) -> str:
     """A plan as text for a terminal: sentences under headings, lines of at most ``LINE_WIDTH`` characters."""
     plan = _aloud(plan)
-    told = _ReasonList(plan)
-    parts = [[title, *told.notes("policy")], *(told.light(light) for light in plan.algorithm)]
+    reason_list = _ReasonList(plan)
+    parts = [[title, *reason_list.notes("policy")], *(reason_list.light(light) for light in plan.algorithm)]
     if not plan.algorithm:
         parts.append(["Nothing here casts a shadow."])
-    told.notes("missed")  # which the expectation tells
-    parts += [[format_expectation(plan)], told.others()]
+    reason_list.notes("missed")  # which the expectation tells
+    parts += [[format_expectation(plan)], reason_list.others()]
     parts += [
         _list("Effects that run", plan.effects),
         _list("Effects left out", plan.left_out),
@@ -76,7 +76,7 @@ def format_plan(plan: Plan, title: str) -> str:
 
 def format_choices(plan: Plan) -> list[str]:
     """For each light and kind of casters that casts: its algorithm and why it was taken, in a sentence."""
-    why = {one.name: one.reason for one in _aloud(plan).reasons}
+    why = {reasoned.name: reasoned.reason for reasoned in _aloud(plan).reasons}
     return [
         f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: {why[f'{light}/{kind}: {name}']}."
         for light, kinds in plan.algorithm.items()
@@ -87,16 +87,16 @@ def format_choices(plan: Plan) -> list[str]:
 
 def format_expectation(plan: Plan) -> str:
     """What a plan is expected to cost, held against what was asked, in one or two sentences."""
-    asked = format_target(plan.target)
+    target = format_target(plan.target)
     if plan.predicted is None:
-        return f"Time and error are not predicted. Asked for: {asked}."
+        return f"Time and error are not predicted. Asked for: {target}."
     verb = "Measured" if plan.policy == "measure" else "Expected"
-    said = f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, {format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+    text = f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, {format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
     if plan.target.met is None:
-        return f"{said} Asked for: {asked}."
+        return f"{text} Asked for: {target}."
     if plan.target.met:
-        return f"{said} That meets the target: {asked}."
-    return f"{said} That misses the target ({asked}) by {format_overshoot(plan)}; nothing comes nearer."
+        return f"{text} That meets the target: {target}."
+    return f"{text} That misses the target ({target}) by {format_overshoot(plan)}; nothing comes nearer."
 
 
 def format_target(target: Target) -> str:
@@ -118,8 +118,10 @@ def format_overshoot(plan: Plan) -> str:
         over.append(f"{format_percent(error)} of the cast shadow")
     if plan.target.max_ms is not None and (ms := plan.predicted.ms - plan.target.max_ms) > 0.0:
         over.append(format_duration(ms))
-    told = (one.reason.removeprefix("expected: ") for one in plan.reasons if one.name.endswith(": target missed"))
-    return " and ".join(over) or "; ".join(told)
+    missed_reasons = (
+        reasoned.reason.removeprefix("expected: ") for reasoned in plan.reasons if reasoned.name.endswith(": target missed")
+    )
+    return " and ".join(over) or "; ".join(missed_reasons)
 
 
 class _ReasonList:
@@ -131,7 +133,7 @@ class _ReasonList:
 
     def notes(self, word: str) -> list[str]:
         """The reasons whose name holds a word, as sentences."""
-        return [_sentence(one.reason) for one in self._take(lambda name: word in name.split(" "))]
+        return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: word in name.split(" "))]
 
     def light(self, light: str) -> list[str]:
         """What is done for a light."""
@@ -143,7 +145,7 @@ class _ReasonList:
 
     def others(self) -> list[str]:
         """What has not been told yet."""
-        return [f"{_capital(one.name)}: {one.reason}." for one in self._take(lambda _: True)]
+        return [f"{_capital(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
     def _step(self, step: Step) -> Iterator[str]:
         why: dict[str, list[str]] = {}
@@ -151,8 +153,8 @@ class _ReasonList:
             reasons = self._named(f"{step.light}/{kind}: {step.algorithm}")
             why.setdefault("; ".join(reasons), []).append(kind)
         for reason, kinds in why.items():
-            taken = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
-            yield f"  {_capital(format_list(kinds))} {taken}{f': {reason}' if reason else ''}."
+            how = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
+            yield f"  {_capital(format_list(kinds))} {how}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
             reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
             if reasons or (key in ALWAYS_LISTED and (key, value) not in (("cascades", 1), ("filter", 1))):
@@ -161,12 +163,12 @@ class _ReasonList:
 
     def _named(self, *names: str) -> list[str]:
         """The reasons that go by one of some names."""
-        return [one.reason for one in self._take(lambda name: name in names)]
+        return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
 
     def _take(self, wanted: Callable[[str], bool]) -> list[Reasoned]:
-        taken = [one for one in self._left if wanted(one.name)]
-        self._left = [one for one in self._left if not wanted(one.name)]
-        return taken
+        matching = [reasoned for reasoned in self._left if wanted(reasoned.name)]
+        self._left = [reasoned for reasoned in self._left if not wanted(reasoned.name)]
+        return matching
 
 
 def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
@@ -209,7 +211,7 @@ def _aloud(plan: Plan) -> Plan:
     """A plan whose reasons have the names of algorithms and effects as they are read aloud."""
 
     def aloud(reasoned: list[Reasoned]) -> list[Reasoned]:
-        return [Reasoned(name=one.name, reason=_WORD.sub(_spoken_name, one.reason)) for one in reasoned]
+        return [Reasoned(name=entry.name, reason=_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
 
     lists = ("effects", "left_out", "rejected", "reasons")
     return plan.model_copy(update={key: aloud(getattr(plan, key)) for key in lists})
@@ -217,16 +219,20 @@ def _aloud(plan: Plan) -> Plan:
 
 def _not_taken(plan: Plan) -> list[Reasoned]:
     """The algorithms that were not taken, without the reasons of those that went before them, which are told already."""
-    told = {f": {one.reason}" for one in plan.reasons}
-    ends = {one.name: next((end for end in told if one.reason.endswith(end)), "") for one in plan.rejected}
-    return [Reasoned(name=one.name, reason=one.reason.removesuffix(ends[one.name])) for one in plan.rejected]
+    reported = {f": {reasoned.reason}" for reasoned in plan.reasons}
+    ends = {reasoned.name: next((end for end in reported if reasoned.reason.endswith(end)), "") for reasoned in plan.rejected}
+    return [Reasoned(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
 
 
 def _list(title: str, reasoned: list[Reasoned]) -> list[str]:
     names: dict[str, list[str]] = {}
-    for one in reasoned:
-        names.setdefault(one.reason, []).append(display_name(one.name))
-    return [title, *(f"  {_capital(format_list(its, most=9))}: {reason}." for reason, its in names.items())] if reasoned else []
+    for entry in reasoned:
+        names.setdefault(entry.reason, []).append(display_name(entry.name))
+    return (
+        [title, *(f"  {_capital(format_list(listed_names, most=9))}: {reason}." for reason, listed_names in names.items())]
+        if reasoned
+        else []
+    )
 
 
 def _sentence(text: str) -> str:

@@ -127,9 +127,11 @@ def _results(comparison: Comparison) -> dict[str, str]:
 
 def _errors(comparison: Comparison) -> list[ErrorPicture]:
     """What is drawn of each row; what no light can reach is dark in the shaded view already, and so not part of the cast shadow."""
-    bare = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
+    unshadowed = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
     return [
-        ErrorPicture(row.visibility if bare is None else np.where(bare, 255, row.visibility), row.false_shadow, row.missed_shadow)
+        ErrorPicture(
+            row.visibility if unshadowed is None else np.where(unshadowed, 255, row.visibility), row.false_shadow, row.missed_shadow
+        )
         for row in comparison.rows
     ]
 
@@ -145,16 +147,16 @@ def _shrunk(drawn: Pictures) -> str:
 
 def _data(comparison: Comparison, drawn: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
-    shown = [k for k, f in enumerate(figures) if on_front(f, comparison.light)] or list(range(len(figures)))
-    shown.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
+    row_numbers = [k for k, f in enumerate(figures) if on_front(f, comparison.light)] or list(range(len(figures)))
+    row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
     value = {
         "rows": drawn.rows,
         "cols": drawn.cols,
         "levels": GRAY_LEVELS,
         "palette": palette().tolist(),
         "ground": drawn.ground,
-        "left": shown[0],
-        "right": shown[-1],
+        "left": row_numbers[0],
+        "right": row_numbers[-1],
     }
     return tag("script", script_json(value), type="application/json", id="data")
 

@@ -30,9 +30,9 @@ def format_summary(comparison: Comparison) -> list[str]:
     rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
     if not rows:
         return []
-    told = _SummaryText(comparison.error, FLOORS * comparison.noise_floor)
-    front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], told.of(f)))
-    return [*told.extremes(rows), *told.prices(front), *told.failures(rows), *_never_on_the_front(rows, comparison.light)]
+    summary = _SummaryText(comparison.error, FLOORS * comparison.noise_floor)
+    front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.of(f)))
+    return [*summary.extremes(rows), *summary.prices(front), *summary.failures(rows), *_never_on_the_front(rows, comparison.light)]
 
 
 def casts(figures: RowFigures, light: str) -> bool:
@@ -82,13 +82,13 @@ class _SummaryText:
         return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{most}{times}."]
 
     def prices(self, front: list[RowFigures]) -> list[str]:
-        said, here = [], front[0] if front else None
+        sentences, here = [], front[0] if front else None
         while here is not None and not self.exact(here):
             next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(here) / 2.0), None)
             if next_ is not None and here["ms_median"] > 0.0:
-                said.append(self._price(here, next_))
+                sentences.append(self._price(here, next_))
             here = next_
-        return said
+        return sentences
 
     def _price(self, here: RowFigures, there: RowFigures) -> str:
         ratio = there["ms_median"] / here["ms_median"]
@@ -106,15 +106,15 @@ class _SummaryText:
         if not failed:
             return []
         worst = max(f["interior"] for f in failed)
-        whose, up_to = ("its", "") if len(failed) == 1 else ("their", "up to ")
+        pronoun, up_to = ("its", "") if len(failed) == 1 else ("their", "up to ")
         return [
-            f"{format_list([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {whose} error is "
+            f"{format_list([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {pronoun} error is "
             f"small: {up_to}{format_percent(worst)} of the surface is wrong away from all shadow edges, which aliasing cannot explain."
         ]
 
     def _result(self, figures: RowFigures) -> str:
-        what = "of the cast shadow wrong" if self.error == "wrong_cast" else "off in shadow share"
-        wrong = "exact to what truth can tell" if self.exact(figures) else f"{format_percent(self.of(figures))} {what}"
+        error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "off in shadow share"
+        wrong = "exact to what truth can tell" if self.exact(figures) else f"{format_percent(self.of(figures))} {error_phrase}"
         return f"{wrong}, in {format_duration(figures['ms_median'])}"
 
 
@@ -123,10 +123,10 @@ def _never_on_the_front(rows: list[RowFigures], light: str) -> list[str]:
     lost = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_it]
     if not lost or not on_it:
         return []
-    serve, are, whose = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
+    serve, are, pronoun = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
     return [
         f"{format_list(lost, most=6)} {serve} this view, but {are} never on the front: "
-        f"at each of {whose} settings that were compared, something else is no slower and no less accurate."
+        f"at each of {pronoun} settings that were compared, something else is no slower and no less accurate."
     ]
 
 

@@ -91,8 +91,8 @@ class SceneCache:
             "api.workers.scenes",
             "process",
             SCENES_BYTES,
-            lambda each: each[1].elevation.nbytes,
-            lambda each: each[1].close(),
+            lambda entry: entry[1].elevation.nbytes,
+            lambda entry: entry[1].close(),
             limit,
         )
 
@@ -102,14 +102,14 @@ class SceneCache:
     def get(self, key: LevelKey) -> Scene:
         """The scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
         path = str(key.path)
-        found = self._scenes.get(path)
-        if isinstance(found, Missing) or found[0] != key.version:
+        entry = self._scenes.get(path)
+        if isinstance(entry, Missing) or entry[0] != key.version:
             self._scenes.drop(path)
-            found = key.version, build_scene(load_level(key.path))
-            self._scenes.put(path, value=found)
+            entry = key.version, build_scene(load_level(key.path))
+            self._scenes.put(path, value=entry)
         if self._process_bytes() > MAX_PROCESS_BYTES:
             self._scenes.trim(1)
-        return found[1]
+        return entry[1]
 
 
 class TilePlanCache:

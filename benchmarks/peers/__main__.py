@@ -50,8 +50,8 @@ def jacksboro() -> tuple[np.ndarray, float]:
         height_m, cell_m = source.read(1), source.transform.a
     while np.isnan(height_m).any():
         rims = {(0, 0): height_m[0], (0, -1): height_m[-1], (1, 0): height_m[:, 0], (1, -1): height_m[:, -1]}
-        axis, at = max(rims, key=lambda rim: np.isnan(rims[rim]).mean())
-        height_m = np.delete(height_m, at, axis)
+        axis, edge_index = max(rims, key=lambda rim: np.isnan(rims[rim]).mean())
+        height_m = np.delete(height_m, edge_index, axis)
     return height_m, cell_m
 
 
@@ -65,7 +65,7 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
     """The tools to be believed, with the least seconds of their process on the pole; the others and why; what tools tell."""
     start_s: dict[Tool, float] = {}
     left_out: dict[str, str] = {}
-    told = []
+    records = []
     for tool in tools_of(python):
         version = tool.found()
         if version is None:
@@ -78,9 +78,9 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
             left_out[tool.name] = str(error)
             print(f"{tool.name}: left out: {error}", flush=True)
             continue
-        told.append(ToolRecord(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
+        records.append(ToolRecord(tool.name, version, tool.algorithm, tool.ours, tool.lit is not None, start_s[tool]))
         print(f"{tool.name} {version}: the pole's shadow lies where it should", flush=True)
-    return start_s, left_out, told
+    return start_s, left_out, records
 
 
 def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
@@ -109,7 +109,7 @@ def measured(python: str, side: int, repeats: int) -> PeerComparison:
     wrong: dict[tuple[Tool, str, int], tuple[float, float]] = {}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        tools, left_out, told = check_tools(python, folder)
+        tools, left_out, records = check_tools(python, folder)
         terrains, truths = [], {}
         for name, (height_m, cell_m) in rasters(side).items():
             terrain, truths[name] = terrain_of(name, height_m, cell_m)
@@ -134,21 +134,21 @@ def measured(python: str, side: int, repeats: int) -> PeerComparison:
                         if tool.lit is not None and key not in wrong:
                             wrong[key] = errors(tool.mask(job), truths[name][k])
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
-    answers = [_answer(*key[:2], SUNS[key[2]], taken, wrong.get(key)) for key, taken in runs.items() if key[0] in tools]
-    told = [each for each in told if each.name not in left_out]
+    answers = [_answer(*key[:2], SUNS[key[2]], key_runs, wrong.get(key)) for key, key_runs in runs.items() if key[0] in tools]
+    records = [each for each in records if each.name not in left_out]
     where = f"{_processor()}, {os.cpu_count()} cores"
-    return PeerComparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, told, left_out, answers)
+    return PeerComparison(where, repeats, SLOW_S, time.perf_counter() - begin, terrains, records, left_out, answers)
 
 
 def _answer(tool: Tool, name: str, sun: tuple[float, float], runs: list[ToolRun], wrong: tuple[float, float] | None) -> ToolResult:
-    said = [run.compute_s for run in runs if run.compute_s is not None]
+    compute_s = [run.compute_s for run in runs if run.compute_s is not None]
     return ToolResult(
         tool=tool.name,
         terrain=name,
         azimuth_deg=sun[0],
         altitude_deg=sun[1],
         runs=len(runs),
-        compute_s=float(np.median(said)) if said else None,
+        compute_s=float(np.median(compute_s)) if compute_s else None,
         whole_s=float(np.median([run.whole_s for run in runs])),
         peak_mb=max(run.peak_mb for run in runs),
         cores=float(np.median([run.cores for run in runs])),
@@ -167,14 +167,14 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, default=DOCS / "images" / "peers.webp", metavar="FILE")
     parser.add_argument("--readme", action="store_true", help="print the short table")
     parser.add_argument("--write-only", action="store_true")
-    given = parser.parse_args()
-    if not given.write_only:
-        found = measured(given.python, given.side, given.repeats)
-        given.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
-    found = PeerComparison.read(json.loads(given.json.read_text("utf-8")))
-    given.markdown.write_text(page(found, Path(os.path.relpath(given.picture, given.markdown.parent)).as_posix()), "utf-8")
-    picture(found, given.picture)
-    if given.readme:
+    args = parser.parse_args()
+    if not args.write_only:
+        found = measured(args.python, args.side, args.repeats)
+        args.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
+    found = PeerComparison.read(json.loads(args.json.read_text("utf-8")))
+    args.markdown.write_text(page(found, Path(os.path.relpath(args.picture, args.markdown.parent)).as_posix()), "utf-8")
+    picture(found, args.picture)
+    if args.readme:
         print("\n".join(short_table(found)))
 
 

@@ -150,9 +150,9 @@ def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
         for answer in found.of(tool):
             out.setdefault(answer.case, []).append(ToolStanding(tool, CLOCKS[clock](found, tool, answer), answer.wrong))
         for name in [terrain.name for terrain in found.terrains] + [None]:
-            some = found.of(tool, name, on_axis=False)
-            seconds = float(np.mean([CLOCKS[clock](found, tool, answer) for answer in some]))
-            wrong = float(np.mean([answer.wrong for answer in some]))
+            results = found.of(tool, name, on_axis=False)
+            seconds = float(np.mean([CLOCKS[clock](found, tool, answer) for answer in results]))
+            wrong = float(np.mean([answer.wrong for answer in results]))
             out.setdefault(f"{name or 'all'}, mean off the axes", []).append(ToolStanding(tool, seconds, wrong))
     return out
 

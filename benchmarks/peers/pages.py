@@ -76,11 +76,11 @@ def short_table(found: PeerComparison) -> list[str]:
         if tool.ours and tool.name not in SHORT_OURS:
             continue
         answers = found.of(tool, found.largest.name, on_axis=False)
-        computing, whole = (float(np.mean([CLOCKS[clock](found, tool, answer) for answer in answers])) for clock in CLOCKS)
+        computing, process_s = (float(np.mean([CLOCKS[clock](found, tool, answer) for answer in answers])) for clock in CLOCKS)
         rows.append({
             "mask of a DEM": f"**{tool.name}**" if tool.ours else tool.name if tool.casts else f"{tool.name} (casts none)",
             "computing, s": bound(found, tool) + seconds(computing) if tool.casts else "-",
-            "whole process, s": seconds(whole),
+            "whole process, s": seconds(process_s),
             "wrong cells off the axes, %": percent(mean_wrong(found, tool, False)) if tool.casts else "-",
         })  # fmt: skip
     return table(rows)
@@ -106,16 +106,16 @@ def format_verdict(found: PeerComparison) -> str:
 def _front(found: PeerComparison, clock: str, peers: int) -> str:
     """The verdict by one clock."""
     title, count = f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**", len(cases(found, clock))
-    ours = sum(tool.ours for tool in found.casting)
+    our_count = sum(tool.ours for tool in found.casting)
     lost, over = beaten(found, clock), unmatched(found, clock)
     if not lost:
         return (
             f"{title} Skugga lies on or beyond the Pareto front of all peers: in {count} cases none of the {peers} peers is both "
-            f"faster and more accurate than any of its {ours} rows."
+            f"faster and more accurate than any of its {our_count} rows."
         )
     where = "; ".join(f"{own} by {peer} ({case})" for own, peer, case in lost)
     every = "; ".join(f"{peer} ({case})" for peer, case in over)
-    return f"{title} of Skugga's {ours} rows in {count} cases these are beaten in both at once: {where}. " + (
+    return f"{title} of Skugga's {our_count} rows in {count} cases these are beaten in both at once: {where}. " + (
         f"Skugga does **not** lie on the front here: one peer beats all of its rows: {every}."
         if over
         else "No peer beats all of its rows in any case: there is a choice of lines that is at least as fast or as accurate."
@@ -125,14 +125,14 @@ def _front(found: PeerComparison, clock: str, peers: int) -> str:
 def _beside(found: PeerComparison) -> str:
     """Off the axes: the fastest and the most accurate peer, beside Skugga's row of the same merit."""
     places = cases(found, "computing")["all, mean off the axes"]
-    theirs, own = ([place for place in places if place.tool.ours == ours] for ours in (False, True))
+    peer_places, our_places = ([place for place in places if place.tool.ours == is_ours] for is_ours in (False, True))
 
     def line(merit: str, word: str) -> str:
-        peer, mine = (min(some, key=lambda place: getattr(place, merit)) for some in (theirs, own))
+        peer, our_place = (min(group, key=lambda place: getattr(place, merit)) for group in (peer_places, our_places))
         return (
             f"- the {word} peer is {peer.tool.name}: {seconds(peer.seconds)} s of computing, {percent(peer.wrong)} % wrong; "
-            f"Skugga's {word} row is {_lines(mine)}: {seconds(mine.seconds)} s ({mine.seconds / peer.seconds:.2g} of that time), "
-            f"{percent(mine.wrong)} % wrong;"
+            f"Skugga's {word} row is {_lines(our_place)}: {seconds(our_place.seconds)} s ({our_place.seconds / peer.seconds:.2g} of that time), "
+            f"{percent(our_place.wrong)} % wrong;"
         )
 
     return "\n".join([line("seconds", "fastest"), line("wrong", "most accurate")]).removesuffix(";") + "."

@@ -65,9 +65,9 @@ def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
     own = np.array([_at(place) for place in places if place.tool.ours])
     axes.plot(*own.T, "-o", color=OURS, markersize=8, linewidth=1.5, label="Skugga")
     for bounded, label in ((False, "others"), (True, "others: at most so long")):
-        some = np.array([_at(place) for place in places if not place.tool.ours and found.bounded(place.tool) == bounded])
-        if len(some):
-            axes.plot(*some.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
+        positions = np.array([_at(place) for place in places if not place.tool.ours and found.bounded(place.tool) == bounded])
+        if len(positions):
+            axes.plot(*positions.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
     axes.margins(x=0.12, y=0.12)
     axes.yaxis.set_major_formatter(
         lambda value, _: "none" if value < 1.5 * LEAST_PERCENT else f"{value:.6f}".rstrip("0").rstrip(".")
@@ -81,10 +81,10 @@ def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> N
     """Each name on the side of its point where it is least in the way of points and other names."""
     renderer = canvas.get_renderer()
     points = axes.transData.transform([_at(place) for place in places])
-    taken = [
+    occupied = [
         Bbox.from_extents(x - LABEL_MARGIN_PX, y - LABEL_MARGIN_PX, x + LABEL_MARGIN_PX, y + LABEL_MARGIN_PX) for x, y in points
     ]
-    taken.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
+    occupied.append(axes.get_legend().get_window_extent(renderer))  # type: ignore[union-attr]
     inside = axes.get_window_extent(renderer)
     for place in places:
         color = OURS if place.tool.ours else THEIRS
@@ -100,12 +100,12 @@ def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> N
             )
             box = text.get_window_extent(renderer)
             outside = box.width * box.height - _shared(box, inside)
-            tried.append((outside + sum(_shared(box, other) for other in taken), text, box))
+            tried.append((outside + sum(_shared(box, other) for other in occupied), text, box))
         best = min(tried, key=lambda each: each[0])
         for _, text, _ in tried:
             if text is not best[1]:
                 text.remove()
-        taken.append(best[2])
+        occupied.append(best[2])
 
 
 def _shared(one: Bbox, other: Bbox) -> float:

@@ -69,19 +69,19 @@ class Tool:
         """Its version, or ``None`` where it is absent."""
         if shutil.which(self.version[0]) is None:
             return None
-        told = subprocess.run(self.version, capture_output=True, text=True)
-        number = re.search(r"\d+(\.\w+)+", told.stdout + told.stderr if told.returncode == 0 else "")
+        process = subprocess.run(self.version, capture_output=True, text=True)
+        number = re.search(r"\d+(\.\w+)+", process.stdout + process.stderr if process.returncode == 0 else "")
         return number[0] if number else None
 
     def run(self, job: ToolJob) -> ToolRun:
         """Run it. Raises ``RuntimeError`` with the last line of what it said where it fails."""
         job.out.unlink(missing_ok=True)
-        told = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *self.command(job)], capture_output=True, text=True)
-        usage = json.loads(told.stdout or "{}")
-        said = usage.get("said", told.stderr)
-        if usage.get("code", told.returncode) or not job.out.exists():
-            raise RuntimeError(([line for line in said.splitlines() if line.strip()] or ["no answer"])[-1].strip())
-        seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", said, re.MULTILINE)
+        process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *self.command(job)], capture_output=True, text=True)
+        usage = json.loads(process.stdout or "{}")
+        stderr = usage.get("said", process.stderr)
+        if usage.get("code", process.returncode) or not job.out.exists():
+            raise RuntimeError(([line for line in stderr.splitlines() if line.strip()] or ["no answer"])[-1].strip())
+        seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", stderr, re.MULTILINE)
         return ToolRun(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
 
     def mask(self, job: ToolJob) -> np.ndarray:
@@ -204,7 +204,9 @@ def _check_shadow(lit: np.ndarray, azimuth_deg: float, altitude_deg: float) -> N
     if not len(dark):
         raise RuntimeError(f"at azimuth {azimuth_deg:g} the pole throws no shadow")
     azimuth = np.radians(azimuth_deg)
-    away, beside = (dark @ np.array(way) for way in ((np.cos(azimuth), -np.sin(azimuth)), (np.sin(azimuth), np.cos(azimuth))))
+    away, beside = (
+        dark @ np.array(direction) for direction in ((np.cos(azimuth), -np.sin(azimuth)), (np.sin(azimuth), np.cos(azimuth)))
+    )
     corner = (POLE_WIDTH // 2) * (abs(np.sin(azimuth)) + abs(np.cos(azimuth)))
     expected = corner + POLE_M / np.tan(np.radians(altitude_deg)) / POLE_CELL_M
     if abs(away.max() - expected) > POLE_CLOSE:

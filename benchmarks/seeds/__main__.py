@@ -68,16 +68,16 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=HERE / "seeds.json", metavar="FILE")
     parser.add_argument("--markdown", type=Path, default=HERE.parents[1] / "docs" / "seeds.md", metavar="FILE")
     parser.add_argument("--write-only", action="store_true")
-    given = parser.parse_args()
-    if unknown := set(given.experiments) - set(EXPERIMENTS):
+    args = parser.parse_args()
+    if unknown := set(args.experiments) - set(EXPERIMENTS):
         parser.error(f"no such experiment: {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
-    measured: dict[str, Figures] = json.loads(given.json.read_text("utf-8")) if given.json.exists() else {}
-    for name in [] if given.write_only else given.experiments or EXPERIMENTS:
+    measured: dict[str, Figures] = json.loads(args.json.read_text("utf-8")) if args.json.exists() else {}
+    for name in [] if args.write_only else args.experiments or EXPERIMENTS:
         start = time.perf_counter()
         measured[name] = round_figures({**EXPERIMENTS[name].measure(), "device": device().renderer})
-        given.json.write_text(json.dumps(measured) + "\n", "utf-8")
+        args.json.write_text(json.dumps(measured) + "\n", "utf-8")
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
-    given.markdown.write_text(page(measured), "utf-8")
+    args.markdown.write_text(page(measured), "utf-8")
 
 
 def round_figures(figures: Any) -> Any:

@@ -68,28 +68,28 @@ def _errors_in(level: str, view: str, size: tuple[int, int], asked: tuple[str, .
 def section(figures: Figures) -> Section:
     views, near, paths = figures["views"], figures["near"], figures["paths"]
     spot = {scene: views[scene] for scene in SCENES}
-    few = {name: ratio(at, SV, SM) for name, at in views.items()}
-    kept = {name: at[SV]["kept"]["ms"] / at[SV]["redrawn"]["ms"] for name, at in views.items()}
-    made = {name: at[SV]["redrawn"]["stages"]["volumes"] / at[SV]["redrawn"]["ms"] for name, at in views.items()}
-    worst = max(at[SV]["wrong_cast"] for path in paths.values() for at in path)
-    close = {name: ratio(at, HYBRID, SV) for name, at in near.items()} | {
+    few = {name: ratio(times, SV, SM) for name, times in views.items()}
+    kept = {name: times[SV]["kept"]["ms"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
+    made = {name: times[SV]["redrawn"]["stages"]["volumes"] / times[SV]["redrawn"]["ms"] for name, times in views.items()}
+    worst = max(times[SV]["wrong_cast"] for path in paths.values() for times in path)
+    close = {name: ratio(times, HYBRID, SV) for name, times in near.items()} | {
         f"boxgrid{sun}, main": ratio(views[f"boxgrid{sun}"], HYBRID, SV) for sun in LIGHTS
     }
     ceiling = {f"room{sun}": ratio(views[f"room{sun}"], HYBRID, SV) for sun in LIGHTS}
-    outdoors = {name: at[PSM]["wrong_cast"] / at[SM]["wrong_cast"] for name, at in figures["outdoors"].items()}
+    outdoors = {name: times[PSM]["wrong_cast"] / times[SM]["wrong_cast"] for name, times in figures["outdoors"].items()}
     no_better = "; ".join(
-        f"in {name} {whole_percent(at[PSM]['on_foliage'])} of what PSM gets wrong lies on trees, and its texels cover "
-        f"{at[PSM]['texel_px']:.1f} pixels where it is wrong, SM's {at[SM]['texel_px']:.1f} where that is"
-        for name, at in figures["outdoors"].items()
+        f"in {name} {whole_percent(times[PSM]['on_foliage'])} of what PSM gets wrong lies on trees, and its texels cover "
+        f"{times[PSM]['texel_px']:.1f} pixels where it is wrong, SM's {times[SM]['texel_px']:.1f} where that is"
+        for name, times in figures["outdoors"].items()
         if outdoors[name] * SAME >= 1.0
     )
     inside = {scene: path[len(path) // 2] for scene, path in paths.items()} | {
-        f"{scene}_sun": at for scene, at in figures["sun"].items()
+        f"{scene}_sun": times for scene, times in figures["sun"].items()
     }
-    gained = {name: at[PSM]["wrong_cast"] / at[SM]["wrong_cast"] for name, at in inside.items()}
+    gained = {name: times[PSM]["wrong_cast"] / times[SM]["wrong_cast"] for name, times in inside.items()}
     worse = [name for name, value in {**gained, **outdoors}.items() if value > 1.0]
-    edges = {view: {scene: at["edge_p95"] for scene, at in by_scene.items()} for view, by_scene in figures["from"].items()}
-    fastest = {scene: min(FOUR, key=lambda key, at=at: at[key]["redrawn"]["ms"]) for scene, at in spot.items()}
+    edges = {view: {scene: times["edge_p95"] for scene, times in by_scene.items()} for view, by_scene in figures["from"].items()}
+    fastest = {scene: min(FOUR, key=lambda key, times=times: times[key]["redrawn"]["ms"]) for scene, times in spot.items()}
     best = [scene for scene, key in fastest.items() if inside[scene][key]["wrong_cast"] <= RIGHT]
     definite = len(set(fastest.values())) == 1 and len(best) == len(fastest)
     afar = all_of(edges["overview"][scene] <= edges["close"][scene] for scene in SCENES)

@@ -57,7 +57,7 @@ def measure() -> Figures:
             rows |= {BARE_BODIES: {**bodies, "bias_scale": 0.0}, BODIES: {**bodies, "bias_scale": 1.0}}
             rows |= {CULLED: {**bodies, "bias_scale": 0.0, "culling": "front"}}
         figures[scene] = {
-            "rows": {row: _biased(look, one_map(TEXELS, **asked)) for row, asked in rows.items()},
+            "rows": {row: _biased(look, one_map(TEXELS, **overrides)) for row, overrides in rows.items()},
             "formulas": {str(size): _by_formulas(look, size) for size in (COARSE, TEXELS)},
         }
     return figures
@@ -93,9 +93,9 @@ def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
     (drawn,) = sun_maps(look.buffer, look.scene, settings, None)
     rotation = np.reshape(drawn.uniforms["light_from_frame"], (3, 3)).T
     here = look.receivers
-    at = look.buffer.position_frame_m[here] @ rotation.T + drawn.uniforms["light_offset_m"]
-    col, row = np.floor(at[:, :2] / drawn.uniforms["texel_m"]).astype(int).T
-    depth, stored = at[:, 2] / drawn.uniforms["window_m"][2], depths[::-1][row, col]
+    in_light = look.buffer.position_frame_m[here] @ rotation.T + drawn.uniforms["light_offset_m"]
+    col, row = np.floor(in_light[:, :2] / drawn.uniforms["texel_m"]).astype(int).T
+    depth, stored = in_light[:, 2] / drawn.uniforms["window_m"][2], depths[::-1][row, col]
     tangent = np.tan(np.arccos(np.clip(-(look.buffer.normal_frame[here] @ rotation.T)[:, 2], 1e-6, 1.0)))
     wrong: dict[str, list[float]] = {"constant": [], "slope": [], "clamped": []}
     for b in CONSTANTS:
@@ -259,7 +259,10 @@ def section(figures: Figures) -> Section:
     tables = [
         (
             f"`{level} --view {name}`",
-            [{"map": row, **{key: percent(its[key]) for key in keys}} for row, its in figures[scene]["rows"].items()],
+            [
+                {"map": row, **{key: percent(row_figures[key]) for key in keys}}
+                for row, row_figures in figures[scene]["rows"].items()
+            ],
         )
         for scene, (level, name) in LEVELS.items()
     ]

@@ -39,13 +39,13 @@ def mountains(folder: Path) -> Scene:
     rng = np.random.default_rng(2)
     eye, ahead = np.array(EYE_M), np.array(AHEAD)
     away_m, aside_m = rng.uniform(20.0, 600.0, 150), rng.uniform(-0.4, 0.4, 150)
-    at = eye + away_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
+    base = eye + away_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
     target = [*(eye + 300.0 * ahead).tolist(), 0.0]
     ground = {"kind": "ridges", "size": [SIDE_M] * 2, "cell": 30, "relief": RELIEF_M, "seed": 5}
     level = {
         "version": 1,
         "terrain": {"generate": ground},
-        "meshes": [{"source": "wall.obj", "at": at.round(1).tolist(), "turn": 30}],
+        "meshes": [{"source": "wall.obj", "at": base.round(1).tolist(), "turn": 30}],
         "views": {
             "perspective": {"kind": "perspective", "eye": [*eye.tolist(), 40], "target": target, "fov": 50},
             "map": {"kind": "map", "bounds": [-MIDDLE_M / 2, -MIDDLE_M / 2, MIDDLE_M / 2, MIDDLE_M / 2]},
@@ -57,9 +57,9 @@ def mountains(folder: Path) -> Scene:
 def measure() -> Figures:
     figures: Figures = {}
     with tempfile.TemporaryDirectory() as folder:
-        whole = mountains(Path(folder))
+        scene_and_view = mountains(Path(folder))
         for altitude, sun in SUNS.items():
-            scene = whole.with_sun(sun)
+            scene = scene_and_view.with_sun(sun)
             for name in ("map", "perspective"):
                 look = view_with_truth(scene, name, SIZE)
                 figures[f"{name}, {altitude} degrees"] = {bias: _by_bits(look, bias, altitude) for bias in STEPS_OFF}
@@ -103,18 +103,18 @@ NO_FINER = 1e-4
 
 
 def section(figures: Figures) -> Section:
-    cases = {(name, bias): its for name, by in figures.items() if isinstance(by, dict) for bias, its in by.items()}
-    fewer = [(key, bits, its[bits]) for key, its in cases.items() for bits in map(str, BITS[:-1])]
+    cases = {(name, bias): case for name, by_bias in figures.items() if isinstance(by_bias, dict) for bias, case in by_bias.items()}
+    fewer = [(key, bits, case[bits]) for key, case in cases.items() for bits in map(str, BITS[:-1])]
     over = [(key, bits, row) for key, bits, row in fewer if row["changed"] > row["bound"]]
     changed = {
-        (bits, bias): max(row["changed"] for (_, each), its, row in fewer if (each, its) == (bias, bits))
+        (bits, bias): max(row["changed"] for (_, each), case, row in fewer if (each, case) == (bias, bits))
         for bits in map(str, BITS[:-1])
         for bias in STEPS_OFF
     }
-    cost = {bias: max(abs(_cost(its)) for (_, each), its in cases.items() if each == bias) for bias in STEPS_OFF}
+    cost = {bias: max(abs(_cost(case)) for (_, each), case in cases.items() if each == bias) for bias in STEPS_OFF}
     dearest = max(cases, key=lambda key: abs(_cost(cases[key])))
-    in_texels = max(its["16"]["texels"] for its in cases.values())
-    lit = {bits: _lit_share([row for (_, bias), its, row in fewer if (bias, its) == (OFFSET, bits)]) for bits in ("16", "24")}
+    in_texels = max(case["16"]["texels"] for case in cases.values())
+    lit = {bits: _lit_share([row for (_, bias), case, row in fewer if (bias, case) == (OFFSET, bits)]) for bits in ("16", "24")}
     bounded = not over
     suffices = at_most(max(cost.values()), ENOUGH)
     no_finer = at_most(max(changed["24", bias] for bias in STEPS_OFF), NO_FINER)

@@ -97,7 +97,7 @@ def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
     paths, pairs = figures["paths"], [(scene, key) for scene in SCENES for key in FOUR]
 
     def of(scene: str, key: str, name: str) -> list[float]:
-        return [at[key][name] for at in paths[scene]]
+        return [place[key][name] for place in paths[scene]]
 
     return {
         "speed": {(scene, key): ratio(figures["times"][scene], key, SM) for scene, key in pairs},
@@ -184,7 +184,7 @@ def section(figures: Figures) -> Section:
                     "interior and change": percent(measured["robustness"][scene, key]),
                 }
             )
-    said = {
+    texts = {
         "speed": "grades of speed, under the spot",
         "speed_sun": "grades of speed, held against times under the sun",
         "wrong_cast": "grades of quality, held against `wrong_cast`",
@@ -207,7 +207,7 @@ def section(figures: Figures) -> Section:
         if verdict and reasons:
             why += f"; where it is not: {reasons}"
         found = f"rank correlation {rho:.2f} (held if at least {AGREES}); graded the other way round: {where}"
-        claims.append(Claim(f"{THESIS}, table 2", said[column], found, verdict, why))
+        claims.append(Claim(f"{THESIS}, table 2", texts[column], found, verdict, why))
     mean = {
         key: {column: float(np.mean([values[scene, key] for scene in SCENES])) for column, values in measured.items()}
         for key in FOUR

@@ -43,13 +43,13 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
     Its axis goes through the middle of the smallest ball about the unit directions (M. Badoiu and K. Clarkson 2003, Smaller
     core-sets for balls: each step goes a share of the way to the farthest one).
     """
-    ways = points_m - apex_m
-    ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    axis = ways.mean(axis=0)
+    directions = points_m - apex_m
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    axis = directions.mean(axis=0)
     for step in range(2, 4000):
-        axis = axis + (ways[np.argmin(ways @ axis / np.linalg.norm(axis))] - axis) / step
+        axis = axis + (directions[np.argmin(directions @ axis / np.linalg.norm(axis))] - axis) / step
     axis /= np.linalg.norm(axis)
-    return axis, float(np.degrees(np.arccos((ways @ axis).min())))
+    return axis, float(np.degrees(np.arccos((directions @ axis).min())))
 
 
 def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
@@ -64,7 +64,7 @@ def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
     points, normals = buffer.position_frame_m[edge].astype(np.float64), buffer.normal_frame[edge].astype(np.float64)
     source, axis, _ = lamp.in_frame(buffer.frame)
     to_light, to_eye = source - points, look.perspective.in_frame(buffer.frame)[0] - points
-    cosines = [np.abs((way * normals).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (to_eye, to_light)]
+    cosines = [np.abs((direction * normals).sum(axis=1)) / np.linalg.norm(direction, axis=1) for direction in (to_eye, to_light)]
     texel = 2.0 * np.tan(np.radians(lamp.cutoff_deg)) / (map_size - 2 * MAP_BORDER_TEXELS)
     return texel * -(to_light @ axis) / (look.ahead_m[edge] * look.perspective.pixel) * cosines[0] / cosines[1]
 

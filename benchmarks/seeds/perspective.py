@@ -109,10 +109,10 @@ def without_slide_back() -> Iterator[None]:
 
 def variants() -> dict[str, Variant]:
     """A map of all that the light shines at, and four of what is seen: without and with the camera's perspective."""
-    asked = {"map_size": TEXELS, "filter": 1}
-    perspective = {**asked, "algorithm": "perspective_shadow_map"}
+    overrides = {"map_size": TEXELS, "filter": 1}
+    perspective = {**overrides, "algorithm": "perspective_shadow_map"}
     return {
-        UNIFORM: Variant({**asked, "algorithm": "shadow_map", "cascades": 1}),
+        UNIFORM: Variant({**overrides, "algorithm": "shadow_map", "cascades": 1}),
         FITTED: Variant(perspective, without_perspective),
         BARE: Variant(perspective, without_slide_back),
         ALWAYS: Variant(perspective, without_uniform_maps),
@@ -190,24 +190,24 @@ def measure_bad_case() -> Figures:
 
 
 def section_light_direction(figures: Figures) -> Section:
-    at = {(row["light"], row["map"]): row for row in figures["rows"]}
+    row_by_key = {(row["light"], row["map"]): row for row in figures["rows"]}
 
     def ratio(light: str, one: str, other: str, key: str = "wrong_cast") -> float:
-        return at[light, one][key] / max(at[light, other][key], 1e-9)
+        return row_by_key[light, one][key] / max(row_by_key[light, other][key], 1e-9)
 
     def right(name: str, part: str) -> str:
-        return percent(at[RIGHT, name][part])
+        return percent(row_by_key[RIGHT, name][part])
 
     nearest, farthest = (ratio(RIGHT, ALWAYS, FITTED, part) for part in ("near", "far"))
     nearer = all_of((at_most(nearest, 1.0), at_most(ratio(RIGHT, OURS, UNIFORM, "near"), 1.0)))
     farther = at_least(farthest, 1.0)
     front = {light: ratio(light, ALWAYS, FITTED) for light in (FRONT, NEAR, SUN_FRONT)}
     equal = all_of((at_most(front[FRONT], EQUAL), at_least(front[FRONT], 1.0 / EQUAL)))
-    off_px = {light: at[light, UNIFORM]["cast_edge_mean"] for light in (RIGHT, FRONT, NEAR, BEHIND)}
-    eye_px, at_eye = at[EYE, UNIFORM]["cast_edge_mean"], ratio(EYE, ALWAYS, FITTED)
+    off_px = {light: row_by_key[light, UNIFORM]["cast_edge_mean"] for light in (RIGHT, FRONT, NEAR, BEHIND)}
+    eye_px, at_eye = row_by_key[EYE, UNIFORM]["cast_edge_mean"], ratio(EYE, ALWAYS, FITTED)
     miner = all_of((at_least(at_eye, 1.0 / EQUAL), at_most(eye_px, min(off_px.values()))))
     gain = {light: ratio(light, FITTED, ALWAYS) for light in (RIGHT, WIDE, SUN_RIGHT)}
-    farthest_m = {light: at[light, OURS]["farthest_m"] for light in gain}
+    farthest_m = {light: row_by_key[light, OURS]["farthest_m"] for light in gain}
     sun_better = at_least(gain[SUN_RIGHT], max(gain[RIGHT], gain[WIDE]))
     claims = [
         Claim(
@@ -271,7 +271,10 @@ def section_light_direction(figures: Figures) -> Section:
     ]
     table = [
         {"light": light}
-        | {name: " / ".join(percent(at[light, name][key]) for key in ("wrong_cast", "near", "far")) for name in MAP_VARIANTS}
+        | {
+            name: " / ".join(percent(row_by_key[light, name][key]) for key in ("wrong_cast", "near", "far"))
+            for name in MAP_VARIANTS
+        }
         for light in LIGHTS
     ]
     return Section(
@@ -293,17 +296,17 @@ def section_light_direction(figures: Figures) -> Section:
 
 
 def section_bad_case(figures: Figures) -> Section:
-    at = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
-    places = list(dict.fromkeys(key[:3] for key in at))
+    row_by_key = {(row["turn_deg"], row["high_deg"], row["share"], row["map"]): row for row in figures["rows"]}
+    places = list(dict.fromkeys(key[:3] for key in row_by_key))
     nearer = [place for place in places if place[2] < 1.0]
 
     def times_uniform(name: str) -> list[float]:
-        return [at[*place, name]["wrong_cast"] / max(at[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
+        return [row_by_key[*place, name]["wrong_cast"] / max(row_by_key[*place, UNIFORM]["wrong_cast"], 1e-9) for place in nearer]
 
     worst = {name: max(times_uniform(name)) for name in MAP_VARIANTS}
     bad = at_least(worst[OURS], MUCH_WORSE)
     stretched = all_of((at_least(worst[BARE], MUCH_WORSE), at_most(worst[FITTED], MUCH_WORSE)))
-    fallen_back = sum(at[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
+    fallen_back = sum(row_by_key[*place, OURS]["note"].startswith("a uniform map") for place in nearer)
     claims = [
         Claim(
             f"{THESIS}, figure 55",
@@ -334,7 +337,7 @@ def section_bad_case(figures: Figures) -> Section:
     ]
     table = [
         {"spot": f"{turn:.0f}° off, {high:.0f}° high, {share:g} of the camera's distance"}
-        | {name: percent(at[turn, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
+        | {name: percent(row_by_key[turn, high, share, name]["wrong_cast"]) for name in MAP_VARIANTS}
         for turn, high, share in places
     ]
     return Section(

@@ -70,28 +70,28 @@ def _volumes_of(level: str) -> dict[str, float]:
 
     def built(edges: Edges) -> list[Volumes]:
         turns_of(facing(vertices, triangles, light), rule)  # what each new sun has to ask
-        return [extruded(vertices, silhouette(triangles, edges, some), light) for some in groups]
+        return [extruded(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
     silhouettes, polygons, own = built(shared), built(apart), _engines(look, light)
     sides = [replace(each, faces=each.faces[: each.first_cap], part=each.part[: each.first_cap], casting=0) for each in own]
-    ways: dict[str, tuple[list[Volumes], CountingSetting]] = {
+    methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "silhouettes": (silhouettes, "z_fail"), "polygons": (polygons, "z_fail"),
         "auto": (own, "auto"), "z_fail": (own, "z_fail"), "sides": (sides, "auto"),
     }  # fmt: skip
-    counts = {name: _counted(look, light, *way) for name, way in ways.items()}
+    counts = {name: _counted(look, light, *method) for name, method in methods.items()}
     tasks: dict[str, Callable[[], object]] = {
         "structure": lambda: closed_parts(edges_of(vertices, triangles)),
         "build_silhouettes": lambda: built(shared),
         "build_polygons": lambda: built(apart),
     }
-    tasks |= {f"fill_{name}": lambda way=way: _counted(look, light, *way) for name, way in ways.items()}
+    tasks |= {f"fill_{name}": lambda method=method: _counted(look, light, *method) for name, method in methods.items()}
     neighbours_by_search(shared.ends[shared.of_triangle[:1]])  # compiles
     start = time.perf_counter()
     neighbours_by_search(shared.ends[shared.of_triangle])
     search_ms = 1000.0 * (time.perf_counter() - start)
     there, first = look.buffer.there.sum(), counts["auto"][0]
     return {
-        **{f"{name}_ms": float(np.median([ms for ms, _ in taken])) for name, taken in interleaved_times(tasks, REPEATS).items()},
+        **{f"{name}_ms": float(np.median([ms for ms, _ in runs])) for name, runs in interleaved_times(tasks, REPEATS).items()},
         "search_ms": search_ms,
         "triangles": len(triangles), "casting": int((turns != 0).sum()),
         "sides": sum(each.first_cap for each in silhouettes), "sides_polygons": sum(each.first_cap for each in polygons),
@@ -159,14 +159,14 @@ def _inside() -> dict[str, float]:
     own = _engines(look, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: all is counted by z-pass
     by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]
-    ways: dict[str, tuple[list[Volumes], CountingSetting]] = {
+    methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (by_pass, "auto"),
         "z_fail": (own, "z_fail"),
         "auto": (own, "auto"),
     }
     wrong = {}
-    for key, way in ways.items():
-        layers, _ = _counted(look, light, *way)
+    for key, method in methods.items():
+        layers, _ = _counted(look, light, *method)
         wrong[key] = look.errors(look.finished((layers == 0).astype(np.float32)))["wrong_cast"]
     return wrong
 

@@ -86,10 +86,10 @@ def _passes_ms(look: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[st
     def pass_ms(log: PassLog, name: str) -> float:
         return sum(record.ms for record in log.records.values() if record.name.endswith(name))
 
-    taken = interleaved_times({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
+    runs = interleaved_times({str(size): lambda plan=plan: drawn(plan) for size, plan in plans.items()}, REPEATS)
     return {
         size: {name: float(np.median([pass_ms(log, name) for _, log in turns])) for name in ("depth map", "visibility")}
-        for size, turns in taken.items()
+        for size, turns in runs.items()
     }
 
 
@@ -121,14 +121,14 @@ def section(figures: Figures) -> Section:
     frame, ms, quality = figures["times"], figures["passes_ms"], figures["quality"]
     first, last = str(SIZES[0]), str(SIZES[-1])
     growth = {how: frame[f"{how} {last}"]["ratio"] / frame[f"{how} {first}"]["ratio"] for how in THEIR_FPS}
-    theirs = {how: fps[0] / fps[-1] for how, fps in THEIR_FPS.items()}
+    thesis_gain = {how: fps[0] / fps[-1] for how, fps in THEIR_FPS.items()}
     kept, redrawn = (frame[f"{how} {CHOSEN}"]["ratio"] for how in ("kept", "redrawn"))
     place = SIZES.index(int(CHOSEN))
     their_gain = THEIR_FPS["kept"][place] / THEIR_FPS["redrawn"][place]
-    map_share = {size: its["depth map"] / (its["depth map"] + its["visibility"]) for size, its in ms.items()}
+    map_share = {size: pass_ms["depth map"] / (pass_ms["depth map"] + pass_ms["visibility"]) for size, pass_ms in ms.items()}
     steep, flat, pays = at_least(growth["redrawn"], STEEP), at_most(growth["kept"], FLAT_SCENE), at_least(redrawn / kept, TWICE)
     coverage, without = quality[CHOSEN]["coverage"], figures["without"]["coverage"]
-    deeper = max(abs(its["coverage"] - figures["deeper"][size]["coverage"]) for size, its in quality.items())
+    deeper = max(abs(pass_ms["coverage"] - figures["deeper"][size]["coverage"]) for size, pass_ms in quality.items())
     suffices = all_of(
         (at_most(coverage, ENOUGH), at_least(without, TWICE * coverage), at_most(deeper, TENTH * coverage)),
     )
@@ -137,7 +137,7 @@ def section(figures: Figures) -> Section:
     claims = [
         Claim(
             SPATIALACE,
-            f"redrawing the map for each frame costs the more the larger it is: {factor(theirs['redrawn'])} times as much at "
+            f"redrawing the map for each frame costs the more the larger it is: {factor(thesis_gain['redrawn'])} times as much at "
             f"{last} as at {first}",
             f"{factor(growth['redrawn'])} times as much (held from {STEEP:g} on)",
             steep,
@@ -154,7 +154,7 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             SPATIALACE,
-            f"while nothing moves a kept map costs hardly more the larger it is: {factor(theirs['kept'])} times as much at {last} "
+            f"while nothing moves a kept map costs hardly more the larger it is: {factor(thesis_gain['kept'])} times as much at {last} "
             f"as at {first}",
             f"{factor(growth['kept'])} times as much (held up to {FLAT_SCENE:g})",
             flat,

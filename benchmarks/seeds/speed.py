@@ -66,9 +66,9 @@ def timed_sizes(level: str) -> Figures:
     """Times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
     runs = {}
     for size in (SIZE, HALF_SIZE):
-        its = shot(level, "main", size)
-        plans = plans_of(its, {key: RIVALS[key] for key in FOUR})
-        runs |= {f"{key} {size[0]}": (its, plan) for key, plan in plans.items()}
+        view_shot = shot(level, "main", size)
+        plans = plans_of(view_shot, {key: RIVALS[key] for key in FOUR})
+        runs |= {f"{key} {size[0]}": (view_shot, plan) for key, plan in plans.items()}
     return medians(runs, REPEATS)
 
 
@@ -79,15 +79,15 @@ def whole_frames(level: str) -> Figures:
     scene = bundled(level)
     view = scene.view("main", size=SIZE)
     descriptor = describe(scene, view, "main")
-    asked = {"none": {"algorithm": "none"}} | {str(size): RIVALS[SM] | {"map_size": size} for size in MAP_SIZES}
-    plans = {key: make_plan(descriptor, scene.loaded.level, overrides) for key, overrides in asked.items()}
+    variants = {"none": {"algorithm": "none"}} | {str(size): RIVALS[SM] | {"map_size": size} for size in MAP_SIZES}
+    plans = {key: make_plan(descriptor, scene.loaded.level, overrides) for key, overrides in variants.items()}
 
     def drawn(plan: Plan) -> float:
         clear_caches("light")
         return sum(record.ms for record in render_frame(scene, view, plan).passes if record.name.endswith("depth map"))
 
-    taken = interleaved_times({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
-    medians_ms = {key: np.median(np.array(some), axis=0) for key, some in taken.items()}
+    runs_by_key = interleaved_times({key: lambda plan=plan: drawn(plan) for key, plan in plans.items()}, FRAME_REPEATS)
+    medians_ms = {key: np.median(np.array(runs), axis=0) for key, runs in runs_by_key.items()}
     return {key: {"ms": float(whole_ms), "map": float(map_ms / whole_ms)} for key, (whole_ms, map_ms) in medians_ms.items()}
 
 
@@ -100,15 +100,15 @@ def measure_stages() -> Figures:
 
 
 def measure_stencil() -> Figures:
-    ways = SV, "two passes"
-    return {"levels": {level: timed(f"thesis_{level}", "main", ways, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
+    methods = SV, "two passes"
+    return {"levels": {level: timed(f"thesis_{level}", "main", methods, STENCIL_REPEATS) for level in STENCIL_LEVELS}}
 
 
 def section_stages(figures: Figures) -> Section:
     tables, claims = [], []
     for sun, light in LIGHTS.items():
         views = {scene: figures["views"][f"{scene}{sun}"] for scene in SCENES}
-        rows = [_stage_row(scene, key, at) for scene, at in views.items() for key in FOUR]
+        rows = [_stage_row(scene, key, times) for scene, times in views.items() for key in FOUR]
         tables.append((f"Under {light}: times of shadow_map, and the shares of the stages", rows))
         claims += _timing_claims(views, light)
     return Section(
@@ -127,8 +127,8 @@ def section_stages(figures: Figures) -> Section:
 
 def _stage_row(scene: str, key: str, at: Figures) -> dict[str, str]:
     stages = at[key]["redrawn"]["stages"]
-    whole = sum(stages.values())
-    cells = {name: whole_percent(stages[name] / whole) if stages[name] / whole >= 0.005 else "" for name in STAGE_NAMES}
+    total_ms = sum(stages.values())
+    cells = {name: whole_percent(stages[name] / total_ms) if stages[name] / total_ms >= 0.005 else "" for name in STAGE_NAMES}
     return {"scene": SCENES[scene], "algorithm": key, "of shadow_map": f"{ratio(at, key, SM):.2f}", **cells}
 
 
@@ -323,13 +323,13 @@ def section_stencil(figures: Figures) -> Section:
     rows = [
         {
             "scene": titled(level),
-            **{how: f"{ratio(at, 'two passes', SV, how):.2f}" for how in ("redrawn", "kept")},
-            "counting alone": f"{_counting_ms(at, 'two passes') / _counting_ms(at, SV):.2f}",
+            **{how: f"{ratio(tower, 'two passes', SV, how):.2f}" for how in ("redrawn", "kept")},
+            "counting alone": f"{_counting_ms(tower, 'two passes') / _counting_ms(tower, SV):.2f}",
         }
-        for level, at in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
+        for level, tower in ((level, figures["levels"][level]) for level in STENCIL_LEVELS)
     ]
-    at = figures["levels"]["water_tower"]
-    faster = all_of(at_least(ratio(at, "two passes", SV, how), 1.0) for how in ("redrawn", "kept"))
+    tower = figures["levels"]["water_tower"]
+    faster = all_of(at_least(ratio(tower, "two passes", SV, how), 1.0) for how in ("redrawn", "kept"))
     saved = "each face is sent, transformed and clipped once instead of twice"
     beside = (
         "two passes draw the same pixels in all: each face is filled once, and dropped once before it is filled. What is saved "
@@ -344,8 +344,8 @@ def section_stencil(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 3.2.6",
                 "counting both sides in one pass is noticeably faster than in two",
-                f"two passes take {factor(ratio(at, 'two passes', SV))} times as long in the water tower, "
-                f"{factor(ratio(at, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
+                f"two passes take {factor(ratio(tower, 'two passes', SV))} times as long in the water tower, "
+                f"{factor(ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
                 faster,
                 because(faster, saved, beside, f"{DRAW}: {beside}"),
             )

@@ -35,23 +35,25 @@ STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
 @cache
 def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
     """Times of what is asked for in a view."""
-    its = shot(level, view, SIZE)
+    view_shot = shot(level, view, SIZE)
     every = {**RIVALS, **COUNTING_VARIANTS}
-    return medians({key: (its, plan) for key, plan in plans_of(its, {key: every[key] for key in asked}).items()}, repeats)
+    return medians(
+        {key: (view_shot, plan) for key, plan in plans_of(view_shot, {key: every[key] for key in asked}).items()}, repeats
+    )
 
 
 def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
     """Median milliseconds of each run, all in all and by stage, redrawn and kept, and the share of pixels that are marked."""
     found = turns(runs, repeats)
     out: Figures = {}
-    for (key, how), taken in found.times_ms.items():
+    for (key, how), milliseconds_of_runs in found.times_ms.items():
         stages: dict[str, list[float]] = {name: [] for name in STAGE_NAMES}
-        for all_ms, passes_ms in zip(taken, found.passes_ms[key, how], strict=True):
+        for all_ms, passes_ms in zip(milliseconds_of_runs, found.passes_ms[key, how], strict=True):
             for name in STAGE_NAMES[:-1]:
                 stages[name].append(sum(ms for each, ms in passes_ms.items() if PASS_STAGES[each] == name))
             stages[BETWEEN].append(all_ms - sum(passes_ms.values()))
-        medians_ms = {name: float(np.median(some)) for name, some in stages.items()}
-        out.setdefault(key, {})[how] = {"ms": float(np.median(taken)), "stages": medians_ms}
+        medians_ms = {name: float(np.median(milliseconds)) for name, milliseconds in stages.items()}
+        out.setdefault(key, {})[how] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
     for key, log in found.logs.items():
         out[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].there.sum())
     return out
@@ -66,11 +68,11 @@ def interleaved_times(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[s
     """Milliseconds of tasks and what they give, task by task; they take turns, forwards and backwards by turns, and the first turn,
     which compiles and allocates, is left out.
     """
-    taken: dict[str, list[tuple[float, T]]] = {name: [] for name in tasks}
+    results: dict[str, list[tuple[float, T]]] = {name: [] for name in tasks}
     for number in range(repeats + 1):
         for name in [*tasks][:: 1 if number % 2 else -1]:
             start = time.perf_counter()
-            given = tasks[name]()
+            result = tasks[name]()
             if number:
-                taken[name].append((1000.0 * (time.perf_counter() - start), given))
-    return taken
+                results[name].append((1000.0 * (time.perf_counter() - start), result))
+    return results

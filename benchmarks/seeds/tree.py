@@ -33,10 +33,10 @@ def closed_meshes_alone() -> Iterator[None]:
 
     def between_two(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
         facing = np.maximum(turns, 0)
-        whole = silhouette(triangles, edges, facing)
+        outline = silhouette(triangles, edges, facing)
         meeting = np.bincount(edges.of_triangle[edges.of_triangle >= 0], minlength=len(edges.ends))
         kept = meeting[np.flatnonzero(signed_sums(edges, facing))] == 2
-        return Silhouette(whole.edges[kept], whole.times[kept], whole.caps)
+        return Silhouette(outline.edges[kept], outline.times[kept], outline.caps)
 
     with patch.object(volumes, "silhouette", between_two):
         yield
@@ -57,21 +57,21 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
         ends = start + length * (np.array([[0.0], [0.5], [1.0]]) * out + np.array([[0.0], [0.16], [0.42]]) * [0, 0, 1])
         parts.append(_open_tube(ends, [0.11, 0.07, 0.02]))
         for share in (0.45, 0.7, 0.9):
-            at = start + share * (ends[2] - start)
-            tip = at + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * out)
-            parts.append(_open_tube(np.array([at, tip]), [0.035, 0.012]))
-            leaves_at.append(at + np.linspace(0.1, 1.1, 10)[:, None] * (tip - at))
+            position = start + share * (ends[2] - start)
+            tip = position + 0.35 * length * _unit(rng.normal(size=3) + 0.6 * out)
+            parts.append(_open_tube(np.array([position, tip]), [0.035, 0.012]))
+            leaves_at.append(position + np.linspace(0.1, 1.1, 10)[:, None] * (tip - position))
     colors = [BARK] * sum(len(faces) for _, faces in parts)
-    for at in np.concatenate(leaves_at):
-        at = at + rng.normal(scale=0.14, size=3)
+    for position in np.concatenate(leaves_at):
+        position = position + rng.normal(scale=0.14, size=3)
         axis = _unit(rng.normal(size=3))
         aside = _unit(np.cross(axis, rng.normal(size=3)))
         for across in (aside, np.cross(axis, aside)):
-            corners = at + 0.16 * np.array([-axis - across, axis - across, axis + across, across - axis])
+            corners = position + 0.16 * np.array([-axis - across, axis - across, axis + across, across - axis])
             faces = np.array([[0, 1, 2], [0, 2, 3]])
             parts.append((corners, faces if rng.random() < 0.5 else faces[:, ::-1]))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
-    faces = np.concatenate([its + start for (_, its), start in zip(parts, first, strict=True)])
+    faces = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first, strict=True)])
     colors += [LEAF_GREEN] * (len(faces) - len(colors))
     return trimesh.Trimesh(np.concatenate([vertices for vertices, _ in parts]), faces, face_colors=colors, process=False)
 
@@ -130,22 +130,22 @@ def measure() -> Figures:
 
 
 def section(figures: Figures) -> Section:
-    at = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
+    row_by_key = {(row["light"], row["algorithm"]): row for row in figures["rows"]}
 
     def worst(algorithm: str, figure: str) -> float:
-        return max(at[light, algorithm][figure] for light in TREE_LIGHTS)
+        return max(row_by_key[light, algorithm][figure] for light in TREE_LIGHTS)
 
     maps = max(worst(SM, "interior"), worst(PSM, "interior"))
     wrong = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, CLOSED)}
-    whole, fail = at_most(maps, MOST_INTERIOR), at_least(max(wrong[SV], wrong[HYBRID]), MOST_WRONG)
+    maps_hold, fail = at_most(maps, MOST_INTERIOR), at_least(max(wrong[SV], wrong[HYBRID]), MOST_WRONG)
     claims = [
         Claim(
             f"{THESIS}, figure 57",
             "shadow maps and perspective ones do not care how the geometry is made",
             f"at most {percent(maps)} of the picture is wrong away from shadow edges (held if at most {percent(MOST_INTERIOR)})",
-            whole,
+            maps_hold,
             because(
-                whole,
+                maps_hold,
                 "a depth map draws triangles one by one and knows no edges between them",
                 "twigs and leaves are thinner than texels: whole ones are lost, which has nothing to do with open meshes",
             ),

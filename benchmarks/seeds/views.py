@@ -82,7 +82,10 @@ class ViewWithTruth:
         plan = make_plan(self.descriptor, self.scene.loaded.level, asked)
         if scale is None:
             return plan
-        scaled = {kind: its.model_copy(update={"bias_scale": scale}) for kind, its in plan.settings[self.light].items()}
+        scaled = {
+            kind: kind_settings.model_copy(update={"bias_scale": scale})
+            for kind, kind_settings in plan.settings[self.light].items()
+        }
         return plan.model_copy(update={"settings": {self.light: scaled}})
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:

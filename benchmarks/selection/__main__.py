@@ -51,15 +51,15 @@ def main() -> None:
     commands.add_parser("keep").add_argument("--folder", type=Path, default=Path("build/selection"))
     commands.add_parser("fit")
     commands.add_parser("judge").add_argument("--write", action="store_true")
-    given = parser.parse_args()
-    if given.what in WORK_STEPS:
-        _go_on(given.what, given.data, given.folder, given.only, given.again)
-    elif given.what == "keep":
+    args = parser.parse_args()
+    if args.what in WORK_STEPS:
+        _go_on(args.what, args.data, args.folder, args.only, args.again)
+    elif args.what == "keep":
         profile = load_profile(device().renderer, device().version)
         if profile is None:
             parser.error("the device is not calibrated: skugga calibrate")
-        write_table([record for one in instances() if (record := _read(given.folder, one)) is not None], profile)
-    elif given.what == "fit":
+        write_table([record for one in instances() if (record := _read(args.folder, one)) is not None], profile)
+    elif args.what == "fit":
         views, _ = read_table()
         model = fit_model([case for view in views for case in cases_of(view)])
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
@@ -67,7 +67,7 @@ def main() -> None:
     else:
         text = page(*read_table())
         print(text)
-        if given.write:
+        if args.write:
             PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), text), encoding="utf-8")
 
 

@@ -117,14 +117,18 @@ def fit_model(cases: Sequence[FitCase]) -> ErrorModel:
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
     by_itself = {name: [case.error for case in cases if case.error_groups == {name}] for name in EXACT}
-    floors = {name: float(np.exp(np.mean(np.log(np.array(its) + LEAST))) - LEAST) for name, its in by_itself.items() if its}
+    floors = {
+        name: float(np.exp(np.mean(np.log(np.array(own_shares) + LEAST))) - LEAST)
+        for name, own_shares in by_itself.items()
+        if own_shares
+    }
     model = model.model_copy(update={"floor": model.floor | floors})
     inside, spread, inside_spread = {}, {}, {}
     for name in error_groups():
         with_it = [(case, case.expected(model)) for case in cases if name in case.error_groups]
         spread[name] = _scale([(case.error + LEAST) / (expected.wrong_cast + LEAST) for case, expected in with_it])
-        told = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
-        shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in told]
+        interior_rows = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
+        shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in interior_rows]
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
     return model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
@@ -158,10 +162,10 @@ class _Terms:
     def expected(self, x: np.ndarray) -> np.ndarray:
         counts, perspective, floors = np.reshape(x[:-3], (len(KINDS), 3)), x[-3], x[-2:]
         texel = np.minimum(self._most, perspective * self._each)
-        at = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
-        low = np.minimum(at.astype(int), len(LADDER) - 2)
+        ladder_index = np.clip(np.interp(np.log2(np.maximum(texel, 1e-9)), LADDER, np.arange(len(LADDER))), 0, len(LADDER) - 1)
+        low = np.minimum(ladder_index.astype(int), len(LADDER) - 2)
         first, second = (np.take_along_axis(self._differs, (low + k)[:, None], axis=1)[:, 0] for k in (0, 1))
-        differs = first + (second - first) * (at - low)
+        differs = first + (second - first) * (ladder_index - low)
         differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
         most, half, steepness = counts[self._kind].T
         counted = most / (1.0 + (half / np.maximum(texel, 1e-9)) ** steepness)

@@ -146,7 +146,7 @@ def judged(
         len(instances), _mean(met[can]), _mean(regret), float(np.quantile(regret, 0.95)), _mean(regret[met]),
         float(np.quantile(regret[met], 0.95)) if met.any() else 0.0, float(np.mean(dirty)), _mean(own), _mean(best),
         _mean(single_met[can]), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
-        [(view, goal, taken[view, goal], float(its)) for its, (view, goal) in worst],
+        [(view, goal, taken[view, goal], float(one_regret)) for one_regret, (view, goal) in worst],
     )  # fmt: skip
 
 

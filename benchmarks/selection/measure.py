@@ -51,10 +51,10 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
     names: dict[str, str] = {}
     known: dict[str, list[tuple[list[Step], str]]] = {}
     for choice, plan in plans.items():
-        name, its = name_of(plan, light), plan.steps_under(light)
+        name, light_steps = name_of(plan, light), plan.steps_under(light)
         same_name = known.setdefault(name, [])
-        row = next((row for steps, row in same_name if steps == its), f"{name} ({choice})" if same_name else name)
-        same_name.append((its, row))
+        row = next((row for steps, row in same_name if steps == light_steps), f"{name} ({choice})" if same_name else name)
+        same_name.append((light_steps, row))
         names[choice] = row
     return names
 
@@ -75,7 +75,7 @@ def measured(instance: ViewInstance, data: Path) -> Figures:
             "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
             "renderer": device().renderer, "error": error, "boundary": _rounded(found.boundary),
             "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
-            "rows": {row: _row(its.figures, light) for row, its in zip(names.values(), found.rows, strict=True)},
+            "rows": {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), found.rows, strict=True)},
             "picks": names,
             "descriptor": descriptor.model_dump(mode="json"),
         }  # fmt: skip
@@ -95,15 +95,15 @@ def chosen(instance: ViewInstance, data: Path, record: Figures) -> Figures:
     """The record with what the policy ``measure`` takes for each goal, by row; what was drawn for one of them serves the others."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
-        light, taken = record["light"], {}
+        light, choices = record["light"], {}
         rows = measured_rows(scene, view, instance.view)
         for one in instances_of([record]):
             bounds = TargetBounds(one.goal.max_error, one.max_ms)
             rows = confirm_winners(rows, bounds)
             winner = winners(rows, bounds)[light].winner
             plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
-            taken[one.goal.name] = name_of(plan, light)
-    return record | {"measured": taken}
+            choices[one.goal.name] = name_of(plan, light)
+    return record | {"measured": choices}
 
 
 def _timed(
@@ -114,8 +114,8 @@ def _timed(
     drawn = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):
-        for name, its in times.items():
-            its.append(run_light(scene, pictures, drawn[name], light).times[0])
+        for name, row_times in times.items():
+            row_times.append(run_light(scene, pictures, drawn[name], light).times[0])
     count = len(pictures) if isinstance(view, MapView) else 1
     return {name: row | {"ms": _rounded(float(np.median(times[name][1:])) / count), "runs": RUNS} for name, row in rows.items()}
 

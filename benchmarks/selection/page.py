@@ -53,10 +53,15 @@ def _what(views: Sequence[Figures]) -> str:
     for view in views:
         families.setdefault(view["family"], []).append(view)
     rows = [
-        [family, len(its), len({view["terrain"] for view in its}), sum(len(view["rows"]) for view in its)]
-        for family, its in families.items()
+        [
+            family,
+            len(family_views),
+            len({view["terrain"] for view in family_views}),
+            sum(len(view["rows"]) for view in family_views),
+        ]
+        for family, family_views in families.items()
     ]
-    whole = ["all", len(views), len({view["terrain"] for view in views}), sum(len(view["rows"]) for view in views)]
+    total_row = ["all", len(views), len({view["terrain"] for view in views}), sum(len(view["rows"]) for view in views)]
     goals = ", ".join(goal.name for goal in GOALS)
     text = (
         f"\nEach view counts once with each of {len(GOALS)} targets ({goals}): {len(GOALS) * len(views)} instances, measured on\n"
@@ -71,7 +76,7 @@ def _what(views: Sequence[Figures]) -> str:
             f"kept to the limit in {kept} of the views, and was {most} late at most."
         )
     text += "\n\n"
-    return text + _table(["family", "views", "terrains", "plans measured"], [*rows, whole])
+    return text + _table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
 
 
 def _policies(views: Sequence[Figures], made: Split) -> str:
@@ -112,8 +117,8 @@ def _parts(views: Sequence[Figures], made: Split) -> str:
             parts.setdefault(one.view["family"], []).append(one)
 
     def met(policy: str, part: Sequence[GoalInstance]) -> str:
-        its = made.taken[policy]
-        rows = [(one, its[key]) for one in part if (key := (one.view["name"], one.goal.name)) in its]
+        taken = made.taken[policy]
+        rows = [(one, taken[key]) for one in part if (key := (one.view["name"], one.goal.name)) in taken]
         return f"{sum(one.meets(row) for one, row in rows)} of {len(rows)}" if rows else ""
 
     rows = [[name, *(met(policy, part) for policy in made.taken)] for name, part in parts.items()]
@@ -127,9 +132,9 @@ def _gap(its: PolicyScore) -> str:
 
 def _worst(views: Sequence[Figures], made: Sequence[Split]) -> str:
     rows = [
-        [policy, view, goal, f"`{taken}`", f"{regret:.1f}"]
+        [policy, view, goal, f"`{row_name}`", f"{regret:.1f}"]
         for policy in made[0].taken
-        for view, goal, taken, regret in policy_score(views, made[0], policy).worst
+        for view, goal, row_name, regret in policy_score(views, made[0], policy).worst
     ]
     return "\nThe worst picks (held-out views):\n\n" + _table(["policy", "view", "target", "taken", "relative regret"], rows)
 

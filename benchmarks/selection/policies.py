@@ -56,7 +56,7 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
     another hour than that in which the rows were timed (``lateness``).
     """
     cases = {view["name"]: cases_of(view) for part in parts for view in part}
-    taken: dict[str, Taken] = {"rules": {}, "predict": {}, "measure": {}}
+    choices_by_policy: dict[str, Taken] = {"rules": {}, "predict": {}, "measure": {}}
     single: Taken = {}
     bests: dict[str, int] = {}
     for number, part in enumerate(parts):
@@ -67,11 +67,11 @@ def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) 
         for one in instances_of(part):
             key = (one.view["name"], one.goal.name)
             single[key] = stand_in(best, one.view) or max(one.rows, key=one.losses().__getitem__)
-            taken["rules"][key] = one.view["picks"][f"rules {one.goal.max_error:g}"]
-            taken["predict"][key] = predicted(one, device, model)
+            choices_by_policy["rules"][key] = one.view["picks"][f"rules {one.goal.max_error:g}"]
+            choices_by_policy["predict"][key] = predicted(one, device, model)
             if one.max_ms is None and one.goal.name in one.view.get("measured", {}):
-                taken["measure"][key] = one.view["measured"][one.goal.name]
-    return Split(name, {policy: its for policy, its in taken.items() if its}, single, bests)
+                choices_by_policy["measure"][key] = one.view["measured"][one.goal.name]
+    return Split(name, {policy: choices for policy, choices in choices_by_policy.items() if choices}, single, bests)
 
 
 def lateness(views: Sequence[Figures]) -> np.ndarray:
@@ -90,7 +90,7 @@ def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
     """Views held out of known terrains, and all of a terrain left out."""
     parts = {"held-out views": held_out_views(views), "leave one terrain out": terrains(views)}
-    return [split(name, its, device) for name, its in parts.items()]
+    return [split(name, split_parts, device) for name, split_parts in parts.items()]
 
 
 def policy_score(views: Sequence[Figures], made: Split, policy: str, with_plans: bool = False) -> PolicyScore:
@@ -102,8 +102,10 @@ def policy_score(views: Sequence[Figures], made: Split, policy: str, with_plans:
     def own_ms(view: Figures) -> float:
         return view["plan_ms"] if with_plans and view["descriptor"]["view_kind"] == "perspective" else 0.0
 
-    its = made.taken[policy]
-    return judged([one for one in instances_of(views) if (one.view["name"], one.goal.name) in its], its, made.single, own_ms)
+    choices = made.taken[policy]
+    return judged(
+        [one for one in instances_of(views) if (one.view["name"], one.goal.name) in choices], choices, made.single, own_ms
+    )
 
 
 def errors_of_time(

@@ -74,9 +74,9 @@ def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
     """The middle of a raster, a pixel a cell; ``None`` (all of it) where it is smaller than the picture, and in flat worlds."""
     if scene.world.flat:
         return None
-    whole = scene.view("map")
-    assert isinstance(whole, MapView)
-    west, south, east, north = whole.bounds
+    full_view = scene.view("map")
+    assert isinstance(full_view, MapView)
+    west, south, east, north = full_view.bounds
     cell = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     unit_m = 111_320.0 if scene.map_crs.is_geographic else scene.world.metres_per_unit
     half = [min(pixels * cell / unit_m, side) / 2 for pixels, side in zip(MAP_PX, (east - west, north - south), strict=True)]

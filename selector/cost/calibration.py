@@ -126,15 +126,15 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
     """Rates in nanoseconds by part and count, none of them negative, with the least sum of squares of relative errors over ``rows``
     (counts, their part, milliseconds); the algorithm is that of C. Lawson and R. Hanson, Solving Least Squares Problems, 1974.
     """
-    found = {}
+    rates_ns = {}
     for part in dict.fromkeys(part for _, part, _ in rows):
-        mine = [(counts, ms) for counts, its, ms in rows if its == part]
-        names = sorted({name for counts, _ in mine for name, count in counts.items() if count > 0.0})
-        shares = np.array([[MS_PER_NS * counts.get(name, 0.0) / ms for name in names] for counts, ms in mine])
+        part_rows = [(counts, ms) for counts, row_part, ms in rows if row_part == part]
+        names = sorted({name for counts, _ in part_rows for name, count in counts.items() if count > 0.0})
+        shares = np.array([[MS_PER_NS * counts.get(name, 0.0) / ms for name in names] for counts, ms in part_rows])
         scale = shares.max(axis=0)
-        rates, _ = nnls(shares / scale, np.ones(len(mine)))
-        found[part] = dict(zip(names, (rates / scale).tolist(), strict=True))
-    return found
+        rates, _ = nnls(shares / scale, np.ones(len(part_rows)))
+        rates_ns[part] = dict(zip(names, (rates / scale).tolist(), strict=True))
+    return rates_ns
 
 
 def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
@@ -145,6 +145,8 @@ def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[Calibr
         expected_ms = sum(counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items())
         errors.setdefault(job.step.algorithm, []).append(abs(expected_ms / real_ms - 1.0))
     return {
-        name: Residual(rows=len(its), median=float(np.median(its)), p90=float(np.quantile(its, 0.9)))
-        for name, its in errors.items()
+        name: Residual(
+            rows=len(relative_errors), median=float(np.median(relative_errors)), p90=float(np.quantile(relative_errors, 0.9))
+        )
+        for name, relative_errors in errors.items()
     }

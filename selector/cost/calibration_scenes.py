@@ -74,9 +74,9 @@ def calibration_levels(
     over, down = _camera([-900, -1100, 900], [0, 0, 0]), _camera([1200, 900, 1500], [-200, 0, 0])
     yield "hills", _level(hills, over, sun=(120, 25)), "main", (640, 512), "sun", ("relief",), "full"
     yield "fine_hills", _level(fine, down, sun=(250, 15)), "main", (480, 400), "sun", ("relief",), "some"
-    wide, aloft = _hills(8000, 8, 700), _camera([-2200, -2600, 1900], [0, 0, 0])
-    yield "wide_hills", _level(wide, aloft, sun=(200, 20)), "main", (400, 320), "sun", ("relief",), "few"
-    yield "wide_hills_map", _level(wide, aloft, sun=(310, 12)), "map", (448, 448), "sun", ("relief",), "few"
+    wide, high_camera = _hills(8000, 8, 700), _camera([-2200, -2600, 1900], [0, 0, 0])
+    yield "wide_hills", _level(wide, high_camera, sun=(200, 20)), "main", (400, 320), "sun", ("relief",), "few"
+    yield "wide_hills_map", _level(wide, high_camera, sun=(310, 12)), "map", (448, 448), "sun", ("relief",), "few"
     yield "hills_map", _level(hills, over, sun=(120, 25)), "map", (280, 280), "sun", ("relief",), "full"
     yield "fine_hills_map", _level(fine, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
     houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _places(60, 900.0)}

@@ -82,14 +82,14 @@ def save_profile(profile: DeviceProfile) -> Path:
 
 def load_profile(renderer: str, version: str) -> DeviceProfile | None:
     """The profile of a device; ``None`` where there is none that can be used, for the reason that ``missing_profile_reason`` gives."""
-    found = _read(renderer, version)
-    return found if isinstance(found, DeviceProfile) else None
+    profile = _read(renderer, version)
+    return profile if isinstance(profile, DeviceProfile) else None
 
 
 def missing_profile_reason(renderer: str, version: str) -> str | None:
     """Why there is no profile of a device, as a sentence; ``None`` where there is one."""
-    found = _read(renderer, version)
-    return found if isinstance(found, str) else None
+    profile = _read(renderer, version)
+    return profile if isinstance(profile, str) else None
 
 
 def _read(renderer: str, version: str) -> DeviceProfile | str:

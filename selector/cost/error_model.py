@@ -152,7 +152,9 @@ def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> Error
 def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
     """The share of all that is seen that a step is expected to get wrong. Raises as ``errors_together`` does."""
     floor = _constants(descriptor, step, model).floor * _cast(descriptor, light)
-    return floor + sum(_of_kind(descriptor, light, step, *of, model) for of in kinds_of_step(descriptor, light, step))
+    return floor + sum(
+        _of_kind(descriptor, light, step, *kind_casting, model) for kind_casting in kinds_of_step(descriptor, light, step)
+    )
 
 
 def errors_together(
@@ -160,10 +162,10 @@ def errors_together(
 ) -> ExpectedErrors:
     """The errors of steps, each with the share that it gets wrong. Raises ``UnmeasuredError`` for one without constants."""
     wrong = interior = spread = interior_spread = 0.0
-    for step, its in wrong_of:
+    for step, step_wrong in wrong_of:
         constants = _constants(descriptor, step, model)
-        inside = its * constants.interior
-        wrong, spread = wrong + its, spread + its * constants.spread
+        inside = step_wrong * constants.interior
+        wrong, spread = wrong + step_wrong, spread + step_wrong * constants.spread
         interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
     return ExpectedErrors(
         min(wrong, 1.0), min(wrong / _cast(descriptor, light), 1.0), min(interior, 1.0),
@@ -217,8 +219,10 @@ def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
     ``POOLED`` together, of which the larger ones count most of what was seen.
     """
     sides = [sum(TEXEL_LADDER_PX[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
-    seen = [sum(differs[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
-    return tuple(min(px * part / whole, 1.0) for px, part, whole in zip(TEXEL_LADDER_PX, seen, sides, strict=True))
+    window_sums = [sum(differs[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
+    return tuple(
+        min(px * part / window_side, 1.0) for px, part, window_side in zip(TEXEL_LADDER_PX, window_sums, sides, strict=True)
+    )
 
 
 def _differs(band: CastBand, texel_px: float) -> float:

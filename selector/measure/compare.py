@@ -121,17 +121,17 @@ def compare(
     """
     start = time.perf_counter()
     light = _light(scene, light)
-    all_of_them = plans is not None
+    plans_given = plans is not None
     plans = candidates(scene, view, name, light) if plans is None else plans
     total = len(plans) + ROW_REPEATS + 2
-    step = on_step or (lambda done, of: None)
+    step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.runs for plan in plans))
     scene = with_apparent_sun(scene, effects)
-    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
+    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
     pictures = drawn_on(scene, view)
     step(1, total)
-    first = real.grounds[0]
-    floor = _noise_floor(scene, real)
+    first = view_truth.grounds[0]
+    floor = _noise_floor(scene, view_truth)
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name).pixel_m
@@ -140,25 +140,27 @@ def compare(
     took_s: dict[str, float] = {}
     for done, plan in enumerate(plans, start=3):
         began_s, names = time.perf_counter() - start, set(plan.algorithm.get(light, {}).values())
-        ends_s = began_s + max((took_s.get(each, 0.0) for each in names), default=0.0)
-        if not all_of_them and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
+        ends_s = began_s + max((took_s.get(algorithm, 0.0) for algorithm in names), default=0.0)
+        if not plans_given and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
-            trials.append(_trial(scene, real, pictures, plan, pixel_m))
-            its_s = time.perf_counter() - start - began_s
-            took_s |= {each: min(its_s, took_s.get(each, its_s)) for each in names}
+            trials.append(_trial(scene, view_truth, pictures, plan, pixel_m))
+            trial_s = time.perf_counter() - start - began_s
+            took_s |= {algorithm: min(trial_s, took_s.get(algorithm, trial_s)) for algorithm in names}
         step(done, total)
     for turn in range(ROW_REPEATS):
-        for trial in sorted(trials, key=lambda trial: trial.first[0]) if real.whole.there.any() else []:
+        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 trial.later.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + turn, total)
     rows = [_timed(trial) for trial in trials]
-    _mark_pareto(rows, real.error)
-    remarks = _remarks(scene, real, rows)
+    _mark_pareto(rows, view_truth.error)
+    remarks = _remarks(scene, view_truth, rows)
     if left_out:
         remarks.append(f"left out for want of time ({time_limit_s:g} s): {', '.join(left_out)}")
-    return Comparison(view, light, rows, real.whole.there, real.error, real.whole.boundary, surface, floor, remarks)
+    return Comparison(
+        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks
+    )
 
 
 def measure_plan(
@@ -166,9 +168,9 @@ def measure_plan(
 ) -> ComparisonRow:
     """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
     scene, light = with_apparent_sun(scene, plan.runs), _light(scene, light)
-    real = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
+    view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
     pictures = drawn_on(scene, view)
-    trial = _trial(scene, real, pictures, plan, describe(scene, view, plan.view).pixel_m)
+    trial = _trial(scene, view_truth, pictures, plan, describe(scene, view, plan.view).pixel_m)
     trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
     return _timed(trial)
 
@@ -187,46 +189,46 @@ def _light(scene: Scene, light: str | None) -> str:
     return light or (*scene.light_names, SUN)[0]
 
 
-def _noise_floor(scene: Scene, real: ViewTruth) -> float:
+def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     """The error of truth's own sub-samples of another seed (their majority, their share) against truth."""
-    light = real.grounds[0].light
-    if (light == SUN and not scene.sun_is_up) or not real.whole.there.any():
+    light = view_truth.grounds[0].light
+    if (light == SUN and not scene.sun_is_up) or not view_truth.whole.there.any():
         return 0.0
     votes = []
-    for ground in real.grounds:
+    for ground in view_truth.grounds:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
         count = np.zeros(ground.buffer.there.shape, np.float32)
-        for its_view in truth_module.sub_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
-            sample = geometry_of(scene, its_view, ground.buffer.frame)
+        for sub_view in truth_module.sub_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
+            sample = geometry_of(scene, sub_view, ground.buffer.frame)
             count += truth_module.lit_from(sample, scene, light, rays)
         votes.append(np.where(ground.buffer.there, count / TRUTH_SAMPLES, np.nan))
-    if real.error == "coverage":
-        return real.coverage(votes)
-    return errors_of(real.pasted(votes, np.nan), real.whole, 1.0).wrong_cast
+    if view_truth.error == "coverage":
+        return view_truth.coverage(votes)
+    return errors_of(view_truth.pasted(votes, np.nan), view_truth.whole, 1.0).wrong_cast
 
 
-def _trial(scene: Scene, real: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
+def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
     """A plan's first run, and its figures but for the times."""
-    light, truth = real.grounds[0].light, real.whole
+    light, truth = view_truth.grounds[0].light, view_truth.whole
     run = run_light(scene, pictures, plan, light)
-    for ground, part in zip(real.grounds, run.parts, strict=True):
+    for ground, part in zip(view_truth.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
-    found = real.errors(run.parts, plan.steps_under(light), pixel_m)
-    seen = np.nan_to_num(real.pasted(run.parts, np.nan), nan=1.0)
-    dark, true_dark = seen < 0.5, ~truth.lit
+    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m)
+    shown_visibility = np.nan_to_num(view_truth.pasted(run.parts, np.nan), nan=1.0)
+    dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()
     figures = {
         "name": name_of(plan, light),
         "algorithm": plan.model_dump(mode="json")["algorithm"],
         "settings": plan.model_dump(mode="json")["settings"],
-        **asdict(found),
-        "coverage": real.coverage(run.parts),
+        **asdict(errors),
+        "coverage": view_truth.coverage(run.parts),
         "bytes": max((record.bytes for record in records), default=0),
         "counters": {name: sum(getattr(record, name) for record in records) for name in COUNTERS},
         "notes": [record.note for record in records if record.note],
     }
-    levels = np.rint(255.0 * seen).astype(np.uint8)
+    levels = np.rint(255.0 * shown_visibility).astype(np.uint8)
     row = ComparisonRow(figures, levels, truth.decidable & dark & ~true_dark, truth.decidable & ~dark & true_dark)
     return TimedPlan(plan, row, run.times)
 
@@ -280,18 +282,18 @@ def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
 
 
 def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:
-    real, remarks = view_truth.whole, []
-    if not real.there.any():
+    truth, remarks = view_truth.whole, []
+    if not truth.there.any():
         remarks.append("the view shows no surface: there is nothing to compare")
     elif not scene.light_names:
         remarks.append("the level has no light: everything is dark, whatever the algorithm")
     elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
-    elif not (real.there & ~real.attached & ~real.lit).any():
+    elif not (truth.there & ~truth.attached & ~truth.lit).any():
         remarks.append(NO_CAST)
-    elif not real.lit.any():
+    elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
-    if real.there.any() and view_truth.error == "coverage":
+    if truth.there.any() and view_truth.error == "coverage":
         remarks.append("over half of the surface is not decidable: coverage is the error that counts")
     if not rows:
         remarks.append("no algorithm but none serves this view")

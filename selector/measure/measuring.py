@@ -58,8 +58,8 @@ class TargetBounds:
     max_ms: float | None = None
 
     @classmethod
-    def of(cls, asked: Shadows) -> TargetBounds:
-        return cls(asked.max_error, asked.max_ms)
+    def of(cls, shadows: Shadows) -> TargetBounds:
+        return cls(shadows.max_error, shadows.max_ms)
 
 
 def measured_plan(
@@ -88,7 +88,7 @@ def measured_plan(
     plan = make_plan(descriptor, plan_request, overrides, choices, _rejected(measured, bounds))
     missed = [f"{light}: {verdict.missed_by}" for light, verdict in verdicts.items() if verdict.missed_by]
     reasons = [Reasoned(name="target missed", reason="; ".join(missed))] if missed else []
-    reasons += [*plan.reasons, *(Reasoned(name=f"{light}: measured", reason=_said(view, its)) for light, its in measured.items())]
+    reasons += [*plan.reasons, *(Reasoned(name=f"{light}: measured", reason=_said(view, rows)) for light, rows in measured.items())]
     predicted = Predicted(
         ms=sum(trial.figures.ms for trial in won.values()),
         wrong=max((trial.wrong for trial in won.values()), default=0.0),
@@ -113,42 +113,46 @@ def measured_rows(
     """
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name)
-    found = {light: its for light, its in candidates_of(descriptor, plan_request, overrides).items() if its}
-    total, done = sum(map(len, found.values())), 0
+    candidates = {
+        light: light_candidates
+        for light, light_candidates in candidates_of(descriptor, plan_request, overrides).items()
+        if light_candidates
+    }
+    total, done = sum(map(len, candidates.values())), 0
     rows = {}
-    for light, its in found.items():
-        trial_view = trial_view_of(scene, view, light, its[0].plan, descriptor.pixel_m)
+    for light, light_candidates in candidates.items():
+        trial_view = trial_view_of(scene, view, light, light_candidates[0].plan, descriptor.pixel_m)
         trials: list[Trial] = []
-        for ladder in _ladders(its):
+        for ladder in _ladders(light_candidates):
             for candidate in ladder:
                 done += 1
                 if bounds is None or not _decided(candidate, trials, bounds):
                     trials.append(trial_view.trial(candidate))
                 if on_step is not None:
                     on_step(done, total)
-        rows[light] = LightTrials(trial_view, tuple(trials), _without(its, trials))
+        rows[light] = LightTrials(trial_view, tuple(trials), _without(light_candidates, trials))
     return rows
 
 
 def _without(candidates: Sequence[Candidate], trials: Sequence[Trial]) -> tuple[Candidate, ...]:
     """The candidates that were not tried."""
     tried = {trial.figures.name for trial in trials}
-    return tuple(one for one in candidates if one.choice.name not in tried)
+    return tuple(candidate for candidate in candidates if candidate.choice.name not in tried)
 
 
 def candidates_of(
     descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None
 ) -> dict[str, list[Candidate]]:
     """By light, what is to be measured: the portfolio as far as it is free, no two that come to the same plan."""
-    plain = make_plan(descriptor, plan_request, overrides, choices={})
+    default_plan = make_plan(descriptor, plan_request, overrides, choices={})
     out: dict[str, list[Candidate]] = {}
-    for light, per_kind in plain.algorithm.items():
+    for light, per_kind in default_plan.algorithm.items():
         casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NO_SHADOWS}
-        unlike: dict[str, Candidate] = {}
+        distinct: dict[str, Candidate] = {}
         for choice in portfolio(descriptor, light, casting) if casting else []:
             plan = make_plan(descriptor, plan_request, overrides, choices={light: choice})
-            unlike.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, choice, plan))
-        out[light] = list(unlike.values())
+            distinct.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, choice, plan))
+        out[light] = list(distinct.values())
     return out
 
 
@@ -171,8 +175,8 @@ def confirm_winners(measured: Mapping[str, LightTrials], bounds: TargetBounds) -
         for light in measured:
             max_ms = _left_ms(out, bounds, verdicts)
             while not (leader := _leader(out[light], bounds, max_ms)).at_full_resolution:
-                whole = _with(out[light], out[light].trial_view.full_resolution_trial(leader.candidate))
-                out[light], drawn = _tried_further(whole, bounds), True
+                at_full_resolution = _with(out[light], out[light].trial_view.full_resolution_trial(leader.candidate))
+                out[light], drawn = _tried_further(at_full_resolution, bounds), True
             verdicts[light] = _winner(out[light].trials, bounds, max_ms)
     for light, verdict in verdicts.items():
         for trial in out[light].trials:
@@ -201,25 +205,27 @@ def _tried_further(rows: LightTrials, bounds: TargetBounds) -> LightTrials:
 def _winner(trials: Sequence[Trial], bounds: TargetBounds, max_ms: float | None) -> RankingResult:
     """Who wins; of those that were drawn on all pixels, if any were."""
     return best(
-        [one.figures for one in trials if one.at_full_resolution] or [one.figures for one in trials], bounds.max_error, max_ms
+        [trial.figures for trial in trials if trial.at_full_resolution] or [trial.figures for trial in trials],
+        bounds.max_error,
+        max_ms,
     )
 
 
 def _leader(rows: LightTrials, bounds: TargetBounds, max_ms: float | None) -> Trial:
     """Who would win, if those that were drawn on few pixels turned out as good as they may."""
     name = best(
-        [one.figures if one.at_full_resolution else _hoped(one) for one in rows.trials], bounds.max_error, max_ms
+        [trial.figures if trial.at_full_resolution else _hoped(trial) for trial in rows.trials], bounds.max_error, max_ms
     ).winner.name
     return _trial_of(rows, name)
 
 
 def _hoped(trial: Trial) -> CandidateFigures:
-    its = trial.figures
+    figures = trial.figures
     return replace(
-        its,
-        ms=its.ms / EXTRAPOLATION_FACTOR,
-        error=max(its.error - trial.spread, 0.0),
-        interior=its.interior / EXTRAPOLATION_FACTOR,
+        figures,
+        ms=figures.ms / EXTRAPOLATION_FACTOR,
+        error=max(figures.error - trial.spread, 0.0),
+        interior=figures.interior / EXTRAPOLATION_FACTOR,
     )
 
 
@@ -252,10 +258,12 @@ def _at_most(trial: Trial) -> CandidateFigures:
 def _decided(candidate: Candidate, trials: Sequence[Trial], bounds: TargetBounds) -> bool:
     """Whether smaller maps of the same kind show that a candidate cannot win: errors fall with the size, and times grow."""
     smaller = [trial.figures for trial in trials if trial.candidate.ladder == candidate.ladder]
-    accurate = [one.figures for one in trials if relative_overshoot(_at_most(one), bounds.max_error) <= 0.0]
-    in_time = [one for one in accurate if bounds.max_ms is None or one.ms <= bounds.max_ms]
-    least_ms = min((one.ms for one in in_time), default=np.inf)
-    return any(one in accurate or one.ms > EXTRAPOLATION_FACTOR * least_ms for one in smaller)
+    accurate = [
+        trial_figures.figures for trial_figures in trials if relative_overshoot(_at_most(trial_figures), bounds.max_error) <= 0.0
+    ]
+    in_time = [trial_figures for trial_figures in accurate if bounds.max_ms is None or trial_figures.ms <= bounds.max_ms]
+    least_ms = min((trial_figures.ms for trial_figures in in_time), default=np.inf)
+    return any(trial_figures in accurate or trial_figures.ms > EXTRAPOLATION_FACTOR * least_ms for trial_figures in smaller)
 
 
 def _trial_of(rows: LightTrials, name: str) -> Trial:
@@ -273,25 +281,25 @@ def _reasoned(rows: LightTrials, trial: Trial, met: bool, bounds: TargetBounds) 
 
 def _rejected(measured: Mapping[str, LightTrials], bounds: TargetBounds) -> dict[AlgorithmName, str]:
     """What the best trial of each algorithm under the first light came to."""
-    its: dict[AlgorithmName, list[Trial]] = {}
+    by_algorithm: dict[AlgorithmName, list[Trial]] = {}
     rows = next(iter(measured.values()), None)
     for trial in rows.trials if rows else ():
         for name in {step.algorithm for step in trial.candidate.steps}:
-            its.setdefault(name, []).append(trial)
-    bests = {name: _winner(trials, bounds, bounds.max_ms).winner for name, trials in its.items()}
-    return {name: f"measured: {_words(rows, one)} ({one.name})" for name, one in bests.items() if rows}
+            by_algorithm.setdefault(name, []).append(trial)
+    bests = {name: _winner(trials, bounds, bounds.max_ms).winner for name, trials in by_algorithm.items()}
+    return {name: f"measured: {_words(rows, figures)} ({figures.name})" for name, figures in bests.items() if rows}
 
 
 def _words(rows: LightTrials, figures: CandidateFigures) -> str:
-    what = "wrong of the cast shadow" if rows.trial_view.error == "wrong_cast" else "of coverage wrong"
-    return f"{format_percent(figures.error)} {what} in {format_duration(figures.ms)}"
+    measure_name = "wrong of the cast shadow" if rows.trial_view.error == "wrong_cast" else "of coverage wrong"
+    return f"{format_percent(figures.error)} {measure_name} in {format_duration(figures.ms)}"
 
 
 def _said(view: View, rows: LightTrials) -> str:
     part = part_of(view)
     at_full_resolution = sum(trial.at_full_resolution for trial in rows.trials)
-    said = f"{len(rows.trials)} candidates held against truth on {rows.trial_view.pixels} of {part.rows * part.cols} pixels"
-    said += "" if rows.trial_view.subsampled is None else f", {at_full_resolution} of them on all"
+    text = f"{len(rows.trials)} candidates held against truth on {rows.trial_view.pixels} of {part.rows * part.cols} pixels"
+    text += "" if rows.trial_view.subsampled is None else f", {at_full_resolution} of them on all"
     if rows.not_tried:
-        said += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
-    return said
+        text += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
+    return text

@@ -52,10 +52,10 @@ class SubsampledTruth:
 
         ``pixel_m`` is a pixel's side in the full view.
         """
-        real = self.truth
-        dark, true_dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & real.there, ~real.lit & real.there
-        wrong = real.decidable & (dark != true_dark)
-        cast = real.decidable & (dark | true_dark) & ~real.attached
+        truth = self.truth
+        dark, true_dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.there, ~truth.lit & truth.there
+        wrong = truth.decidable & (dark != true_dark)
+        cast = truth.decidable & (dark | true_dark) & ~truth.attached
         wider = self.every if isinstance(self.buffer.view, PerspectiveView) else 1
         drawing: Sequence[Step | None] = steps or [None]
         texels_px = np.max([texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in drawing], axis=0)
@@ -63,7 +63,7 @@ class SubsampledTruth:
         share, spread = _share(wrong & cast, cast), 0.0
         if self.every > 1:
             spread = float(np.sqrt(share * (1.0 - share) / max(int(np.count_nonzero(cast)), 1)))
-        return EstimatedErrors(_share(wrong, real.decidable), share, _share(inside, real.decidable), spread)
+        return EstimatedErrors(_share(wrong, truth.decidable), share, _share(inside, truth.decidable), spread)
 
 
 def subsampled_view(view: View, every: int) -> View:
@@ -74,13 +74,17 @@ def subsampled_view(view: View, every: int) -> View:
     return replace(view, step=view.step * every, rows=rows, cols=cols)
 
 
-def subsampled_truth(real: ViewTruth, every: int) -> SubsampledTruth:
+def subsampled_truth(view_truth: ViewTruth, every: int) -> SubsampledTruth:
     """The truth of every ``every``-th pixel of a view (of a block, if it is a map): what it is in the full view."""
-    whole, scene = real.whole, real.grounds[0].scene
-    edge_px = from_edges_px(~whole.lit & whole.there, whole.there)
-    truth = Truth(*(of[::every, ::every] for of in (whole.lit, whole.attached, whole.decidable, whole.there)))
-    return SubsampledTruth(scene, geometry_of(scene, subsampled_view(real.view, every)), every, truth, edge_px[::every, ::every])
+    full_truth, scene = view_truth.whole, view_truth.grounds[0].scene
+    edge_px = from_edges_px(~full_truth.lit & full_truth.there, full_truth.there)
+    truth = Truth(
+        *(classes[::every, ::every] for classes in (full_truth.lit, full_truth.attached, full_truth.decidable, full_truth.there))
+    )
+    return SubsampledTruth(
+        scene, geometry_of(scene, subsampled_view(view_truth.view, every)), every, truth, edge_px[::every, ::every]
+    )
 
 
-def _share(part: np.ndarray, whole: np.ndarray) -> float:
-    return float(np.count_nonzero(part) / max(int(np.count_nonzero(whole)), 1))
+def _share(part: np.ndarray, total: np.ndarray) -> float:
+    return float(np.count_nonzero(part) / max(int(np.count_nonzero(total)), 1))

@@ -110,15 +110,18 @@ class TrialView:
         if self.subsampled is None:
             return self.full_resolution_trial(candidate)
         view = self.truth.view
-        few, fewer = (subsampled_view(view, times * self.subsampled.every) for times in (1, 2))
-        frame, ms = _quickest(self.scene, few, candidate)
-        _, less_ms = _quickest(self.scene, fewer, candidate)
-        pixels, least, most = map(_pixels, (few, fewer, view))
+        coarse_view, coarser_view = (subsampled_view(view, times * self.subsampled.every) for times in (1, 2))
+        frame, ms = _quickest(self.scene, coarse_view, candidate)
+        _, less_ms = _quickest(self.scene, coarser_view, candidate)
+        pixels, least, most = map(_pixels, (coarse_view, coarser_view, view))
         pixel_ms = np.clip((ms - less_ms) / (pixels - least), 0.0, ms / pixels)
-        found = self.subsampled.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
+        errors = self.subsampled.errors(frame.visibilities[candidate.light], candidate.steps, self.pixel_m)
         full_ms = float(ms + pixel_ms * (most - pixels))
         return Trial(
-            candidate, CandidateFigures(candidate.choice.name, full_ms, found.wrong_cast, found.interior), found.wrong, found.spread
+            candidate,
+            CandidateFigures(candidate.choice.name, full_ms, errors.wrong_cast, errors.interior),
+            errors.wrong,
+            errors.spread,
         )
 
     def full_resolution_trial(self, candidate: Candidate) -> Trial:
@@ -131,9 +134,9 @@ class TrialView:
 
     def timed(self, trial: Trial, runs: int) -> Trial:
         """A trial on all pixels with so many times more: the median counts."""
-        its = trial.candidate
-        drawn = (_drawn(self.scene, self.truth.view, its) for _ in range(runs))
-        times_ms = (*trial.times_ms, *(shadow_ms(frame, its.light) for frame in drawn))
+        candidate = trial.candidate
+        drawn = (_drawn(self.scene, self.truth.view, candidate) for _ in range(runs))
+        times_ms = (*trial.times_ms, *(shadow_ms(frame, candidate.light) for frame in drawn))
         return replace(trial, times_ms=times_ms, figures=replace(trial.figures, ms=float(np.median(times_ms))))
 
 

@@ -100,9 +100,9 @@ def truth_of_view(
     ``effects`` are those that run: points at which nobody looks for the light (``shadows.visibility``) count as no surface.
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
-    real = truth_of_parts(scene, view, parts, light, samples, effects)
-    shares = [coverage_truth(one.buffer, scene, one.casters, COVERAGE_PX, light=light) for one in real.grounds]
-    return replace(real, true_shares=shares)
+    view_truth = truth_of_parts(scene, view, parts, light, samples, effects)
+    shares = [coverage_truth(block.buffer, scene, block.casters, COVERAGE_PX, light=light) for block in view_truth.grounds]
+    return replace(view_truth, true_shares=shares)
 
 
 def truth_of_parts(
@@ -131,19 +131,22 @@ def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.n
 
 
 def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> TruthBlock:
-    whole = geometry_of(scene, block)
-    casters = casters_of(scene, whole)
-    real, buffer = cached_truth(whole, scene, casters, samples, light), without_hidden_points(whole, scene, light, effects)
-    if buffer is not whole:
-        real = replace(real, decidable=real.decidable & buffer.there, there=real.there & buffer.there)
-    return TruthBlock(scene, buffer, light, casters, real, attached(buffer, scene, light), row, col)
+    full_buffer = geometry_of(scene, block)
+    casters = casters_of(scene, full_buffer)
+    truth, buffer = (
+        cached_truth(full_buffer, scene, casters, samples, light),
+        without_hidden_points(full_buffer, scene, light, effects),
+    )
+    if buffer is not full_buffer:
+        truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
+    return TruthBlock(scene, buffer, light, casters, truth, attached(buffer, scene, light), row, col)
 
 
 def _paste(view: View, grounds: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
-    whole = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
+    pasted = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
     for ground, part in zip(grounds, parts, strict=True):
         rows, cols = part.shape
         top, left = max(ground.row, 0), max(ground.col, 0)
         bottom, right = min(ground.row + rows, view.rows), min(ground.col + cols, view.cols)
-        whole[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
-    return whole
+        pasted[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
+    return pasted

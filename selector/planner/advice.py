@@ -12,13 +12,15 @@ from terrain.level.level import Shadows
 NO_RULE = "no rule speaks for another, and a map serves every view, light and kind of casters"
 
 
-def advised(descriptor: Descriptor, asked: Shadows) -> dict[str, Choice]:
+def advised(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choice]:
     """What the rules take for each light, with the first rule that applies as the reason, and its source."""
     choices = {}
     for light in descriptor.light_kinds:
-        taken = {kind: _first(RuleInput(descriptor, light, kind, asked)) for kind in descriptor.casters}
+        algorithms = {kind: _first(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
         choices[light] = Choice(
-            "rules", {kind: name for kind, (name, _) in taken.items()}, why={kind: why for kind, (_, why) in taken.items()}
+            "rules",
+            {kind: name for kind, (name, _) in algorithms.items()},
+            why={kind: why for kind, (_, why) in algorithms.items()},
         )
     return choices
 

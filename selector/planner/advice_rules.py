@@ -183,21 +183,21 @@ def _complex(case: RuleInput) -> str | None:
 
 
 def _little_seen(case: RuleInput) -> str | None:
-    bands, seen = case.descriptor.bands, case.seen
-    if not bands or seen is None or seen.area_share > LITTLE_SEEN:
+    bands, light_facts = case.descriptor.bands, case.seen
+    if not bands or light_facts is None or light_facts.area_share > LITTLE_SEEN:
         return None
     # Of a camera slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space, and
     # far is m / (m - 1) times near: no texel gets smaller by more than that.
     gain = bands[-1].far_m / bands[0].near_m
     if gain < LEAST_GAIN:
         return None
-    return f"of all that the light covers {100.0 * seen.area_share:.1f} % is seen: texels go where the camera looks"
+    return f"of all that the light covers {100.0 * light_facts.area_share:.1f} % is seen: texels go where the camera looks"
 
 
 def _near_texel_px(case: RuleInput) -> float | None:
     """Pixels that a usual map's texel covers at the nearest shadow edge of a perspective view, if that is known."""
-    descriptor, seen, lamp = case.descriptor, case.seen, case.lamp
-    if descriptor.pixel is None or seen is None or seen.nearest_edge_m is None:
+    descriptor, light_facts, lamp = case.descriptor, case.seen, case.lamp
+    if descriptor.pixel is None or light_facts is None or light_facts.nearest_edge_m is None:
         return None
     if lamp is not None:
         half_deg = lamp.cutoff_deg if lamp.kind == "spot" else 45.0
@@ -206,7 +206,7 @@ def _near_texel_px(case: RuleInput) -> float | None:
         across_m = max(descriptor.receivers_light_m[:2])
     else:
         return None
-    return across_m / USUAL_TEXELS / (descriptor.pixel * max(seen.nearest_edge_m, 1e-3))
+    return across_m / USUAL_TEXELS / (descriptor.pixel * max(light_facts.nearest_edge_m, 1e-3))
 
 
 THESIS_SECTION = "Sindholt 2005, 8.2"

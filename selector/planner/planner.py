@@ -49,14 +49,14 @@ def make_plan(
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
     """What plans of a descriptor go by whatever is picked. Raises as ``make_plan`` does."""
     overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
-    asked = override(plan_request.shadows, overrides)
-    effects, left_out = _effects(descriptor, plan_request, asked)
+    shadows = override(plan_request.shadows, overrides)
+    effects, left_out = _effects(descriptor, plan_request, shadows)
     try:
-        algorithm_override = expand_override(asked.algorithm, plan_request.light_names)
+        algorithm_override = expand_override(shadows.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
-        raise InputError("algorithm", spelt(asked.algorithm), error.message()) from None
+        raise InputError("algorithm", spelt(shadows.algorithm), error.message()) from None
     forced = frozenset(name for name in EFFECTS if _wish(plan_request, name) == "on")
-    return Planner(descriptor, overrides, asked, effects, left_out, algorithm_override, forced)
+    return Planner(descriptor, overrides, shadows, effects, left_out, algorithm_override, forced)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,45 +78,52 @@ class Planner:
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
-        return [one.kind for one in self._taken(light, None) if one.name != NO_SHADOWS]
+        return [assignment.kind for assignment in self._taken(light, None) if assignment.name != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
         """What a pick comes to under its light. Raises as ``make_plan`` does."""
-        company = (light, *choice.algorithm.items())
-        if company not in self._companies:
-            self._companies[company] = {one.kind: one.name for one in self._taken(light, choice) if one.name != NO_SHADOWS}
-        algorithm = self._companies[company]
+        combination = (light, *choice.algorithm.items())
+        if combination not in self._companies:
+            self._companies[combination] = {
+                assignment.kind: assignment.name for assignment in self._taken(light, choice) if assignment.name != NO_SHADOWS
+            }
+        algorithm = self._companies[combination]
         of_name = {name: self._resolved(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
-        settings = {kind: its for kind, name in algorithm.items() if (its := of_name[name]) is not None}
+        settings = {
+            kind: algorithm_settings for kind, name in algorithm.items() if (algorithm_settings := of_name[name]) is not None
+        }
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """The plan that comes of picks by light. Raises as ``make_plan`` does."""
-        descriptor, asked, who = self.descriptor, self.asked, _who(self.overrides, "algorithm")
-        taken = [one for light in descriptor.light_kinds for one in self._taken(light, choices.get(light))]
-        reasons = [Reasoned(name=f"{one.light}/{one.kind}: {one.name}", reason=one.why) for one in taken]
+        descriptor, shadows, requester = self.descriptor, self.asked, _who(self.overrides, "algorithm")
+        assignments = [assignment for light in descriptor.light_kinds for assignment in self._taken(light, choices.get(light))]
+        reasons = [
+            Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
+            for assignment in assignments
+        ]
         algorithm: dict[str, dict[CasterKind, AlgorithmName]] = {}
         settings: dict[str, dict[CasterKind, AlgorithmSettings]] = {}
-        told = set()
-        for one in taken:
-            algorithm.setdefault(one.light, {})[one.kind] = one.name
-            its, why_so = self._settings(one.light, one.name, choices.get(one.light))
-            if (one.light, one.name) not in told:
-                reasons += why_so
-                told.add((one.light, one.name))
-            if its is not None:
-                settings.setdefault(one.light, {})[one.kind] = its
-        reasons += _settings_asked_for(asked, self.overrides, settings, reasons)
+        reported = set()
+        for assignment in assignments:
+            algorithm.setdefault(assignment.light, {})[assignment.kind] = assignment.name
+            kind_settings, setting_reasons = self._settings(assignment.light, assignment.name, choices.get(assignment.light))
+            if (assignment.light, assignment.name) not in reported:
+                reasons += setting_reasons
+                reported.add((assignment.light, assignment.name))
+            if kind_settings is not None:
+                settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
+        reasons += _settings_asked_for(shadows, self.overrides, settings, reasons)
         effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
-        used = {one.name for one in taken}
+        used = {assignment.name for assignment in assignments}
         nothing = self._missing.get("cast_shadows")
         plan = Plan(
             view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
             rejected=[
-                Reasoned(name=name, reason=nothing or _rejected(name, taken, who, rejected))
+                Reasoned(name=name, reason=nothing or _rejected(name, assignments, requester, rejected))
                 for name in ALGORITHMS if name not in used
             ],
-            passes=[], target=Target(max_error=asked.max_error, max_ms=asked.max_ms), reasons=reasons,
+            passes=[], target=Target(max_error=shadows.max_error, max_ms=shadows.max_ms), reasons=reasons,
         )  # fmt: skip
         passes = [name for step in plan.steps for name in PassLog.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes)]
         return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
@@ -126,17 +133,17 @@ class Planner:
         return {effect.name: effect.reason for effect in self.left_out}
 
     def _taken(self, light: str, choice: Choice | None) -> list[_Taken]:
-        who, kind_of_light, found = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
+        requester, kind_of_light, assignments = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
-            wish, parts = (
+            requested, parts = (
                 self.algorithm_override.get(light, {}).get(caster),
                 requirements_of(self.descriptor, kind_of_light, caster),
             )
-            name, why, free = _algorithm(self.descriptor, light, caster, wish, who, missing, self.forced, choice)
-            _check(name, light, caster, parts, who)
-            found.append(_Taken(light, caster, name, why, free, parts))
-        return found
+            name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
+            _check(name, light, caster, parts, requester)
+            assignments.append(_Taken(light, caster, name, why, is_free, parts))
+        return assignments
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
         """The settings of a pick that the level and the request leave open."""
@@ -144,23 +151,25 @@ class Planner:
 
     def _resolved(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and what spoke for those that the pick left open; each worked out once."""
-        picked = self._picked(choice)
-        key = (light, name, *picked.items())
+        open_settings = self._picked(choice)
+        key = (light, name, *open_settings.items())
         if key not in self._kept:
-            asked, sharp_because = self.asked.model_copy(update=picked), self._missing.get("soft_edges")
+            asked, sharp_because = self.asked.model_copy(update=open_settings), self._missing.get("soft_edges")
             settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, sharp_because))
             self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
         return self._kept[key]
 
     def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and the reasons for them."""
-        picked = self._picked(choice)
+        open_settings = self._picked(choice)
         settings, reasons = self._resolved(light, name, choice)
         chosen = [
-            Reasoned(name=f"{key} {value}", reason=choice.why[key]) for key, value in picked.items() if choice and key in choice.why
+            Reasoned(name=f"{key} {value}", reason=choice.why[key])
+            for key, value in open_settings.items()
+            if choice and key in choice.why
         ]
-        taken = {} if settings is None else settings.asked_as
-        return settings, [*(one for one in chosen if one.name.split()[0] in taken), *reasons]
+        used_keys = {} if settings is None else settings.asked_as
+        return settings, [*(reasoned for reasoned in chosen if reasoned.name.split()[0] in used_keys), *reasons]
 
 
 @dataclass(frozen=True)
@@ -179,21 +188,21 @@ def _who(overrides: Mapping[str, Any], key: str) -> str:
     return "the request" if key in overrides else "the level"
 
 
-def _effects(descriptor: Descriptor, plan_request: PlanRequest, asked: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
+def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
     """The effects that run, and those left out."""
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
         verdict = effect.verdict(name, descriptor)
-        wish = _wish(plan_request, name)
+        requested = _wish(plan_request, name)
         runs, reason = verdict.called_for, verdict.reason
-        if wish != "auto":
-            runs, reason = wish == "on", f"forced {wish} by the level ({verdict.reason})"
-        elif name == "soft_edges" and asked.filter != "auto":
-            runs, reason = asked.filter != 1, f"filter {asked.filter} is asked for ({verdict.reason})"
-        lacking = [other for other in left_out if other.name in effect.needs]
-        if runs and lacking:
-            runs, reason = False, f"without {lacking[0].name} there is nothing to do: {lacking[0].reason}"
+        if requested != "auto":
+            runs, reason = requested == "on", f"forced {requested} by the level ({verdict.reason})"
+        elif name == "soft_edges" and shadows.filter != "auto":
+            runs, reason = shadows.filter != 1, f"filter {shadows.filter} is asked for ({verdict.reason})"
+        missing_needs = [other for other in left_out if other.name in effect.needs]
+        if runs and missing_needs:
+            runs, reason = False, f"without {missing_needs[0].name} there is nothing to do: {missing_needs[0].reason}"
         (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
     return effects, left_out
 
@@ -211,21 +220,25 @@ def _with_work(
     """The effects that run, and those left out, when the algorithms are chosen: some have nothing to do with some algorithms."""
     casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NO_SHADOWS}
     sun = algorithm.get(SUN, {})
-    filtered = any(getattr(its, "filter", 1) != 1 for its in settings.get(SUN, {}).values())
-    idle = {}
+    filtered = any(getattr(kind_settings, "filter", 1) != 1 for kind_settings in settings.get(SUN, {}).values())
+    idle_reasons = {}
     if not casting:
-        idle["cast_shadows"] = "the algorithm is none for all that there is"
+        idle_reasons["cast_shadows"] = "the algorithm is none for all that there is"
     if "forest" not in casting:
-        idle["alpha_test"] = "foliage casts by no algorithm"
+        idle_reasons["alpha_test"] = "foliage casts by no algorithm"
     if not filtered:
-        idle["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NO_SHADOWS})) or 'lamps'} are sharp"
+        idle_reasons["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NO_SHADOWS})) or 'lamps'} are sharp"
     if "relief" not in casting:
-        idle["outside_casters"] = "ground casts by no algorithm"
-    stopped = [Reasoned(name=one.name, reason=f"{idle[one.name]} ({one.reason})") for one in effects if one.name in idle]
+        idle_reasons["outside_casters"] = "ground casts by no algorithm"
+    stopped = [
+        Reasoned(name=effect.name, reason=f"{idle_reasons[effect.name]} ({effect.reason})")
+        for effect in effects
+        if effect.name in idle_reasons
+    ]
     order: list[str] = list(EFFECTS)
     return (
-        [one for one in effects if one.name not in idle],
-        sorted([*left_out, *stopped], key=lambda one: order.index(one.name)),
+        [effect for effect in effects if effect.name not in idle_reasons],
+        sorted([*left_out, *stopped], key=lambda effect: order.index(effect.name)),
     )
 
 
@@ -233,8 +246,8 @@ def _algorithm(
     descriptor: Descriptor,
     light: str,
     caster: CasterKind,
-    wish: AlgorithmName | None,
-    who: str,
+    requested: AlgorithmName | None,
+    requester: str,
     missing: dict[str, str],
     forced: Collection[EffectName],
     choice: Choice | None,
@@ -248,8 +261,8 @@ def _algorithm(
             return NO_SHADOWS, missing[effect], False
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
         return NO_SHADOWS, sun_verdict(descriptor).reason, False
-    if wish is not None:
-        return wish, f"asked for by {who}", False
+    if requested is not None:
+        return requested, f"asked for by {requester}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return NO_SHADOWS, "level ground cannot cast", False
     if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
@@ -261,49 +274,59 @@ def _algorithm(
     return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
-def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], who: str) -> None:
+def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], requester: str) -> None:
     """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
-        key = "algorithm" if who == "the request" else "shadows.algorithm"
+        key = "algorithm" if requester == "the request" else "shadows.algorithm"
         raise UnsupportedError(
             key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(algorithms_serving(parts))}"
         )
 
 
-def _rejected(name: AlgorithmName, taken: list[_Taken], who: str, rejected: Mapping[AlgorithmName, str]) -> str:
+def _rejected(name: AlgorithmName, assignments: list[_Taken], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
     """Why an algorithm is not taken: what it refuses, what its policy says of it, or what went before it."""
-    free = [one for one in taken if one.free]
+    free_assignments = [assignment for assignment in assignments if assignment.free]
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
-    if not free:
-        return f"{who} asks for {', '.join(sorted({one.name for one in taken}))}"
+    if not free_assignments:
+        return f"{requester} asks for {', '.join(sorted({assignment.name for assignment in assignments}))}"
     if name == NO_SHADOWS:
         return "there are casters and light"
     if name in rejected:
         return rejected[name]
-    if len(free) == 1:
-        return ALGORITHMS[name].refusal(free[0].parts) or f"{free[0].name} goes before it: {free[0].why}"
-    whys: dict[str, list[str]] = {}
-    for one in free:
-        why = ALGORITHMS[name].refusal(one.parts) or f"{one.name} goes before it"
-        whys.setdefault(why, []).append(one.kind if one.light == SUN else f"{one.kind} under {one.light}")
-    return "; ".join(f"for {' and '.join(parts)}: {why}" if len(whys) > 1 else why for why, parts in whys.items())
+    if len(free_assignments) == 1:
+        return (
+            ALGORITHMS[name].refusal(free_assignments[0].parts)
+            or f"{free_assignments[0].name} goes before it: {free_assignments[0].why}"
+        )
+    kinds_by_reason: dict[str, list[str]] = {}
+    for assignment in free_assignments:
+        why = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.name} goes before it"
+        kinds_by_reason.setdefault(why, []).append(
+            assignment.kind if assignment.light == SUN else f"{assignment.kind} under {assignment.light}"
+        )
+    return "; ".join(
+        f"for {' and '.join(parts)}: {why}" if len(kinds_by_reason) > 1 else why for why, parts in kinds_by_reason.items()
+    )
 
 
 def _settings_asked_for(
-    asked: Shadows, overrides: Mapping[str, Any], settings: dict[str, dict[CasterKind, AlgorithmSettings]], plain: list[Reasoned]
+    shadows: Shadows,
+    overrides: Mapping[str, Any],
+    settings: dict[str, dict[CasterKind, AlgorithmSettings]],
+    given_reasons: list[Reasoned],
 ) -> list[Reasoned]:
-    """Of each setting that is asked for, who asks, or that what is taken has no such choice; ``plain`` are what is told already."""
-    resolved = [its for per_kind in settings.values() for its in per_kind.values()]
-    told = {one.name.rpartition(": ")[2] for one in plain}
-    found = []
+    """Of each setting that is asked for, who asks, or that what is taken has no such choice; ``given_reasons`` are what is told already."""
+    resolved = [kind_settings for per_kind in settings.values() for kind_settings in per_kind.values()]
+    reported = {reasoned.name.rpartition(": ")[2] for reasoned in given_reasons}
+    reasons = []
     for key in SETTING_NAMES:
-        value = getattr(asked, key)
+        value = getattr(shadows, key)
         name = f"{key} {value}"
-        if value != "auto" and name not in told:
+        if value != "auto" and name not in reported:
             reason = f"asked for by {_who(overrides, key)}"
             if not any(each.asked_as.get(key) == value for each in resolved):
                 reason += ", and left out: nothing that is taken has this to choose"
-            found.append(Reasoned(name=name, reason=reason))
-    return found
+            reasons.append(Reasoned(name=name, reason=reason))
+    return reasons

@@ -117,10 +117,10 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
     """
     ahead = corners_lamp_m[..., 2] >= z_near_m
     number = ahead.sum(axis=1)
-    one, two = corners_lamp_m[number == 1], corners_lamp_m[number == 2]
-    tip, left, right = _turned(one, np.argmax(ahead[number == 1], axis=1))
+    one_ahead, two_ahead = corners_lamp_m[number == 1], corners_lamp_m[number == 2]
+    tip, left, right = _turned(one_ahead, np.argmax(ahead[number == 1], axis=1))
     single = np.stack([tip, _cut(tip, left, z_near_m), _cut(tip, right, z_near_m)], axis=1)
-    behind, left, right = _turned(two, np.argmin(ahead[number == 2], axis=1))
+    behind, left, right = _turned(two_ahead, np.argmin(ahead[number == 2], axis=1))
     to_left, to_right = _cut(left, behind, z_near_m), _cut(right, behind, z_near_m)
     double = [np.stack([left, right, to_right], axis=1), np.stack([left, to_right, to_left], axis=1)]
     return np.concatenate([corners_lamp_m[number == 3], single, *double])
@@ -132,8 +132,8 @@ def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
     """
     ahead = ends_lamp_m[..., 2] >= z_near_m
     number = ahead.sum(axis=1)
-    some, first = ends_lamp_m[number == 1], ahead[number == 1, 0]
-    a, b = np.where(first[:, None], some[:, 0], some[:, 1]), np.where(first[:, None], some[:, 1], some[:, 0])
+    crossing, first = ends_lamp_m[number == 1], ahead[number == 1, 0]
+    a, b = np.where(first[:, None], crossing[:, 0], crossing[:, 1]), np.where(first[:, None], crossing[:, 1], crossing[:, 0])
     return np.concatenate([ends_lamp_m[number == 2], np.stack([a, _cut(a, b, z_near_m)], axis=1)])
 
 

@@ -54,9 +54,9 @@ def fill(
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
     passes = log.named(light, kinds, PASSES)
-    at = light_in_frame(buffer, scene, light)
+    light_frame = light_in_frame(buffer, scene, light)
     with log.run(passes[0]) as record:
-        volumes = volumes_of(buffer, scene, at, kinds, casters, record)
+        volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     wanted = buffer.there & ~attached(buffer, scene, light)
     if settings.mask == "original":
         verdict = _compared(buffer, scene, light, kinds, casters, settings, wanted, passes, log)
@@ -70,7 +70,7 @@ def fill(
         row, col = np.nonzero(marks[: buffer.view.rows])
         record.marked += len(row)
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
-        counts = count(buffer, scene, at, volumes, settings, marks, True, record)
+        counts = count(buffer, scene, light_frame, volumes, settings, marks, True, record)
     log.keep("stencil", light, counts.copy)
     return np.where(np.where(marks, counts > 0, verdict == SHADED_VALUE), np.float32(0.0), np.float32(1.0))
 
@@ -87,18 +87,18 @@ def _compared(
     log: PassLog,
 ) -> np.ndarray:
     """What a map says of points by comparing them with two by two texels; samples of pixels are left to the volumes."""
-    gl, asked = device(), settings.map
-    if isinstance(asked, ShadowMapSettings):
-        maps = sun_maps(buffer, scene, asked, None)
+    gl, map_settings = device(), settings.map
+    if isinstance(map_settings, ShadowMapSettings):
+        maps = sun_maps(buffer, scene, map_settings, None)
     else:
-        maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], asked, None)] if drawn is not None]
+        maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if drawn is not None]
     visibility = np.ones(buffer.there.shape, np.float32)
     with log.run(passes[1]) as record:
-        targets = [draw_map(gl, drawn, buffer, scene, kinds, casters, asked, record) for drawn in maps]
+        targets = [draw_map(gl, drawn, buffer, scene, kinds, casters, map_settings, record) for drawn in maps]
     with log.run(passes[2]) as record:
         for drawn, target in zip(maps, targets, strict=True):
             log.keep("shadow-map", light, depths, gl, drawn, target)
-            look_up(gl, drawn, target, buffer, asked, visibility, record)
+            look_up(gl, drawn, target, buffer, map_settings, visibility, record)
     verdict = np.where(visibility < 0.5, np.uint8(SHADED_VALUE), np.uint8(255 - SHADED_VALUE))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED

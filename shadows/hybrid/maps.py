@@ -100,11 +100,11 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
     solids, out = scene.objects.solids, np.zeros(wanted.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
         return out
-    at = np.flatnonzero(wanted & (buffer.kind == MESHES))
-    if len(at) and buffer.corners_frame_m is not None:
-        a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[at].astype(np.float64).transpose(1, 0, 2)
+    pixels = np.flatnonzero(wanted & (buffer.kind == MESHES))
+    if len(pixels) and buffer.corners_frame_m is not None:
+        a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[pixels].astype(np.float64).transpose(1, 0, 2)
         source = light_in_frame(buffer, scene, light)
-        out[at] = (np.cross(b - a, c - a) * (source[:3] - source[3] * a)).sum(axis=1) > 0.0
+        out[pixels] = (np.cross(b - a, c - a) * (source[:3] - source[3] * a)).sum(axis=1) > 0.0
     return out
 
 
@@ -112,40 +112,40 @@ def map_pictures(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
 ) -> np.ndarray:
     """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), side by side; the light's up is at the top."""
-    found = []
+    arrays = []
     for window in _windows(buffer, scene, light, map_size, wanted):
         nearest = _map(window, volumes)[0].nearest
         there = np.isfinite(nearest)
         low, high = min(nearest[there].min(initial=np.inf), window.depth.min()), window.depth.max()
         share = np.where(there, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
-        found.append(share if window.lamp else share[::-1])
-    return tiled_pictures(found) if found else np.ones((1, 1), np.float32)
+        arrays.append(share if window.lamp else share[::-1])
+    return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
 
 
 def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """The map of a window, and whether it was kept from before."""
-    found = _kept.get(window.key, *volumes)
-    if not isinstance(found, Missing):
-        return found, True
-    corners = [_in_texels(window, each.vertices[each.caps], clipped_triangles) for each in volumes]
-    edges = [_in_texels(window, each.vertices[each.edges], clipped_edges) for each in volumes]
+    conservative = _kept.get(window.key, *volumes)
+    if not isinstance(conservative, Missing):
+        return conservative, True
+    corners = [_in_texels(window, part.vertices[part.caps], clipped_triangles) for part in volumes]
+    edges = [_in_texels(window, part.vertices[part.edges], clipped_edges) for part in volumes]
     none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
-    found = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
-    _kept.put(window.key, *volumes, value=found)
-    return found, False
+    conservative = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
+    _kept.put(window.key, *volumes, value=conservative)
+    return conservative, False
 
 
 def _in_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Triangles or edges (n, k, 4) of volumes in texels and depth (m, k, 3), a lamp's clipped at its near plane."""
-    at = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
+    in_light = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.lamp:
-        at = _projected(clipped(at, window.near_m))
-    return np.concatenate([(at[..., :2] - window.first) / window.texel, at[..., 2:]], axis=-1)
+        in_light = _projected(clipped(in_light, window.near_m))
+    return np.concatenate([(in_light[..., :2] - window.first) / window.texel, in_light[..., 2:]], axis=-1)
 
 
-def _projected(at: np.ndarray) -> np.ndarray:
+def _projected(points: np.ndarray) -> np.ndarray:
     """Points (..., 3) before a lamp as tangents and a depth that is linear over them."""
-    return np.concatenate([at[..., :2] / at[..., 2:], -1.0 / at[..., 2:]], axis=-1)
+    return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
 def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wanted: np.ndarray) -> Iterator[_Window]:
@@ -162,8 +162,10 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
             faces = [(turn, -turn @ place, pixels)]
         else:
             turns = [face @ turn for face in CUBE]
-            nearest = np.stack([(points[pixels] - place) @ each[2] for each in turns]).argmax(axis=0)
-            faces = [(each, -each @ place, pixels[nearest == number]) for number, each in enumerate(turns)]
+            nearest = np.stack([(points[pixels] - place) @ face_rotation[2] for face_rotation in turns]).argmax(axis=0)
+            faces = [
+                (face_rotation, -face_rotation @ place, pixels[nearest == number]) for number, face_rotation in enumerate(turns)
+            ]
     for rotation, translation, chosen in faces:
         if not len(chosen):
             continue

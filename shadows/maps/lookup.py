@@ -54,8 +54,8 @@ def look_up(
             return
         assert corners is not None and drawn.pixels is not None
         flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, buffer.normal_frame, buffer.crease, corners)]
-        own = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
-        split = int(np.searchsorted(drawn.pixels, own))
+        pixel_count = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
+        split = int(np.searchsorted(drawn.pixels, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged as it is
         for part, filter in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)):
             for start in range(0, len(part), LOOK_COLS * LOOK_ROWS):
@@ -63,9 +63,9 @@ def look_up(
                 program = _program(gl, drawn, settings, filter, {"on_nodes": False, "has_corners": True})
                 set_uniforms(program, {"corner_frame_m": 2})
                 rows = -(-len(chosen) // LOOK_COLS)
-                some = [np.zeros((rows * LOOK_COLS, width), np.float32) for width in (3, 4, 9)]
-                _gather(chosen, *flat, *some)
-                arrays = [array.reshape(rows, -1, width) for array, width in zip(some, (3, 4, 3), strict=True)]
+                gathered = [np.zeros((rows * LOOK_COLS, width), np.float32) for width in (3, 4, 9)]
+                _gather(chosen, *flat, *gathered)
+                arrays = [array.reshape(rows, -1, width) for array, width in zip(gathered, (3, 4, 3), strict=True)]
                 visibility.ravel()[chosen] = _drawn_pixels(gl, program, arrays, target, drawn, record).ravel()[: len(chosen)]
 
 
@@ -136,12 +136,12 @@ def _drawn_pixels(
     _use_depths(target)
     visible = gl.float_target(cols, rows)
     gl.draw_pixels(program, visible)
-    found = gl.read(visible)
+    lit = gl.read(visible)
     held = sum(texture.width * texture.height * texture.components * 4 for texture in textures)
-    record.bytes = max(record.bytes, drawn.nbytes + held + found.nbytes)
+    record.bytes = max(record.bytes, drawn.nbytes + held + lit.nbytes)
     for texture in textures:
         texture.release()
-    return found
+    return lit
 
 
 @compiled

@@ -137,31 +137,31 @@ def perspective_map(
 ) -> tuple[DepthMap, str]:
     """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
     chosen = np.flatnonzero(receivers)
-    some = chosen[:: max(len(chosen) // SAMPLE, 1)]
+    sampled = chosen[:: max(len(chosen) // SAMPLE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
-    sample, triangles = position[some], corners.reshape(-1, 3, 3)[some]
+    sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
     source = light_of(buffer, scene, light)
     inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
-    plain = uniform_matrix(source, sample)[3]
-    nearest = NEAREST_SHARE * float((sample @ plain[:3] + plain[3]).max()) if light != SUN else 0.0
+    uniform = uniform_matrix(source, sample)[3]
+    nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
     for _ in range(ROUNDS):
-        found, *others = post_perspectives(camera_of(buffer), source, sample, inner, rim)
-        low, high, outermost = _bounds(found.clip_from_frame, plain, nearest, position, chosen)
+        best, *others = post_perspectives(camera_of(buffer), source, sample, inner, rim)
+        low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
         if is_clear(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
             break
         rim = np.concatenate([rim, position[outermost]])
     while not is_clear(np.array([low[3], high[3]])):
-        found, *others = others
-        low, high, _ = _bounds(found.clip_from_frame, plain, nearest, position, chosen)
+        best, *others = others
+        low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
     error_m = ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
-    narrow = np.maximum(_least_sides(found.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
+    narrow = np.maximum(_least_sides(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
-    flat = half_texels * fit_to_bounds(found.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
+    flat = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, settings.filter / 2.0).min()))
-    clip = fit_to_bounds(found.clip_from_frame, low[:3], high[:3], inner, BEFORE)
+    clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
@@ -178,7 +178,7 @@ def perspective_map(
         first, last = light_bounds(buffer.position_frame_m, receivers, *turned)
         reach = *turned, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
-    return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), found.note
+    return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), best.note
 
 
 def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
@@ -186,8 +186,8 @@ def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, ma
     that lie in one place, or of a single one, finer texels would hold nothing but rounding.
     """
     w = horizon_m(matrix, points)[:, None]
-    at = projected(matrix, points)[:, :2]
-    per_m = np.linalg.norm(matrix[None, :2, :3] - at[..., None] * matrix[3, :3], axis=-1) / w
+    projected_xy = projected(matrix, points)[:, :2]
+    per_m = np.linalg.norm(matrix[None, :2, :3] - projected_xy[..., None] * matrix[3, :3], axis=-1) / w
     return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
 
 
@@ -199,21 +199,23 @@ def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, e
     its share of the whole range.
     """
     w = horizon_m(matrix, points)[:, None]
-    at = projected(matrix, points)
-    per_m = np.linalg.norm(matrix[None, :3, :3] - at[..., None] * matrix[3, :3], axis=-1) / w
+    in_map = projected(matrix, points)
+    per_m = np.linalg.norm(matrix[None, :3, :3] - in_map[..., None] * matrix[3, :3], axis=-1) / w
     sides = corners - points[:, None]
     beyond = sides @ matrix[3, :3]
-    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - at[:, None] * beyond[..., None], -1, 0)
+    x, y, z = np.moveaxis(sides @ matrix[:3, :3].T - in_map[:, None] * beyond[..., None], -1, 0)
     ahead = w + beyond
     share, right, up = np.cross(x, y), np.cross(y, ahead), np.cross(ahead, x)
     area = (share * ahead).sum(axis=1)
     area = np.where(area == 0.0, np.inf, area)
     slope = np.abs(np.stack([(z * right).sum(axis=1), (z * up).sum(axis=1)], axis=1) / area[:, None])
-    own = np.where((ahead > 0.0).all(axis=1, keepdims=True), z / np.where(ahead > 0.0, ahead, 1.0), [[-np.inf, np.inf, 0.0]])
+    corner_depths = np.where(
+        (ahead > 0.0).all(axis=1, keepdims=True), z / np.where(ahead > 0.0, ahead, 1.0), [[-np.inf, np.inf, 0.0]]
+    )
     grid = 1.0 / 128.0 + error_m[:, None] * per_m[:, :2]
-    slack = np.minimum((slope * grid).sum(axis=1), np.ptp(own, axis=1)) + error_m * per_m[:, 2]
+    slack = np.minimum((slope * grid).sum(axis=1), np.ptp(corner_depths, axis=1)) + error_m * per_m[:, 2]
     nearer = 1.0 + 3.0 * w[:, 0] * (np.abs(right.sum(axis=1)) + np.abs(up.sum(axis=1))) / np.abs(area)
-    return at[:, 2] - 2.0 * slack * nearer**2 - np.minimum(reach * slope.sum(axis=1), -own.min(axis=1))
+    return in_map[:, 2] - 2.0 * slack * nearer**2 - np.minimum(reach * slope.sum(axis=1), -corner_depths.min(axis=1))
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:

@@ -176,9 +176,9 @@ def post_perspectives(
     outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
     held = np.concatenate([points, rim])
     seen, ahead = camera.seen(points), horizon_m(uniform, held)
-    ways = light.homogeneous[:3] - light.homogeneous[3] * points
-    ways = np.broadcast_to(ways / np.linalg.norm(ways, axis=-1, keepdims=True), points.shape)
-    aside = across(ways)
+    directions = light.homogeneous[:3] - light.homogeneous[3] * points
+    directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
+    aside = across(directions)
     pixels = _pixels(camera, seen, aside)
 
     def made(matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = "") -> PostPerspective:
@@ -191,17 +191,20 @@ def post_perspectives(
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
     far = max(far, near * (1.0 + LEAST_EXTENT))  # a wall that is looked at straight on
-    widest, found = np.abs(seen[:, :2]).max(axis=1), []
+    widest, candidates = np.abs(seen[:, :2]).max(axis=1), []
     halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # shorter than half the nearest's distance is as good as none
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
         view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), LEAST_EXTENT), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
         if is_clear(horizon_m(matrix, held) / ahead):
-            found.append(made(matrix, kind_of(seen_light), float(slide_m)))
-    why = "every slide-back has larger texels" if found else "no slide-back keeps all that is seen off the map's horizon"
+            candidates.append(made(matrix, kind_of(seen_light), float(slide_m)))
+    why = "every slide-back has larger texels" if candidates else "no slide-back keeps all that is seen off the map's horizon"
     last = made(uniform, None, np.inf, f"a uniform map: {why}")
-    return [*sorted((each for each in found if each.texel < last.texel), key=lambda each: each.texel), last]
+    return [
+        *sorted((candidate for candidate in candidates if candidate.texel < last.texel), key=lambda candidate: candidate.texel),
+        last,
+    ]
 
 
 def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
@@ -219,8 +222,8 @@ def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: 
 
 def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) through a matrix (4, 4), divided by their w."""
-    through = points @ matrix[:, :3].T + matrix[:, 3]
-    return through[:, :3] / through[:, 3:]
+    homogeneous = points @ matrix[:, :3].T + matrix[:, 3]
+    return homogeneous[:, :3] / homogeneous[:, 3:]
 
 
 def horizon_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -240,9 +243,9 @@ def _amid(points: np.ndarray) -> np.ndarray:
 
 def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
     """The angle between the view's axis, either way, and the way from a point (3,) to a light."""
-    way = light.homogeneous[:3] - light.homogeneous[3] * from_m
-    aside = np.linalg.norm(np.cross(camera.axis, way))
-    return float(np.degrees(np.arctan2(aside, abs(camera.axis @ way))))
+    to_light = light.homogeneous[:3] - light.homogeneous[3] * from_m
+    aside = np.linalg.norm(np.cross(camera.axis, to_light))
+    return float(np.degrees(np.arctan2(aside, abs(camera.axis @ to_light))))
 
 
 def _outline(image: np.ndarray) -> np.ndarray:

@@ -83,14 +83,14 @@ def resolve_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSe
     return lamp_map_settings(request.descriptor, lamp, request.shadows)
 
 
-def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
+def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
     """Settings of the sun's map or cascades, and the reasons for what was left to choose."""
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
     reasons: list[Reasoned] = []
-    runs = _cascades(descriptor, asked, altitude, reasons)
+    runs = _cascades(descriptor, shadows, altitude, reasons)
     footprints_px = [float(_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
-    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
+    size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
         wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
         size = _power(max(footprints_px) / wished_px, LARGEST_MAP)
@@ -121,41 +121,41 @@ def sun_map_settings(descriptor: Descriptor, asked: Shadows) -> tuple[ShadowMapS
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
         for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
     )
-    ways = _bias_and_culling(asked) | {"fit": "stable" if asked.fit == "auto" else asked.fit}
-    if asked.fit == "auto":
+    fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
+    if shadows.fit == "auto":
         why = "texels stay where they are on the ground when the view moves"
         why += ", and neighbouring blocks join" if descriptor.view_kind == "map" else ""
         reasons.append(Reasoned(name="fit stable", reason=why))
-    if asked.bias == "auto":
+    if shadows.bias == "auto":
         why = "a comparison on the triangle that is seen needs no bias in depth, whatever the slope"
         reasons.append(Reasoned(name="bias receiver_plane", reason=why))
-    if asked.culling == "auto" and "meshes" in descriptor.casters:
+    if shadows.culling == "auto" and "meshes" in descriptor.casters:
         why = "with no bias needed, drawing closed bodies by their back faces gains nothing"
         reasons.append(Reasoned(name="culling none", reason=why))
-    return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **ways), reasons
+    return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, asked: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
+def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
     """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
-    size, reasons = asked.map_size, []
+    size, reasons = shadows.map_size, []
     if size == "auto":
         size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
         texel_px = across_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
         why = f"a texel covers {texel_px:.2g} pixels where it is aimed"
         reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
-    bits = 32 if asked.depth_bits == "auto" else asked.depth_bits
-    if asked.depth_bits == "auto":
+    bits = 32 if shadows.depth_bits == "auto" else shadows.depth_bits
+    if shadows.depth_bits == "auto":
         why = "a perspective map's steps grow with the square of the distance: even ones need float"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
-    taps = 3 if asked.filter == "auto" else asked.filter
+    taps = 3 if shadows.filter == "auto" else shadows.filter
     if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the penumbra of the sun's disc is the sun's alone; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
         taps = 3
         reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="the penumbra that is asked for is that of the sun's disc"))
-    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(asked)), reasons
+    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(shadows)), reasons
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
@@ -190,15 +190,15 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
     return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
 
 
-def _bias_and_culling(asked: Shadows) -> dict[str, Any]:
+def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
     return {
-        "bias": "receiver_plane" if asked.bias == "auto" else asked.bias,
-        "culling": "none" if asked.culling == "auto" else asked.culling,
+        "bias": "receiver_plane" if shadows.bias == "auto" else shadows.bias,
+        "culling": "none" if shadows.culling == "auto" else shadows.culling,
     }
 
 
 def _cascades(
-    descriptor: Descriptor, asked: Shadows, altitude: float, reasons: list[Reasoned]
+    descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[Reasoned]
 ) -> list[tuple[float | None, np.ndarray, float]]:
     """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side, metres.
 
@@ -211,21 +211,21 @@ def _cascades(
     bands, pixel, wished_px = descriptor.bands, descriptor.pixel, _wished_px(descriptor)
     extent_m, near_m, nearness = _of_runs(bands)
     texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
-    ways = []
-    for count in range(1, 5) if asked.cascades == "auto" else [asked.cascades]:
+    options = []
+    for count in range(1, 5) if shadows.cascades == "auto" else [shadows.cascades]:
         first, last = _splits(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _power(worst / wished_px, LARGEST_MAP) if asked.map_size == "auto" else asked.map_size
+        size = _power(worst / wished_px, LARGEST_MAP) if shadows.map_size == "auto" else shadows.map_size
         inner = size - 2 * MAP_BORDER_TEXELS
-        most = np.inf if asked.map_size != "auto" else max(worst, wished_px * inner)
+        most = np.inf if shadows.map_size != "auto" else max(worst, wished_px * inner)
         mean_px = np.where(worst_px <= most, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
         best = int(np.argmin(mean_px))
-        ways.append(
+        options.append(
             (max(worst / inner, wished_px), first.shape[1] * size**2, inner, float(worst_px[best]), first[best], last[best])
         )
-    _, _, inner, worst, first, last = min(ways, key=lambda way: way[:2])
-    if asked.cascades == "auto":
+    _, _, inner, worst, first, last = min(options, key=lambda option: option[:2])
+    if shadows.cascades == "auto":
         why = f"a texel covers at most {worst / inner:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
         reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
     far_m = [*(bands[j].far_m for j in last[:-1]), None]
@@ -247,12 +247,12 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     each begins (n,), metres from the eye; and the sums (n, n) of their shares by that.
     """
     near_m = np.array([band.near_m for band in bands])
-    upto = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
+    cumulative = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
     low, high = (np.array([getattr(band, name) for band in bands]) for name in ("low_light_m", "high_light_m"))
     span = np.full((len(bands), len(bands), 3), np.nan)
     for i in range(len(bands)):
         span[i, i:] = np.maximum.accumulate(high[i:]) - np.minimum.accumulate(low[i:])
-    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, upto[None, 1:] - upto[:-1, None]
+    return EXTENT_STEP ** np.ceil(np.log(span) / np.log(EXTENT_STEP)), near_m, cumulative[None, 1:] - cumulative[:-1, None]
 
 
 @cached("process", 16 * MIB)
@@ -261,9 +261,9 @@ def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     and of the last band of each run, int64 (ways, runs).
     """
     count = min(count, bands)
-    ways = list(combinations(range(1, bands), count - 1))
-    cuts = np.array(ways, np.int64).reshape(len(ways), count - 1)
-    ends = np.full((len(ways), 1), bands)
+    cuts_of_runs = list(combinations(range(1, bands), count - 1))
+    cuts = np.array(cuts_of_runs, np.int64).reshape(len(cuts_of_runs), count - 1)
+    ends = np.full((len(cuts_of_runs), 1), bands)
     return np.hstack([0 * ends, cuts]), np.hstack([cuts, ends]) - 1
 
 

@@ -59,5 +59,5 @@ def nearest_caster_m(
     points += [vertices for vertices, _ in caster_meshes(scene, buffer, kinds)]
     if trees is not None:
         points.append(trees.corners().reshape(-1, 3))
-    depths_m = [float(np.nanmin(some @ rotation[2], initial=np.inf)) for some in points]
+    depths_m = [float(np.nanmin(point_set @ rotation[2], initial=np.inf)) for point_set in points]
     return min(depths_m, default=np.inf) + float(translation[2])

@@ -99,11 +99,11 @@ class LineState:
 
     def on(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
         """The state between these lines for those of a grid whose cells are ``factor`` times as small."""
-        mine = self.held.T.ravel()
+        flat_levels = self.held.T.ravel()
         wanted = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.held.shape[0]
-        left = np.clip(np.floor(wanted).astype(np.int64), 0, mine.size - 2)
+        left = np.clip(np.floor(wanted).astype(np.int64), 0, flat_levels.size - 2)
         share = np.clip(wanted - left, 0.0, 1.0)
-        met = ((1.0 - share) * mine[left] + share * mine[left + 1]).astype(np.float32)
+        met = ((1.0 - share) * flat_levels[left] + share * flat_levels[left + 1]).astype(np.float32)
         return LineState(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
 
 
@@ -126,14 +126,16 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
         for cubic, (x, y) in zip(cubics, ((values, j), (j, values)), strict=True):
             coefficients = np.polynomial.Polynomial.fit(x, y, degree).convert().coef
             cubic[n, : len(coefficients)] = coefficients
-    place, at = (make_interp_spline(i, cubic, k=along)(np.arange(rows)) for cubic in cubics)
-    some = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
+    t_cubics, column_cubics = (make_interp_spline(i, cubic, k=along)(np.arange(rows)) for cubic in cubics)
+    checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
     columns = np.linspace(0, cols - 1, 4 * LATTICE)
-    exact = t_of(*np.meshgrid(some.astype(float), columns, indexing="ij"))
-    found = np.stack([np.polynomial.polynomial.polyval(values, place[n]) for n, values in zip(some, exact, strict=True)])
-    if np.abs(found - columns - 1.0).max() > BENT_CELLS:
+    exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
+    fitted = np.stack(
+        [np.polynomial.polynomial.polyval(values, t_cubics[n]) for n, values in zip(checked_rows, exact, strict=True)]
+    )
+    if np.abs(fitted - columns - 1.0).max() > BENT_CELLS:
         raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
-    return place, at
+    return t_cubics, column_cubics
 
 
 def bordered(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -142,14 +144,14 @@ def bordered(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     A line that comes in over the left border meets what lies at its end; the right one, over which lines only leave, repeats
     the last column (``close_border``), so that the last nodes have a line on either side.
     """
-    whole = np.full((n, m + 2), np.nan, np.float32)
-    return whole, whole[:, 1:-1]
+    with_border = np.full((n, m + 2), np.nan, np.float32)
+    return with_border, with_border[:, 1:-1]
 
 
-def close_border(whole: np.ndarray) -> np.ndarray:
+def close_border(with_border: np.ndarray) -> np.ndarray:
     """The grid with its right border filled in."""
-    whole[:, -1] = whole[:, -2]
-    return whole
+    with_border[:, -1] = with_border[:, -2]
+    return with_border
 
 
 def sweep_nodes(
@@ -186,16 +188,18 @@ def sweep_nodes(
             if entry is None
             else entry.on(start - 1, cells, lines, factor).held
         )
-        mine = np.flatnonzero((points.t >= start) & (points.t < stop))
-        mine = mine[np.argsort(base[mine], kind="stable")]
-        begins = np.searchsorted(base[mine], np.arange(n + 1))
-        seen = np.ones(len(mine), np.bool_), np.empty(len(mine), np.float32)
-        some = StripPoints(begins, points.row[mine], points.t[mine], points.own[mine], points.rounding, *seen)
+        strip_points = np.flatnonzero((points.t >= start) & (points.t < stop))
+        strip_points = strip_points[np.argsort(base[strip_points], kind="stable")]
+        begins = np.searchsorted(base[strip_points], np.arange(n + 1))
+        strip_answers = np.ones(len(strip_points), np.bool_), np.empty(len(strip_points), np.float32)
+        some = StripPoints(
+            begins, points.row[strip_points], points.t[strip_points], points.own[strip_points], points.rounding, *strip_answers
+        )
         its = Strip(lines, start - 1, held, no_peaks(lines, cells))
         before = min(max(first - 1, 0), end)
         sweep_rows(sheet, its, 0, before, NO_LEVELS, NO_MASK, some)
         sweep_rows(sheet, its, before, end, shade, lit, some)
-        points_lit[mine], points_above_m[mine] = seen
+        points_lit[strip_points], points_above_m[strip_points] = strip_answers
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(strip, range(low, high, STRIP_CELLS)))
@@ -231,11 +235,13 @@ def sunlit(
     ``height_m`` (rows, cols), row 0 north, NaN where there is no ground; ``cell_m`` is the side of a cell, or its (row, column)
     sides; the azimuth is clockwise from north. Quads are cut from SW to NE.
     """
-    turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
-    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, turn.mirrored), lines, (at[:, 0].min(), m), rows=(0, n), cores=cores)
+    lit, _, _ = sweep_nodes(
+        TurnedGrid(level, t_cubics, column_cubics, turn.mirrored), lines, (column_cubics[:, 0].min(), m), rows=(0, n), cores=cores
+    )
     return turn.back(lit)
 
 
@@ -248,9 +254,9 @@ def flat_grid(
     turn = orientation_towards(*towards)
     along, across = towards[::-1] if turn.swapped else towards
     n = shape[1] if turn.swapped else shape[0]
-    shift, one, zero = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
-    place, at = (np.stack([shift * sign, one, zero, zero], axis=1) for sign in (1.0, -1.0))
-    return turn, row_m, col_m, place, at
+    shift, ones, zeros = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
+    t_cubics, column_cubics = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
+    return turn, row_m, col_m, t_cubics, column_cubics
 
 
 def turned_levels(
@@ -258,16 +264,16 @@ def turned_levels(
 ) -> np.ndarray:
     """Values float32 (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
     rows, cols = height.shape
-    whole, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
+    with_border, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
     target = turn.back(inside)  # the same numbers, in the grid's own order
 
     def band(first: int) -> None:
-        some = slice(first, first + TURN_BAND_ROWS)
-        _levels(height[some], per_height, first * per_row, per_row, per_col, target[some])
+        rows_of_band = slice(first, first + TURN_BAND_ROWS)
+        _levels(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(band, range(0, rows, TURN_BAND_ROWS)))
-    return close_border(whole)
+    return close_border(with_border)
 
 
 @compiled

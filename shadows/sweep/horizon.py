@@ -60,16 +60,16 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
 
     -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep.grid.sunlit``.
     """
-    turn, row_m, col_m, place, at = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
     level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = Section(level, towards, place, turn.mirrored)
+    section = Section(level, towards, t_cubics, turn.mirrored)
     n, m = level.shape
     out = np.full((n, m), NO_HORIZON_SLOPE)
-    low, high = float(at[:, 0].min()) + 1.0, float(at[:, 0].max()) + m
+    low, high = float(column_cubics[:, 0].min()) + 1.0, float(column_cubics[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
-        i, j, t = _nodes_between(place, at, start, start + max(STRIP_NODES // n, 1), m)
+        i, j, t = _nodes_between(t_cubics, column_cubics, start, start + max(STRIP_NODES // n, 1), m)
         out[i, j] = slopes(section, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
     out[~np.isfinite(level)] = np.nan
     return turn.back(np.degrees(np.arctan(out[:, 1:-1])))
@@ -98,10 +98,10 @@ def slopes(
     _, by_row = _grouped(base, len(level))
     begins, order = _grouped(line[by_row] - first, count)
     order = by_row[order]
-    own = np.stack([own_level, own_towards], axis=1)
+    own_positions = np.stack([own_level, own_towards], axis=1)
     near, beside = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
-    _look_near(level, towards, place, mirrored, base, row, t, own, near)
-    asked = Asked(begins, order, base, own, beside)
+    _look_near(level, towards, place, mirrored, base, row, t, own_positions, near)
+    asked = Asked(begins, order, base, own_positions, beside)
 
     def strip(start: int) -> None:
         _walk(section, lines, first, start, min(start + STRIP_LINES, count), asked)

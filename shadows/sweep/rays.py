@@ -59,12 +59,12 @@ class SunRays:
         """
         if len(point_frame_m) <= 2 * FITTED_POINTS:
             return self._exact_rows_and_columns(point_frame_m, frame)
-        some = point_frame_m[np.linspace(0, len(point_frame_m) - 1, FITTED_POINTS).astype(int)]
-        exact = np.stack(self._exact_rows_and_columns(some, frame), axis=1)
-        middle, scale = some.mean(axis=0), max(float(np.abs(some - some.mean(axis=0)).max()), 1.0)
-        known, _, _, _ = np.linalg.lstsq(_cubic_terms((some - middle) / scale), exact, rcond=None)
-        found = _placed(some, middle, scale, known)
-        if not np.abs(np.stack(found, axis=1) - exact).max() <= FITTED_NODES:
+        fit_points = point_frame_m[np.linspace(0, len(point_frame_m) - 1, FITTED_POINTS).astype(int)]
+        exact = np.stack(self._exact_rows_and_columns(fit_points, frame), axis=1)
+        middle, scale = fit_points.mean(axis=0), max(float(np.abs(fit_points - fit_points.mean(axis=0)).max()), 1.0)
+        known, _, _, _ = np.linalg.lstsq(_cubic_terms((fit_points - middle) / scale), exact, rcond=None)
+        approximate = _placed(fit_points, middle, scale, known)
+        if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FITTED_NODES:
             return self._exact_rows_and_columns(point_frame_m, frame)
         return _placed(point_frame_m, middle, scale, known)
 
@@ -98,8 +98,8 @@ class SunRays:
 def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     """The rays over a grid round one of its places."""
     height_m = float(np.mean(scene.height_range_m))
-    at = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
-    point, up = scene.world.ground(grid.crs, grid.x(at[:, 1]), grid.y(at[:, 0]))
+    cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
+    point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
     assert scene.light is not None
     light = upright(scene.light, up[0])
     space = light.from_earth(point + height_m * up)
@@ -149,9 +149,9 @@ class GroundWindow:
 
 def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[GroundWindow]:
     """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
-    own = buffer.surface
-    assert own is not None
-    windows: dict[int, list[Window]] = {0: [(own.row0, own.col0, own.height_m)]}
+    block_surface = buffer.surface
+    assert block_surface is not None
+    windows: dict[int, list[Window]] = {0: [(block_surface.row0, block_surface.col0, block_surface.height_m)]}
     for patch in casters.patches:
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         surface = rays.scene.surface(rays.grid.coarser(patch.level))
@@ -185,12 +185,12 @@ def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> Gr
         for row, col, height_m in windows:
             here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
             values[here] = values_of(detail, row, col, height_m)
-        whole, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
         inside[:] = rays.turn.turned(values)
-        return close_border(whole)
+        return close_border(with_border)
 
-    its = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
-    return GroundWindow(detail, row0, col0, (rows, cols), its, sheet(rays.towards) if soft else NO_LEVELS)
+    turned_grid = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
+    return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, sheet(rays.towards) if soft else NO_LEVELS)
 
 
 @compiled

@@ -75,14 +75,14 @@ def fill(
             return np.ones(buffer.there.shape, np.float32)
         soft = settings.filter == "sun"
         rays, grounds = _grounds(buffer, scene, casters, soft)
-        asked = _asked(rays, grounds[-1], buffer)
+        targets = _asked(rays, grounds[-1], buffer)
         visibility = np.zeros(buffer.there.shape, np.float32)
         angles = strips_of_sun(STRIPS) if soft else np.zeros(1)
         for angle in angles:
-            visibility += _seen(rays, grounds, asked, settings.lines, angle)
-        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, asked, settings.lines, buffer)
-        sheets = sum((1 + soft) * its.sheet.level.nbytes + its.towards_m.nbytes for its in grounds)
-        record.bytes = max(record.bytes, sheets + 33 * asked.row.size + grounds[-1].sheet.level.size)
+            visibility += _seen(rays, grounds, targets, settings.lines, angle)
+        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer)
+        sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
+        record.bytes = max(record.bytes, sheets + 33 * targets.row.size + grounds[-1].sheet.level.size)
         return visibility / np.float32(len(angles))
 
 
@@ -132,58 +132,58 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     nodes = buffer.there & (buffer.kind == RELIEF) & on_nodes
     others = buffer.there & ~nodes
     rows, window = (0, 0), (slice(0), slice(0))
-    seen = buffer.position_frame_m[others]
-    t, level_m, towards_m = rays.t_level_towards(seen, buffer.frame)
+    points = buffer.position_frame_m[others]
+    t, level_m, towards_m = rays.t_level_towards(points, buffer.frame)
     if isinstance(view, MapView):
         if nodes.any():
             top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
             i, _ = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
             rows, window = (int(i.min()), int(i.max()) + 1), (slice(top, top + view.rows), slice(left, left + view.cols))
-        at = np.nonzero(others)
-        row, col = view.row0 + at[0] * view.row_step, view.col0 + at[1] * view.col_step
+        pixels = np.nonzero(others)
+        row, col = view.row0 + pixels[0] * view.row_step, view.col0 + pixels[1] * view.col_step
     else:
-        row, col = rays.rows_and_columns(seen, buffer.frame)
+        row, col = rays.rows_and_columns(points, buffer.frame)
     turned_row, _ = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
     level_m[buffer.kind[others] == RELIEF] = np.nan
     return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, t, level_m, towards_m)
 
 
 def _swept(
-    grounds: list[GroundWindow], asked: _Asked, lines: int, angle: float, shade: np.ndarray
+    grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``sweep_grid.sweep`` over all ground, for a sun that stands higher by an angle, radians."""
     *coarser, ground = grounds
     entry, detail = None, 0
     for before in coarser:
-        own_range = asked.t_range[0] / 2**before.detail, asked.t_range[1] / 2**before.detail
+        own_range = targets.t_range[0] / 2**before.detail, targets.t_range[1] / 2**before.detail
         entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail))
         detail = before.detail
     sheet = ground.tilted(angle)
-    own_m = np.cos(angle) * asked.level_m - np.sin(angle) * asked.towards_m
+    own_m = np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
     highest_m = max(abs(float(np.nanmin(sheet.level))), abs(float(np.nanmax(sheet.level))))
-    points = SweepPoints(asked.row, asked.t, own_m, LEVEL_ROUNDING * highest_m)
-    return sweep_nodes(sheet, lines, asked.t_range, entry, 2.0**detail, asked.rows, points, shade, CORES)
+    points = SweepPoints(targets.row, targets.t, own_m, LEVEL_ROUNDING * highest_m)
+    return sweep_nodes(sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, points, shade, CORES)
 
 
-def _seen(rays: SunRays, grounds: list[GroundWindow], asked: _Asked, lines: int, angle: float) -> np.ndarray:
+def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float) -> np.ndarray:
     """Which of a buffer's points (rows, cols) see a sun that stands higher by an angle, radians."""
-    lit, others_lit, _ = _swept(grounds, asked, lines, angle, NO_LEVELS)
-    seen = np.ones(asked.nodes.shape, np.bool_)
-    if asked.nodes.any():
-        seen[:] = rays.turn.back(lit)[asked.window]
-    seen[asked.others] = others_lit
-    return seen
+    lit, others_lit, _ = _swept(grounds, targets, lines, angle, NO_LEVELS)
+    sunlit = np.ones(targets.nodes.shape, np.bool_)
+    if targets.nodes.any():
+        sunlit[:] = rays.turn.back(lit)[targets.window]
+    sunlit[targets.others] = others_lit
+    return sunlit
 
 
-def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], asked: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
+def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
     """The height (rows, cols) float32, metres, above which the sun is seen: no less than that of what is seen there."""
     level = grounds[-1].sheet.level
-    shade = np.full(level.shape if asked.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
-    _, _, others_above_m = _swept(grounds, asked, lines, 0.0, shade)
-    above_m = np.zeros(asked.nodes.shape, np.float32)
-    if asked.nodes.any():
-        above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[asked.window]
-    above_m[asked.others] = others_above_m
+    shade = np.full(level.shape if targets.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
+    _, _, others_above_m = _swept(grounds, targets, lines, 0.0, shade)
+    above_m = np.zeros(targets.nodes.shape, np.float32)
+    if targets.nodes.any():
+        above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[targets.window]
+    above_m[targets.others] = others_above_m
     return buffer.height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
 
 

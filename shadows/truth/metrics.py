@@ -103,14 +103,14 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
     A component that meets none of the other picture was lost or invented: it counts in ``interior``, not here.
     """
     edges = []
-    for one, other in ((dark, true_dark), (true_dark, dark)):
-        parts, _ = label(one, structure=_SQUARE)
-        shared = np.unique(parts[other & one])
+    for near, far in ((dark, true_dark), (true_dark, dark)):
+        parts, _ = label(near, structure=_SQUARE)
+        shared = np.unique(parts[far & near])
         edges.append(boundary(np.isin(parts, shared[shared > 0]), there))
     if not (edges[0].any() and edges[1].any()):
         return np.zeros(0)
-    one, other = (np.argwhere(edge) for edge in edges)
-    return np.concatenate([KDTree(b).query(a)[0] for a, b in ((one, other), (other, one))])
+    near, far = (np.argwhere(edge) for edge in edges)
+    return np.concatenate([KDTree(b).query(a)[0] for a, b in ((near, far), (far, near))])
 
 
 def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -156,6 +156,6 @@ def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
-def _share(part: np.ndarray, whole: np.ndarray) -> float:
-    total = int(np.count_nonzero(whole))
-    return float(np.count_nonzero(part & whole) / total) if total else 0.0
+def _share(part: np.ndarray, reference: np.ndarray) -> float:
+    total = int(np.count_nonzero(reference))
+    return float(np.count_nonzero(part & reference) / total) if total else 0.0

@@ -230,18 +230,21 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     )
     part = view.part(row, col, rows, cols)
     if isinstance(part, MapView):
-        both = geometry_of(scene, part, buffer.frame), geometry_of(scene, _full_detail(scene, part), buffer.frame)
+        buffers = geometry_of(scene, part, buffer.frame), geometry_of(scene, _full_detail(scene, part), buffer.frame)
     elif buffer.ground is None or buffer.ground.tolerance_px == 0.0:
         return 0.0
     else:
-        both = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
-    if not all(its.there.any() for its in both):
+        buffers = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
+    if not all(caster_buffer.there.any() for caster_buffer in buffers):
         return 0.0
     # A map's nodes are the same in every block of it: the whole buffer's rays, which are kept, see its part too.
-    wholes = (buffer if isinstance(part, MapView) else both[0], both[1])
-    rays = (ray_scene(its, scene, casters if its is buffer else casters_of(scene, its), ALL_KINDS) for its in wholes)
-    lit = [lit_from(its, scene, SUN, its_rays) for its, its_rays in zip(both, rays, strict=True)]
-    there = both[0].there & both[1].there
+    caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
+    rays = (
+        ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else casters_of(scene, caster_buffer), ALL_KINDS)
+        for caster_buffer in caster_buffers
+    )
+    lit = [lit_from(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
+    there = buffers[0].there & buffers[1].there
     return float((lit[0] != lit[1])[there].mean()) if there.any() else 0.0
 
 
@@ -279,8 +282,8 @@ def pixels_m(buffer: GeometryBuffer) -> float:
         eye, _ = buffer.view.in_frame(buffer.frame)
         return float(np.linalg.norm(buffer.position_frame_m[buffer.there] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
     steps = np.diff(buffer.position_frame_m[:: max(buffer.view.rows - 1, 1)], axis=1)
-    found = np.linalg.norm(steps, axis=-1)
-    return float(np.nanmax(found, initial=0.0))
+    sides_m = np.linalg.norm(steps, axis=-1)
+    return float(np.nanmax(sides_m, initial=0.0))
 
 
 def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, offsets: float = 1.0) -> np.ndarray:
@@ -289,11 +292,11 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
         assert scene.sun is not None
         return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets)
     facing = buffer.there & ~attached(buffer, scene, light)
-    way = scene.lamps[light].in_frame(buffer.frame).position_frame_m - buffer.position_frame_m[facing]
-    length = np.linalg.norm(way, axis=-1)
-    way /= length[:, None]
+    to_light = scene.lamps[light].in_frame(buffer.frame).position_frame_m - buffer.position_frame_m[facing]
+    length = np.linalg.norm(to_light, axis=-1)
+    to_light /= length[:, None]
     out = np.zeros(buffer.there.shape, bool)
-    out[facing] = ~rays.blocked(_lifted(buffer, facing, way, offsets * rays.offset_m), way, length)
+    out[facing] = ~rays.blocked(_lifted(buffer, facing, to_light, offsets * rays.offset_m), to_light, length)
     return out
 
 
@@ -305,10 +308,10 @@ def lit_towards(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, o
     return out
 
 
-def _lifted(buffer: GeometryBuffer, facing: np.ndarray, way: np.ndarray, offset_m: float) -> np.ndarray:
+def _lifted(buffer: GeometryBuffer, facing: np.ndarray, to_light: np.ndarray, offset_m: float) -> np.ndarray:
     """Points lifted off their triangles to the side that a light comes from."""
     normal = buffer.normal_frame[facing]
-    side = np.where((normal * way).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    side = np.where((normal * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     return buffer.position_frame_m[facing] + offset_m * side * normal
 
 

@@ -58,7 +58,7 @@ def count(
     With ``marked`` a bit of the stencil rejects all other pixels of the view; those that are no samples always are.
     """
     counts = np.zeros(wanted.shape, np.uint8)
-    if not any(len(each.faces) for each in volumes):
+    if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
     near_m = near_plane_m(buffer)
     for points in own_points(buffer, scene, wanted, near_m):
@@ -82,17 +82,17 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
     gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
     lines = counting == "seen"
     for points in own_points(buffer, scene, buffer.there, near_plane_m(buffer)):
-        whole = np.array([[0, 0, points.size[1], points.size[0]]])
-        with receiving(gl, buffer, scene, points, whole, False) as (target, program):
+        full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
+        with receiving(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if lines:
                 nearer = points.clip_from_frame * np.array([[1.0], [1.0], [TOWARDS_EYE], [1.0]])
                 program["clip_from_frame"] = tuple(nearer.T.ravel())
-            for each in volumes:
-                indices = each.edges if lines else each.faces
+            for volume_set in volumes:
+                indices = volume_set.edges if lines else volume_set.faces
                 if not len(indices):
                     continue
                 with (
-                    gl.uploaded(program, each.vertices, indices) as array,
+                    gl.uploaded(program, volume_set.vertices, indices) as array,
                     gl.stencil.count_pass(target, counting),
                 ):
                     gl.render(array, moderngl.LINES if lines else moderngl.TRIANGLES)
@@ -116,28 +116,28 @@ def _counted(
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
     clamped, away_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
-    most = max((len(each.faces) for each in volumes), default=0)
+    most = max((len(volume_set.faces) for volume_set in volumes), default=0)
     parts = rectangles(marked_tiles(points.row, points.col, size), size, most)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.at), np.uint8)
     sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
     with receiving(gl, buffer, scene, points, parts, marked) as (target, program):
-        for number, each in enumerate(volumes):
+        for number, volume_set in enumerate(volumes):
             if number:
                 gl.stencil.clear(target, COUNT_BITS if marked else 0xFF)
-            clip = points.clip_of(each.vertices.astype(np.float64))
-            added = np.full(len(parts), _layers_round_the_viewer(each, points, light) if clamped else 0)
-            for counting, faces in _ways(each, points, light, settings):
-                some = culled(clip, faces, counting == "z_fail", parts, depths, size, clamped)
-                added += some.added
-                if not len(some.faces):
+            clip = points.clip_of(volume_set.vertices.astype(np.float64))
+            added = np.full(len(parts), _layers_round_the_viewer(volume_set, points, light) if clamped else 0)
+            for counting, faces in _ways(volume_set, points, light, settings):
+                visible_faces = culled(clip, faces, counting == "z_fail", parts, depths, size, clamped)
+                added += visible_faces.added
+                if not len(visible_faces.faces):
                     continue
-                with gl.uploaded(program, each.vertices, faces[some.faces]) as array:
+                with gl.uploaded(program, volume_set.vertices, faces[visible_faces.faces]) as array:
                     for side in sides:
                         with gl.stencil.count_pass(target, counting, side, marked, clamped, away_steps):
-                            _render(gl, target, array, parts, some.starts)
-                        record.triangles += len(some.faces)
-                record.bytes = max(record.bytes, each.vertices.nbytes + 12 * len(some.faces) + 9 * size[0] * size[1])
+                            _render(gl, target, array, parts, visible_faces.starts)
+                        record.triangles += len(visible_faces.faces)
+                record.bytes = max(record.bytes, volume_set.vertices.nbytes + 12 * len(visible_faces.faces) + 9 * size[0] * size[1])
             counts = gl.stencil.read(target)
             for (col, row, width, height), more in zip(parts.tolist(), added.tolist(), strict=True):
                 counts[row : row + height, col : col + width] += np.uint8(more & COUNT_BITS)
@@ -156,11 +156,11 @@ def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndar
     towards = np.cross(clip[0, :3], clip[1, :3])
     towards *= np.sign(towards @ clip[2, :3])
     a, b, c = volumes.vertices[volumes.caps, :3].astype(np.float64).transpose(1, 0, 2)
-    side, other, way = b - a, c - a, lamp[:3] - a
+    side, other, to_lamp = b - a, c - a, lamp[:3] - a
     across = np.cross(towards, other)
     volume = (side * across).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        u, turned = (way * across).sum(axis=1) / volume, np.cross(way, side)
+        u, turned = (to_lamp * across).sum(axis=1) / volume, np.cross(to_lamp, side)
         v, away = (turned @ towards) / volume, (turned * other).sum(axis=1) / volume
         return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 0.0)).sum())
 

@@ -46,12 +46,12 @@ def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
         raise InputError("triangles", int(worst), f"vertex numbers below {len(places)}")
     start = places[triangles]
     end = np.roll(start, -1, axis=1)
-    whole = (start != end).all(axis=1)
-    keys = _pairs(np.minimum(start, end)[whole].ravel(), np.maximum(start, end)[whole].ravel())
+    has_length = (start != end).all(axis=1)
+    keys = _pairs(np.minimum(start, end)[has_length].ravel(), np.maximum(start, end)[has_length].ravel())
     number, first = _numbered(keys)
     of_triangle = np.full(triangles.shape, -1, np.int32)
-    of_triangle[whole] = number.reshape(-1, 3)
-    along = np.where(start < end, np.int8(1), np.int8(-1)) * whole[:, None]
+    of_triangle[has_length] = number.reshape(-1, 3)
+    along = np.where(start < end, np.int8(1), np.int8(-1)) * has_length[:, None]
     ends = np.stack([keys[first] >> np.uint64(32), keys[first] & np.uint64(0xFFFFFFFF)], axis=-1)
     return Edges(ends.astype(np.int32), of_triangle, along)
 
@@ -72,8 +72,8 @@ def connected_parts(edges: Edges) -> np.ndarray:
     count = len(edges.along)
     triangle, side = np.nonzero(edges.along)
     nodes = count + len(edges.ends)
-    link = coo_array((np.ones(len(triangle), np.int8), (triangle, count + edges.of_triangle[triangle, side])), (nodes, nodes))
-    return connected_components(link, directed=False)[1][:count].astype(np.int32)
+    incidence = coo_array((np.ones(len(triangle), np.int8), (triangle, count + edges.of_triangle[triangle, side])), (nodes, nodes))
+    return connected_components(incidence, directed=False)[1][:count].astype(np.int32)
 
 
 def closed_parts(edges: Edges) -> np.ndarray:

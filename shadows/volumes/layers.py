@@ -62,11 +62,11 @@ def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -
     edges = (np.cumsum(used, dtype=np.int32) - np.int32(1))[silhouette.edges]
     begin = drawn[used].astype(np.float64)
     if light[3] == 0.0:
-        seen, lower = _seen_from_sun(begin, light[:3]), 0
+        projected, lower = _seen_from_sun(begin, light[:3]), 0
     else:
         axes = _axes_to(begin.mean(axis=0) - light[:3])
-        seen, lower = (begin - light[:3]) @ axes.T, _caps_at_lower_pole((drawn - light[:3]) @ axes[:2].T, silhouette.caps)
-    most = _most_seen(seen, edges, silhouette.times)
+        projected, lower = (begin - light[:3]) @ axes.T, _caps_at_lower_pole((drawn - light[:3]) @ axes[:2].T, silhouette.caps)
+    most = _most_seen(projected, edges, silhouette.times)
     return len(silhouette.caps) if most is None else min(lower + most, len(silhouette.caps))
 
 
@@ -86,14 +86,14 @@ def batches(
     part = connected_parts(edges)
     groups, halves = [], [_from_the_light(points, triangles, part, turns, homogeneous(light))]
     while halves:
-        some = halves.pop()
+        candidate = halves.pop()
         group = np.zeros_like(turns)
-        group[some] = turns[some]
+        group[candidate] = turns[candidate]
         if most_layers(points, silhouette(triangles, edges, group), light) <= most:
             groups.append(group)
         else:
-            middle = _middle(part[some])
-            halves += [some[middle:], some[:middle]]
+            middle = _middle(part[candidate])
+            halves += [candidate[middle:], candidate[:middle]]
     return groups
 
 
@@ -117,9 +117,9 @@ def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, lig
     sides = np.cross(np.roll(rectangle, -1, axis=0) - rectangle, to_light)
     inwards = np.sign(np.einsum("ij,ij->i", sides, rectangle.mean(axis=0) - rectangle))
     planes = np.concatenate([np.sign(above[:1, None]) * normal, inwards[:, None] * sides])
-    through = np.concatenate([rectangle[:1], rectangle])
+    corners = np.concatenate([rectangle[:1], rectangle])
     middle, half = (low + high) / 2.0, (high - low) / 2.0
-    reach = middle @ planes.T - np.einsum("ij,ij->i", planes, through) + half @ np.abs(planes).T
+    reach = middle @ planes.T - np.einsum("ij,ij->i", planes, corners) + half @ np.abs(planes).T
     inside = (reach >= -rounding * np.abs(planes).sum(axis=1)).all(axis=1)
     far = light[:3] if light[3] else np.where(light[:3] == 0.0, rectangle[0], np.copysign(np.inf, light[:3]))
     lowest, highest = np.minimum(rectangle.min(axis=0), far), np.maximum(rectangle.max(axis=0), far)
@@ -143,17 +143,17 @@ def _axes_to(ahead: np.ndarray) -> np.ndarray:
     return np.stack([ahead, left, np.cross(ahead, left)])
 
 
-def _most_seen(seen: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | None:
+def _most_seen(directions: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | None:
     """The largest N(phi_k, v) + P_k(v) less N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
 
     ``None`` where an edge meets the axis through the poles.
     """
-    azimuth = np.arctan2(seen[:, 1], seen[:, 0])
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     phi = azimuth[edges]
     turn = phi[:, 1] - phi[:, 0]
     round_the_back = np.abs(turn) > np.pi
     turn[round_the_back] -= np.copysign(2.0 * np.pi, turn[round_the_back])
-    clear = np.hypot(seen[:, 0], seen[:, 1]) > ANGLE_TOLERANCE * np.abs(seen[:, 2])
+    clear = np.hypot(directions[:, 0], directions[:, 1]) > ANGLE_TOLERANCE * np.abs(directions[:, 2])
     if not (clear.all() and np.abs(turn).max() < np.pi - ANGLE_TOLERANCE):
         return None
     first, span = (-np.pi, 2.0 * np.pi) if round_the_back.any() else (float(phi.min()), float(np.ptp(phi)))
@@ -162,7 +162,7 @@ def _most_seen(seen: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | 
     lines = LINES_PER_EDGE * len(times) * span / max(float(np.abs(turn).sum()), 1e-9)
     lunes = int(np.clip(lines, np.ceil(LEAST_LUNES * span / (2.0 * np.pi)), MOST_LUNES))
     lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
-    place, step = _steps(seen, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
+    place, step = _steps(directions, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
     order = np.argsort(place)
     place, count = place[order], np.cumsum(step[order])
     done = np.append(place[1:] > place[:-1], True)  # what happens at one place happens at once

@@ -37,14 +37,14 @@ def fill(
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
     silhouettes_pass, stencil_pass = log.named(light, kinds, PASSES)
-    at = light_in_frame(buffer, scene, light)
+    light_frame = light_in_frame(buffer, scene, light)
     with log.run(silhouettes_pass) as record:
-        volumes = volumes_of(buffer, scene, at, kinds, casters, record)
+        volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     log.keep("silhouettes", light, silhouettes_seen, buffer, scene, volumes)
     log.keep("volumes", light, faces_before, buffer, scene, volumes)
     with log.run(stencil_pass) as record:
         wanted = buffer.there & ~attached(buffer, scene, light)
-        counts = count(buffer, scene, at, volumes, settings, wanted, False, record)
+        counts = count(buffer, scene, light_frame, volumes, settings, wanted, False, record)
     log.keep("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 

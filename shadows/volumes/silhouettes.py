@@ -99,8 +99,8 @@ def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhou
     """The silhouette of triangles (m, 3) that cast as ``turns`` (m,) says, where ``edges`` are theirs."""
     times = signed_sums(edges, turns)
     drawn = np.flatnonzero(times)
-    whole = edges.along[:, 0] != 0
-    return Silhouette(*_directed(edges.ends[drawn], times[drawn]), _caps(triangles, turns * whole))
+    unbalanced = edges.along[:, 0] != 0
+    return Silhouette(*_directed(edges.ends[drawn], times[drawn]), _caps(triangles, turns * unbalanced))
 
 
 def sheet_silhouette(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> Silhouette:

@@ -41,9 +41,9 @@ def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarr
     What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs, and while a side is
     longer than twice as many tiles: within small rectangles depths vary little, and few faces matter.
     """
-    found = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * CULLING_TILE_PX
-    found[:, 2:] = np.minimum(found[:, 2:], np.array([size[1], size[0]]) - found[:, :2])
-    return found.astype(np.int32)
+    merged = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * CULLING_TILE_PX
+    merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
+    return merged.astype(np.int32)
 
 
 def depth_bounds(

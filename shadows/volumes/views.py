@@ -93,8 +93,8 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near
     below = np.nonzero(wanted[view.rows :])
     if len(below[0]):
         row, col = (index[below] for index in buffer.sample_pixels)
-        at = (below[0] + view.rows) * view.cols + below[1]
-        yield _seen(buffer, scene, finer_view(view), near_m, row, col, at)
+        indices = (below[0] + view.rows) * view.cols + below[1]
+        yield _seen(buffer, scene, finer_view(view), near_m, row, col, indices)
 
 
 @contextmanager
@@ -154,7 +154,7 @@ def _seen(
     near_m: float,
     row: np.ndarray,
     col: np.ndarray,
-    at: np.ndarray,
+    indices: np.ndarray,
 ) -> SeenPoints:
     points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
@@ -167,18 +167,18 @@ def _seen(
         corners = np.array([[left, top, 1.0], [right, top, 1.0], [right, bottom, 1.0], [left, bottom, 1.0]])
         near = origin + near_m * corners @ camera_from_frame
     else:
-        low, high = points[at].min(axis=0), points[at].max(axis=0)
+        low, high = points[indices].min(axis=0), points[indices].max(axis=0)
         top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all that casts
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
     draws_ground = ground_has_gaps(buffer, scene) or not (scene.world.flat or isinstance(view, PerspectiveView))
     nodes = _nodes_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
-    depth = _depths(points, at, clip[2:], origin)
-    drawn = buffer.kind.ravel()[at] == MESHES
+    depth = _depths(points, indices, clip[2:], origin)
+    drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
-        drawn |= buffer.kind.ravel()[at] == RELIEF
-    return SeenPoints((view.rows, view.cols), row, col, at, depth, drawn, nodes, clip, origin, near)
+        drawn |= buffer.kind.ravel()[indices] == RELIEF
+    return SeenPoints((view.rows, view.cols), row, col, indices, depth, drawn, nodes, clip, origin, near)
 
 
 @compiled

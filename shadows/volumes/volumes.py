@@ -114,9 +114,9 @@ def volumes_of(
 
     A map's ground is never the same arrays twice: its blocks' pictures are kept instead.
     """
-    found: list[Volumes] = []
+    volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
-        found += _of_sheet(sheet, light_frame)
+        volume_sets += _of_sheet(sheet, light_frame)
     meshes: list[tuple[Mesh, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
         of_ground = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
@@ -125,16 +125,16 @@ def volumes_of(
         meshes.append((caster_solids(scene.objects, buffer.frame), None))
     for mesh, rule in meshes:
         key = (*mesh, tuple(light_frame), rule)
-        its = _kept.get(*key)
-        if isinstance(its, Missing):
-            its = _of_mesh(*mesh, light_frame, rule)
-            _kept.put(*key, value=its)
+        mesh_volumes = _kept.get(*key)
+        if isinstance(mesh_volumes, Missing):
+            mesh_volumes = _of_mesh(*mesh, light_frame, rule)
+            _kept.put(*key, value=mesh_volumes)
         else:
-            record.kept += len(its)
-        found += its
-    record.edges += sum(len(each.edges) for each in found)
-    record.bytes = max(record.bytes, sum(each.nbytes for each in found))
-    return found
+            record.kept += len(mesh_volumes)
+        volume_sets += mesh_volumes
+    record.edges += sum(len(volume_set.edges) for volume_set in volume_sets)
+    record.bytes = max(record.bytes, sum(volume_set.nbytes for volume_set in volume_sets))
+    return volume_sets
 
 
 def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
@@ -194,17 +194,19 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
     # Nodes of the ground that are not there are NaN, and belong to no triangle.
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.fmin, np.fmax))
     if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
-        holds = np.all((low - CONTACT_TOLERANCE_M < light[:3]) & (light[:3] < high + CONTACT_TOLERANCE_M), axis=1)[
+        contains_lamp = np.all((low - CONTACT_TOLERANCE_M < light[:3]) & (light[:3] < high + CONTACT_TOLERANCE_M), axis=1)[
             part[triangles[:, 0]]
         ]
-        rule = np.where(holds, np.int8(ALL_CODE), rule)
-        rule[holds] = np.where(_heights_m(vertices, triangles[holds], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[holds])
+        rule = np.where(contains_lamp, np.int8(ALL_CODE), rule)
+        rule[contains_lamp] = np.where(
+            _heights_m(vertices, triangles[contains_lamp], light) < CONTACT_TOLERANCE_M, np.int8(0), rule[contains_lamp]
+        )
     turns = turns_of(facing(vertices, triangles, light), rule)
     if not turns.any():
         return []
     return [
-        _volumes(vertices, silhouette(triangles, edges, some), light, part, low, high)
-        for some in batches(vertices, triangles, edges, turns, light, MAX_VOLUME_LAYERS)
+        _volumes(vertices, silhouette(triangles, edges, batch), light, part, low, high)
+        for batch in batches(vertices, triangles, edges, turns, light, MAX_VOLUME_LAYERS)
     ]
 
 
@@ -220,25 +222,25 @@ def _of_sheet(position: np.ndarray, light: np.ndarray) -> list[Volumes]:
     if not there.any():
         return []
     known = position[there]
-    found = sheet_silhouette(position, light, "all" if has_gaps(there) else "turned_away")
-    if not len(found.caps):
+    outline = sheet_silhouette(position, light, "all" if has_gaps(there) else "turned_away")
+    if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))
     none = np.zeros(len(vertices), np.int32)
-    return [_volumes(vertices, found, light, none, known.min(axis=0)[None], known.max(axis=0)[None])]
+    return [_volumes(vertices, outline, light, none, known.min(axis=0)[None], known.max(axis=0)[None])]
 
 
 def _volumes(
-    vertices: np.ndarray, of: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
+    vertices: np.ndarray, outline: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
     """The volumes over near caps and along a silhouette: sides from (a, b) are b, a, and their images."""
-    used, number = np.unique(np.concatenate([of.edges.ravel(), of.caps.ravel()]), return_inverse=True)
-    edges = number[: of.edges.size].reshape(-1, 2)
-    caps = number[of.edges.size :].reshape(-1, 3)
+    used, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
+    edges = number[: outline.edges.size].reshape(-1, 2)
+    caps = number[outline.edges.size :].reshape(-1, 3)
     points = vertices[used]
     count = len(points)
     near = np.column_stack([points, np.ones(count)])
-    a, b = np.repeat(edges, of.times, axis=0).T
+    a, b = np.repeat(edges, outline.times, axis=0).T
     if light[3] == 0.0:
         far = np.append(-light[:3], 0.0)[None]
         sides = np.column_stack([b, a, np.full(len(a), count)])

@@ -144,9 +144,9 @@ def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
         if not np.isfinite(row + col):
             continue
         ends = []
-        for at, first, count in ((row, own.row0, rows), (col, own.col0, cols)):
-            low = max(min(at, first), first - FULL_DETAIL_NODES)
-            high = min(max(at, first + count - 1), first + count + FULL_DETAIL_NODES)
+        for index, first, count in ((row, own.row0, rows), (col, own.col0, cols)):
+            low = max(min(index, first), first - FULL_DETAIL_NODES)
+            high = min(max(index, first + count - 1), first + count + FULL_DETAIL_NODES)
             ends.append(range(int(np.floor(low / PATCH_QUADS)), int(np.floor(high / PATCH_QUADS)) + 1))
         for r in ends[0]:
             for c in ends[1]:
@@ -281,10 +281,10 @@ def _in_the_way(scene: Scene, buffer: GeometryBuffer, patches: list[Patch]) -> l
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
-    at = scene.light.from_earth(point + scene.height_range_m[1] * up)
+    in_light = scene.light.from_earth(point + scene.height_range_m[1] * up)
     slack = quads * scene.surface(grid).step_m * 1.5  # half a diagonal, doubled: map scale varies over a level
-    ways = (at[:, 0] >= low[0] - slack) & (at[:, 0] <= high[0] + slack) & (at[:, 1] >= low[1] - slack)
-    keep = ways & (at[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(at).all(axis=1)
+    in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
+    keep = in_window & (in_light[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(in_light).all(axis=1)
     return [patch for patch, kept in zip(patches, keep, strict=True) if kept]
 
 

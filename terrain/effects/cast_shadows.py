@@ -73,8 +73,8 @@ def sun_verdict(descriptor: Descriptor) -> Verdict:
     kinds = [kind for kind in descriptor.casters if sun_kind_verdict(descriptor, kind).called_for]
     if not kinds:
         return Verdict(False, "; ".join(sun_kind_verdict(descriptor, kind).reason for kind in descriptor.casters))
-    what = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
-    return Verdict(True, f"sun at {descriptor.sun_altitude_deg:.1f} degrees over {', '.join(what)} can be blocked")
+    caster_names = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
+    return Verdict(True, f"sun at {descriptor.sun_altitude_deg:.1f} degrees over {', '.join(caster_names)} can be blocked")
 
 
 def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
@@ -153,10 +153,14 @@ def _trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView
     near = stand.in_cone(eye, camera_from_frame, tangents)
     if not 0 < len(near) <= MAX_TREES_TESTED:
         return stand, len(near) > 0
-    at = (stand.some(near).outlines() - eye) @ camera_from_frame.T
+    in_camera = (stand.some(near).outlines() - eye) @ camera_from_frame.T
     # Outside are those that lie beyond one of the pyramid's sides as a whole.
-    beyond = [side * (at[..., k] - tangents[k, end] * at[..., 2]) > 0.0 for k in (0, 1) for end, side in ((0, -1.0), (1, 1.0))]
-    outside = np.logical_or.reduce([one.all(axis=-1) for one in (*beyond, at[..., 2] <= 0.0)])
+    beyond = [
+        side * (in_camera[..., k] - tangents[k, end] * in_camera[..., 2]) > 0.0
+        for k in (0, 1)
+        for end, side in ((0, -1.0), (1, 1.0))
+    ]
+    outside = np.logical_or.reduce([one.all(axis=-1) for one in (*beyond, in_camera[..., 2] <= 0.0)])
     return stand, not outside.all()
 
 
@@ -173,8 +177,12 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
     rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
     offsets = np.array([translation[0], scene.light.towards_sun_m(translation)])
-    at, slack = coarse_view.points_frame_m @ rows.T + offsets, _seen_m(scene, view, coarse_view)[:, None]
-    low, high = ((at - slack).min(axis=0), (at + slack).max(axis=0)) if len(at) else (np.full(2, np.inf), np.full(2, -np.inf))
+    in_light, slack = coarse_view.points_frame_m @ rows.T + offsets, _seen_m(scene, view, coarse_view)[:, None]
+    low, high = (
+        ((in_light - slack).min(axis=0), (in_light + slack).max(axis=0))
+        if len(in_light)
+        else (np.full(2, np.inf), np.full(2, -np.inf))
+    )
     return rows, offsets, np.array([[low[0], high[0]], [low[1], np.inf]])
 
 
@@ -195,8 +203,8 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: 
         before = stand.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
         if not 0 < len(before) <= MAX_TREES_TESTED:
             return len(before) > 0
-        at = stand.some(before).outlines() @ rotation.T + translation
-        first, last = (end.reshape(-1, 3) for end in (at.min(axis=2), at.max(axis=2)))
+        in_light = stand.some(before).outlines() @ rotation.T + translation
+        first, last = (end.reshape(-1, 3) for end in (in_light.min(axis=2), in_light.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(
         _hide(first, last, coarse_view.points_frame_m @ rotation.T + translation, _seen_m(scene, view, coarse_view), MASK_CELLS)

@@ -231,12 +231,12 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
         return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
-    taken = number(facts["taken"])
-    if taken is None:
+    taken_share = number(facts["taken"])
+    if taken_share is None:
         return Verdict(True, f"clouds over {cover:.3g} of the sky")
-    if taken <= UNSEEN:
-        return Verdict(False, f"clouds over {cover:.3g} of the sky take at most {taken:.1%} of the light of anything seen")
-    return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken:.0%} of the light")
+    if taken_share <= UNSEEN:
+        return Verdict(False, f"clouds over {cover:.3g} of the sky take at most {taken_share:.1%} of the light of anything seen")
+    return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken_share:.0%} of the light")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:

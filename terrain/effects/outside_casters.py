@@ -43,8 +43,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         ends = (first_row, last_row), (first_col, last_col)
         return {"outside": any(first // BLOCK_PX != last // BLOCK_PX for first, last in ends)}
     rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])
-    whole = len(blocks_of(view)) == 1  # what is drawn in parts is outside of all but one of them
-    inside = whole and rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
+    is_one_block = len(blocks_of(view)) == 1  # what is drawn in parts is outside of all but one of them
+    inside = is_one_block and rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
     return {"outside": not inside}
 
 

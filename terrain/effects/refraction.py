@@ -36,14 +36,14 @@ def called_for(descriptor: Descriptor) -> Verdict:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
     moves_px = moves_m / pixel_m
     steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / BAR_STEP
-    said = f"the air lifts the sun by {lift_deg:.2g} degrees"
+    text = f"the air lifts the sun by {lift_deg:.2g} degrees"
     if 0.0 < descriptor.weather.cloud_cover < 1.0:
-        return Verdict(True, f"{said}, which moves the shadows of clouds")
+        return Verdict(True, f"{text}, which moves the shadows of clouds")
     if moves_px > 1.0:
-        return Verdict(True, f"{said}, which moves the end of the longest shadow by {moves_px:.2g} pixels")
+        return Verdict(True, f"{text}, which moves the end of the longest shadow by {moves_px:.2g} pixels")
     if steps > 1.0:
-        return Verdict(True, f"{said}, which changes the light on slopes by {steps:.2g} steps of 255")
-    return Verdict(False, f"{said}, which moves no shadow by more than {moves_px:.2g} pixels")
+        return Verdict(True, f"{text}, which changes the light on slopes by {steps:.2g} steps of 255")
+    return Verdict(False, f"{text}, which moves no shadow by more than {moves_px:.2g} pixels")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:

@@ -41,8 +41,8 @@ def called_for(descriptor: Descriptor) -> Verdict:
     assert isinstance(hidden, float) and isinstance(steps, float)
     if hidden == 0.0:
         return Verdict(False, "no ground rises round another that is seen: nothing hides the sky")
-    what = f"ground hides up to {100.0 * hidden:.2g} % of the sky, which darkens what is lit by it alone by "
-    return Verdict(True, f"{what}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{what}a step of 255 at most")
+    text = f"ground hides up to {100.0 * hidden:.2g} % of the sky, which darkens what is lit by it alone by "
+    return Verdict(True, f"{text}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{text}a step of 255 at most")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -107,7 +107,7 @@ def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
     reach = np.zeros(buffer.there.shape)
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
-        before, after = (np.insert(apart, at, np.nan, axis=axis) for at in (0, apart.shape[axis]))
+        before, after = (np.insert(apart, position, np.nan, axis=axis) for position in (0, apart.shape[axis]))
         # The nearer of two neighbours: across a skyline the other one lies in another valley.
         reach = np.fmax(reach, np.fmin(before, after))
     highest, table = baked.highest

@@ -159,16 +159,16 @@ def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     coarse, wet = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= SHORE_M
     points = ground.position_frame_m[wet]
     eye, camera_from_frame = coarse.in_frame(buffer.frame)
-    at = (points - eye) @ camera_from_frame.T
-    points, at = points[at[:, 2] > 0.0], at[at[:, 2] > 0.0]
+    in_camera = (points - eye) @ camera_from_frame.T
+    points, in_camera = points[in_camera[:, 2] > 0.0], in_camera[in_camera[:, 2] > 0.0]
     first = coarse.col0, coarse.row0
-    col, row = (np.rint((at[:, k] / at[:, 2] * coarse.focal_px - first[k]) / coarse.step) for k in (0, 1))
+    col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * coarse.focal_px - first[k]) / coarse.step) for k in (0, 1))
     inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
-    points, at, row, col = points[inside], at[inside], row[inside].astype(int), col[inside].astype(int)
+    points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.there.shape, np.inf)
     far_m[buffer.there] = coarse_view.away_m
     far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
-    seen = np.linalg.norm(at, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
+    seen = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
     if not seen.any():
         return points[:0]
     each = round(coarse.step / view.step)

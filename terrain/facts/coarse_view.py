@@ -131,8 +131,8 @@ def nearest_triangles(
     tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
-        at, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _draw(at, pixel, triangles, tangents, beside, NEAR_M, first, number, depth)
+        in_camera, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
+        _draw(in_camera, pixel, triangles, tangents, beside, NEAR_M, first, number, depth)
         first += len(triangles)
     return number, depth
 

@@ -104,14 +104,14 @@ class Descriptor(Facts):
     @model_validator(mode="after")
     def _of_one_piece(self) -> Descriptor:
         _once("casters", list(self.casters), None)
-        _once("stands", [its.kind for its in self.stands], self.casters)
+        _once("stands", [caster.kind for caster in self.stands], self.casters)
         _once("lamps", [lamp.name for lamp in self.lamps], None)
         sun = () if self.highest_sun_deg is None else (SUN,)
         _once("lights", list(self.lights), (*sun, *(lamp.name for lamp in self.lamps)))
         for name, light in self.lights.items():
             _once(f"lights.{name}.casts", list(light.casts), self.casters)
-        given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
-        if any(given) != all(given):
+        is_given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
+        if any(is_given) != all(is_given):
             raise PydanticCustomError("sun", "a sun takes sun_azimuth_deg, sun_altitude_deg and highest_sun_deg; no sun, none")
         if not self.mean_slope_deg <= self.highest_slope_deg or not self.p95_slope_deg <= self.highest_slope_deg:
             raise PydanticCustomError(
@@ -126,9 +126,9 @@ def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
         if name in names[:number]:
             raise PydanticCustomError("twice", "{key}: '{name}' stands there twice", {"key": key, "name": name})
         if allowed is not None and name not in allowed:
-            what = ", ".join(allowed) or "nothing"
+            allowed_names = ", ".join(allowed) or "nothing"
             raise PydanticCustomError(
-                "unknown", "{key}: '{name}' is not allowed; allowed: {what}", {"key": key, "name": name, "what": what}
+                "unknown", "{key}: '{name}' is not allowed; allowed: {what}", {"key": key, "name": name, "what": allowed_names}
             )
 
 

@@ -56,8 +56,8 @@ class Foliage(NamedTuple):
 def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     """The grid of some trees; the last ones are kept."""
     reach = 1.4143 * trees.shape[:, :2].max(axis=1)
-    at = trees.base_frame_m[:, :2]
-    low, high = (at - reach[:, None]).min(axis=0), (at + reach[:, None]).max(axis=0)
+    base_xy = trees.base_frame_m[:, :2]
+    low, high = (base_xy - reach[:, None]).min(axis=0), (base_xy + reach[:, None]).max(axis=0)
     extent = np.maximum(high - low, 1e-3)
     cell = max(float(np.sqrt(np.prod(extent) * TREES_A_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))

@@ -75,18 +75,23 @@ def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts
     to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
     if not len(probes) or (lamp is None and not scene.sun_is_up):
         return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
-    some, share = _lit(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
-    rays = rays_to(some.probes, some.direction_frame, some.length_m)
-    blocked = {kind: _blocked(seen, kind, some.probes, rays) for kind in scene.objects.kinds} if len(some.probes) else {}
-    shaded = np.logical_or.reduce([of.itself for of in blocked.values()]) if blocked else np.zeros(0, bool)
-    edge_m = [some.probes.away_m[of.which[(of.beside[:EDGE_RUNG] != of.itself[of.which]).any(axis=0)]] for of in blocked.values()]
+    lit, share = _lit(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
+    rays = rays_to(lit.probes, lit.direction_frame, lit.length_m)
+    blocked = {kind: _blocked(seen, kind, lit.probes, rays) for kind in scene.objects.kinds} if len(lit.probes) else {}
+    shaded = np.logical_or.reduce([blocked_rays.itself for blocked_rays in blocked.values()]) if blocked else np.zeros(0, bool)
+    edge_m = [
+        lit.probes.away_m[
+            blocked_rays.which[(blocked_rays.beside[:EDGE_RUNG] != blocked_rays.itself[blocked_rays.which]).any(axis=0)]
+        ]
+        for blocked_rays in blocked.values()
+    ]
     nearest_m = min((float(away.min()) for away in edge_m if len(away)), default=None)
     edges = {} if "meshes" not in scene.objects.kinds else _silhouette(scene, camera, probes, lamp)
     return LightFacts(
         to_view_deg=to_view, facing_share=share, cast_share=share * float(shaded.mean()) if len(shaded) else 0.0,
         area_share=area_share,
         nearest_edge_m=None if camera is None else nearest_m,
-        casts={kind: _casting(some, of, share, camera is not None) for kind, of in blocked.items()}, **edges,
+        casts={kind: _casting(lit, blocked_rays, share, camera is not None) for kind, blocked_rays in blocked.items()}, **edges,
     )  # fmt: skip
 
 
@@ -100,14 +105,14 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
         facing, inside = np.einsum("ij,j->i", probes.normal_frame, to_light), np.ones(len(probes), bool)
     else:
         position, axis, _ = lamp.in_frame(frame)
-        way = position - probes.point_frame_m
-        length = np.sqrt(np.einsum("ij,ij->i", way, way))
-        direction = way / np.maximum(length, 1e-12)[:, None]
+        to_lamp = position - probes.point_frame_m
+        length = np.sqrt(np.einsum("ij,ij->i", to_lamp, to_lamp))
+        direction = to_lamp / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
     which = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
-    some = which[stratified_indices(len(which), most)]
-    return LitProbes(probes.some(some), direction[some], length[some]), len(which) / len(probes)
+    chosen = which[stratified_indices(len(which), most)]
+    return LitProbes(probes.some(chosen), direction[chosen], length[chosen]), len(which) / len(probes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,17 +187,17 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
     """What of a lamp's map falls on what is seen: of a spot the rectangle round it in its cone's, of an omni light the parts of the
     faces of a cube round it.
     """
-    at = (probes.point_earth_m - lamp.position_earth_m) @ lamp.earth_from_lamp
+    in_lamp = (probes.point_earth_m - lamp.position_earth_m) @ lamp.earth_from_lamp
     if lamp.kind == "omni":
-        face = np.argmax(np.abs(at), axis=1)
-        largest = np.take_along_axis(at, face[:, None], axis=1)
-        others = np.take_along_axis(at, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
+        face = np.argmax(np.abs(in_lamp), axis=1)
+        largest = np.take_along_axis(in_lamp, face[:, None], axis=1)
+        others = np.take_along_axis(in_lamp, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
         cell = np.clip(((others / np.abs(largest) + 1.0) / 2.0 * ALL_ROUND_PARTS).astype(int), 0, ALL_ROUND_PARTS - 1)
         number = ((2 * face + (largest[:, 0] > 0.0)) * ALL_ROUND_PARTS + cell[:, 0]) * ALL_ROUND_PARTS + cell[:, 1]
         return len(np.unique(number)) / (6 * ALL_ROUND_PARTS**2)
     widest = np.tan(np.radians(lamp.cutoff_deg))
-    ahead = at[:, 2] > 0.0
-    tangents = at[ahead, :2] / at[ahead, 2:]
+    ahead = in_lamp[:, 2] > 0.0
+    tangents = in_lamp[ahead, :2] / in_lamp[ahead, 2:]
     tangents = tangents[np.linalg.norm(tangents, axis=1) <= widest]
     return float(min(np.prod(np.ptp(tangents, axis=0)) / (2.0 * widest) ** 2, 1.0)) if len(tangents) else 0.0
 
@@ -210,6 +215,6 @@ def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, la
     seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera
     first, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
     bounds = np.stack([first - 0.5 * camera.step, first + (count - 0.5) * camera.step]) / camera.focal_px
-    way = probes.some(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
-    passed = layers_before(ends, light, at_place, np.broadcast_to(camera.eye_earth_m, way.shape), way)
+    from_eye = probes.some(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
+    passed = layers_before(ends, light, at_place, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
     return {"silhouette_edges": len(ends), "silhouette_px": length_px(seen, *bounds) / camera.pixel, "volume_layers": passed}

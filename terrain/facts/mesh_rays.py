@@ -78,9 +78,9 @@ def _met_by(
     tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distances (...) to a triangle that rays meet, the nearest or any, infinite without one; and its number (...)."""
-    start, way = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
+    start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
-    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, start, way, np.ravel(length_m), nearest)
+    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), nearest)
     return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 

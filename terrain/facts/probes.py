@@ -100,9 +100,9 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     # On the plane that is seen, as a map compares: along the light as far as the plane leans.
     along = -np.einsum("ij,ij->i", probes.normal_frame, beside) / np.where(facing == 0.0, 1e-30, facing)
     most = MOST_PLANE * np.linalg.norm(offset, axis=1)
-    way = beside + np.clip(along, -most, most)[:, None] * direction_frame
+    directions = beside + np.clip(along, -most, most)[:, None] * direction_frame
     sizes = np.array([0.0, *TEXEL_LADDER_PX])
-    start = probes.point_frame_m + sizes[:, None, None] * way
+    start = probes.point_frame_m + sizes[:, None, None] * directions
     if not np.isfinite(length_m).all():
         shape = (len(sizes), len(probes))
         return ProbeRays(start, np.broadcast_to(direction_frame, start.shape), np.broadcast_to(length_m, shape))

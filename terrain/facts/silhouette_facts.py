@@ -142,10 +142,12 @@ def layers_before(
     if not len(ends_earth_m) or not len(way_m):
         return 0.0
     count = min(len(ends_earth_m), MOST_SIDES)
-    some = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
+    sampled_ends = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
     near = start_earth_m[0]  # counted from here, the numbers are small
     light = light_earth - near if at_place else light_earth
-    return _passed(some - near, start_earth_m - near, way_m, light, float(at_place)) / len(way_m) * len(ends_earth_m) / count
+    return (
+        _passed(sampled_ends - near, start_earth_m - near, way_m, light, float(at_place)) / len(way_m) * len(ends_earth_m) / count
+    )
 
 
 @compiled

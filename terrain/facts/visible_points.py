@@ -57,22 +57,22 @@ def _points_in_look(coarse_view: CoarseView, pixel: float) -> Probes:
 def _among_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
     bare, coarse, there = _points_in_look(coarse_view, pixel), coarse_view.buffer.view, coarse_view.buffer.there.ravel()
     assert isinstance(coarse, PerspectiveView)
-    some = stratified_indices(there.size, AMONG_LEAVES)
-    count = len(some)
-    row, col = np.divmod(some, coarse.cols)
+    chosen = stratified_indices(there.size, AMONG_LEAVES)
+    count = len(chosen)
+    row, col = np.divmod(chosen, coarse.cols)
     tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
     _, camera_from_frame = coarse.in_frame(coarse_view.buffer.frame)
-    way = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    point, length = (np.cumsum(there) - 1)[some], np.full(count, np.inf)
-    length[there[some]] = bare.away_m[point[there[some]]]
-    met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), way, length)
+    direction = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    point, length = (np.cumsum(there) - 1)[chosen], np.full(count, np.inf)
+    length[there[chosen]] = bare.away_m[point[there[chosen]]]
+    met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
     leaf = np.isfinite(met)
     leaves = Probes(
-        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * way[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
-        np.full(int(leaf.sum()), FOREST, np.uint8), some[leaf],
+        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * direction[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
+        np.full(int(leaf.sum()), FOREST, np.uint8), chosen[leaf],
     )  # fmt: skip
-    return _joined(bare.some(point[there[some] & ~leaf]), leaves)
+    return _joined(bare.some(point[there[chosen] & ~leaf]), leaves)
 
 
 def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
@@ -83,24 +83,27 @@ def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
 @cached("scene", MIB)
 def _edge_share_among_leaves(coarse_view: CoarseView, trees: TreeInstances) -> float:
     """The share without the trees, known from many pixels, and what they change about it in some of these."""
-    its = coarse_view.crosses
-    some = stratified_indices(len(its.number), EDGES_AMONG_LEAVES)
-    number, depth_m = its.number[some], its.away_m[some]
-    bare = edges_in_neighbours(number, depth_m, its.ground, its.normals)
-    row, col = (at[some, None] + np.array(CROSS)[:, k] for k, at in enumerate((its.row, its.col)))
-    x, y = ((first + at * its.view.step) / its.view.focal_px for first, at in ((its.view.col0, col), (its.view.row0, row)))
-    _, camera_from_frame = its.view.in_frame(coarse_view.buffer.frame)
-    way = np.stack([x, y, np.ones(x.shape)], axis=-1) @ camera_from_frame
-    per_depth = np.linalg.norm(way, axis=-1)
-    way /= per_depth[..., None]
+    crosses = coarse_view.crosses
+    chosen = stratified_indices(len(crosses.number), EDGES_AMONG_LEAVES)
+    number, depth_m = crosses.number[chosen], crosses.away_m[chosen]
+    bare = edges_in_neighbours(number, depth_m, crosses.ground, crosses.normals)
+    row, col = (index[chosen, None] + np.array(CROSS)[:, k] for k, index in enumerate((crosses.row, crosses.col)))
+    x, y = (
+        (first + index * crosses.view.step) / crosses.view.focal_px
+        for first, index in ((crosses.view.col0, col), (crosses.view.row0, row))
+    )
+    _, camera_from_frame = crosses.view.in_frame(coarse_view.buffer.frame)
+    direction = np.stack([x, y, np.ones(x.shape)], axis=-1) @ camera_from_frame
+    per_depth = np.linalg.norm(direction, axis=-1)
+    direction /= per_depth[..., None]
     start = np.tile(coarse_view.eye_frame_m, (number.size, 1))
-    met, _ = first_leaf_hits(trees, start, way.reshape(-1, 3), (depth_m * per_depth).ravel())
+    met, _ = first_leaf_hits(trees, start, direction.reshape(-1, 3), (depth_m * per_depth).ravel())
     leaf = np.isfinite(met).reshape(number.shape)
     # Leaves side by side are told apart by their distance alone, whichever tree they are of: no two have the same number.
-    numbers = its.ground + len(its.normals) + 1 + np.arange(number.size).reshape(number.shape)
+    numbers = crosses.ground + len(crosses.normals) + 1 + np.arange(number.size).reshape(number.shape)
     number = np.where(leaf, numbers.astype(np.uint32), number)
     depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
-    among = edges_in_neighbours(number, depth_m, its.ground, its.normals)
+    among = edges_in_neighbours(number, depth_m, crosses.ground, crosses.normals)
     return float(np.clip(coarse_view.edge_share + among.mean() - bare.mean(), 0.0, 1.0))
 
 

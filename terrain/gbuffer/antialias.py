@@ -111,8 +111,8 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     places = np.array(DIAGONAL if len(row) > DENSE * view.rows * view.cols else EVERY)
     spare = -len(row) * len(places) % view.cols
     fine_row, fine_col = (
-        np.pad((of[:, None] * SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
-        for of, inside in ((row, places // SIDE), (col, places % SIDE))
+        np.pad((pixel_index[:, None] * SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
+        for pixel_index, inside in ((row, places // SIDE), (col, places % SIDE))
     )
     finer = finer_view(view)
     below = (finer, RasterisedView(scene, finer, frame), (fine_row, fine_col))

@@ -101,8 +101,12 @@ def _ground_mesh(
         row, col, triangles = _whole(nodes.height_m)
     else:
         x, y, height = world.map_position(grid.crs, np.array(eye_earth_m))
-        at = (float((grid.y0 - y) / grid.step) - nodes.row0, float((x - grid.x0) / grid.step) - nodes.col0, float(height))
-        found = decimate(nodes.errors, at, TOLERANCE_PX / focal_px, max_triangles)
+        eye_row_col_m = (
+            float((grid.y0 - y) / grid.step) - nodes.row0,
+            float((x - grid.x0) / grid.step) - nodes.col0,
+            float(height),
+        )
+        found = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
         row, col = found.nodes[:, 0], found.nodes[:, 1]
         triangles, tolerance = found.triangles, found.tolerance * focal_px
     height = nodes.height_m[row, col]
@@ -121,8 +125,8 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     surface = Surface(world, elevation, grid)
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
-    whole = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles)
-    return GroundNodes(grid, row0, col0, height, None if whole else errors_m(height, surface.step_m, not world.flat))
+    is_complete = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles)
+    return GroundNodes(grid, row0, col0, height, None if is_complete else errors_m(height, surface.step_m, not world.flat))
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:

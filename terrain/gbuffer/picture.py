@@ -219,8 +219,8 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
     point, _ = scene.world.ground(view.grid.crs, *view.centre)
     middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
-    at = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
-    px = _pixels(view, at)[:, :2]
+    map_xyz = np.stack(scene.world.map_position(view.grid.crs, frame.points_to_earth(steps)), axis=-1)
+    px = _pixels(view, map_xyz)[:, :2]
     return np.column_stack([(px[0] - px[1]) / 20.0, (px[2] - px[3]) / 20.0])
 
 
@@ -254,7 +254,7 @@ def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     row, col = np.meshgrid(*(np.arange(n + 1) * float(CELL_STEP_PX) for n in count), indexing="ij")
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     exact = image.cells(view.grid.crs, np.ravel(x), np.ravel(y)).reshape(*row.shape, 2)
-    at = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
-    cells = np.stack([map_coordinates(exact[..., k], at, order=1) for k in (0, 1)], axis=-1)
+    samples = np.meshgrid(*(np.arange(size) / CELL_STEP_PX for size in (view.rows, view.cols)), indexing="ij")
+    cells = np.stack([map_coordinates(exact[..., k], samples, order=1) for k in (0, 1)], axis=-1)
     pixel_m = map_pixel_m(scene.world, view)
     return image.albedo(cells, pixel_m / image.cell_m(scene.world))

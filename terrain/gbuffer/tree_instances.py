@@ -87,9 +87,9 @@ class TreeInstances:
     def outlines(self) -> np.ndarray:
         """Corners (n, 3, k, 3) in the frame of convex polygons on the quads that hold all leaves."""
         corners, pictures = self.corners(), leaf_outlines()
-        at = pictures[2 * self.variant[:, None] + np.array([0, 0, 1])]
+        uv = pictures[2 * self.variant[:, None] + np.array([0, 0, 1])]
         right, up = (corners[:, :, end] - corners[:, :, 0] for end in (1, 3))
-        return corners[:, :, :1] + at[..., :1] * right[:, :, None] + at[..., 1:] * up[:, :, None]
+        return corners[:, :, :1] + uv[..., :1] * right[:, :, None] + uv[..., 1:] * up[:, :, None]
 
 
 @cached("scene", 512 * MIB)

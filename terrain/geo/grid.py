@@ -177,7 +177,7 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
 
 
 def _snapped(start: float, step: float, count: int) -> tuple[float, float]:
-    whole = np.rint(start), np.rint(step)
-    if abs(start - whole[0]) < 1e-6 and abs(step - whole[1]) * count < 1e-6 and whole[1] >= 1:
-        return float(whole[0]), float(whole[1])
+    rounded = np.rint(start), np.rint(step)
+    if abs(start - rounded[0]) < 1e-6 and abs(step - rounded[1]) * count < 1e-6 and rounded[1] >= 1:
+        return float(rounded[0]), float(rounded[1])
     return start, step

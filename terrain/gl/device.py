@@ -306,8 +306,8 @@ class Device:
         rows, cols = position.shape[:2]
         if rows < 2 or cols < 2:
             return 0
-        whole = bool(np.isfinite(position[..., 2]).all())
-        if whole:
+        has_no_holes = bool(np.isfinite(position[..., 2]).all())
+        if has_no_holes:
             indices = self._whole_indices(rows, cols)
         else:
             triangles = known_triangles(position)
@@ -318,7 +318,7 @@ class Device:
         array = self.ctx.vertex_array(program, [(vertices, f"{position.shape[2]}f", "position")], index_buffer=indices)
         self.render(array)
         count = indices.size // 12
-        for item in (array, vertices) if whole else (array, vertices, indices):
+        for item in (array, vertices) if has_no_holes else (array, vertices, indices):
             item.release()
         return count
 

@@ -213,8 +213,10 @@ class Elevation:
             np.int64
         )
         order = np.argsort(block, kind="stable")
-        for some in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
-            height[on[some]], there[on[some]] = (v[0] for v in self.heights_at(0, row[None, some], col[None, some]))
+        for block_points in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+            height[on[block_points]], there[on[block_points]] = (
+                v[0] for v in self.heights_at(0, row[None, block_points], col[None, block_points])
+            )
         return height.reshape(x.shape), there.reshape(x.shape)
 
     def cell_size_m(self, metres_per_unit: float) -> float:

@@ -121,11 +121,11 @@ def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, c
     slope = _slopes(height_m, across_m, down_m)
     turned = np.ascontiguousarray(height_m.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
     hidden, hidden_turned = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
-    for way in (1, -1):
+    for direction in (1, -1):
         for aside in (-2, -1, 0, 1, 2):
-            _along(height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, way, curvature, hidden)
+            _along(height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, direction, curvature, hidden)
         for aside in (-1, 0, 1):
-            _along(*turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, way, curvature, hidden_turned)
+            _along(*turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, direction, curvature, hidden_turned)
     return np.clip(hidden + hidden_turned.T, 0.0, 1.0).astype(np.float32)
 
 

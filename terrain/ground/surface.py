@@ -99,10 +99,10 @@ class Surface:
         exact = np.stack([(point - origin_earth_m) @ axis_earth, up @ axis_earth], axis=-1)
         out = np.empty((rows, cols), np.float32)
         for start in range(0, rows, SURFACE_BAND_ROWS):
-            some = slice(start, min(start + SURFACE_BAND_ROWS, rows))
-            count = some.stop - start
+            band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
+            count = band.stop - start
             placed = _interpolate(exact, first_row, first_col, self._stride, row0 + start, col0, count, cols)
-            out[some] = placed[..., 0] + height_m[some] * placed[..., 1]
+            out[band] = placed[..., 0] + height_m[band] * placed[..., 1]
         return out
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:

@@ -43,13 +43,13 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
         middle = (elevation.bounds[0] + elevation.bounds[2]) / 2
         x = x + 360.0 * np.rint((middle - x) / 360.0)
     found = []
-    for at, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
-        if not np.isfinite(at).all():
+    for cells, (first, last) in zip(elevation.cell_of(x, y), all_cells, strict=True):
+        if not np.isfinite(cells).all():
             return all_cells
-        pixel = max(np.abs(np.diff(at, axis=k)).max() * (EXTENT_SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
-        bend = max(np.abs(np.diff(at, 2, axis=k)).max() for k in (0, 1))  # of the rim between the points
+        pixel = max(np.abs(np.diff(cells, axis=k)).max() * (EXTENT_SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
+        bend = max(np.abs(np.diff(cells, 2, axis=k)).max() for k in (0, 1))  # of the rim between the points
         margin = 1.0 + 2.0 * pixel + bend
-        low, high = max(float(at.min() - margin), first), min(float(at.max() + margin), last)
+        low, high = max(float(cells.min() - margin), first), min(float(cells.max() + margin), last)
         if low > high:
             return None
         found.append((low, high))

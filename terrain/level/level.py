@@ -127,10 +127,10 @@ class Level(Model):
     @field_validator("lights")
     @classmethod
     def _own_names(cls, value: dict[str, LightSpec]) -> dict[str, LightSpec]:
-        taken = (SUN, *get_args(CasterKind), *ALGORITHM_NAMES, "auto")
+        reserved = (SUN, *get_args(CasterKind), *ALGORITHM_NAMES, "auto")
         for name in value:
-            if name in taken:
-                raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(taken)})
+            if name in reserved:
+                raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(reserved)})
         return value
 
     @model_validator(mode="after")
@@ -258,8 +258,8 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
     except ValidationError as error:
         details = error.errors()
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
-        said = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
-        allowed = " or ".join(dict.fromkeys(said))
+        messages = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
+        allowed = " or ".join(dict.fromkeys(messages))
         raise InputError(name, changes.get(name), allowed) from None
 
 
@@ -286,10 +286,12 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         return SunSpec(**fields)
     except ValidationError as error:
         detail = error.errors()[0]
-        given = {key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None}
+        parameters = {
+            key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None
+        }
         name = ".".join(str(part) for part in detail["loc"]) or ("time" if time else "azimuth, altitude")
-        both = ", ".join(f"{key}={value}" for key, value in given.items())
-        value = given[name] if name in given and (len(given) == 1 or name != "time") else both
+        both = ", ".join(f"{key}={value}" for key, value in parameters.items())
+        value = parameters[name] if name in parameters and (len(parameters) == 1 or name != "time") else both
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 

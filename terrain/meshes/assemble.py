@@ -56,14 +56,14 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
         else:
             _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
             places: Sequence[MapPosition | None] = spec.places or [None]
-            spots = [_spot(at, where, world, elevation) for at in places]
+            spots = [_spot(position, where, world, elevation) for position in places]
             standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots)
             if spec.caster is not None:
                 stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots)
         seen += standing
         casting += stand_ins
-    whole = tuple(seen)
-    return Placement(whole, whole if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting))
+    visible_bodies = tuple(seen)
+    return Placement(visible_bodies, visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting))
 
 
 def solids(placement: Placement, seconds: float) -> Solids:
@@ -91,7 +91,7 @@ def _gathered(bodies: Sequence[PlacedBody], seconds: float) -> tuple[np.ndarray,
     """Earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
     first = np.cumsum([0, *(len(placed.body.vertices_m) for placed in bodies)])
     vertices = [placed.origin_earth_m + placed.body.vertices_m @ _earth_from_body(placed, seconds).T for placed in bodies]
-    triangles = [placed.body.triangles + np.int32(at) for placed, at in zip(bodies, first, strict=False)]
+    triangles = [placed.body.triangles + np.int32(first_vertex) for placed, first_vertex in zip(bodies, first, strict=False)]
     return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3), np.int32), *triangles])
 
 

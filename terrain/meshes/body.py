@@ -53,10 +53,10 @@ class Body:
         vertices = np.asarray(self.vertices_m, np.float64).reshape(-1, 3)
         triangles = np.asarray(self.triangles, np.int32).reshape(-1, 3)
         albedo = np.broadcast_to(np.asarray(self.albedo, np.float32), triangles.shape)
-        whole = _has_area(vertices, triangles)
+        has_area = _has_area(vertices, triangles)
         object.__setattr__(self, "vertices_m", vertices)
-        object.__setattr__(self, "triangles", triangles[whole])
-        object.__setattr__(self, "albedo", albedo[whole])
+        object.__setattr__(self, "triangles", triangles[has_area])
+        object.__setattr__(self, "albedo", albedo[has_area])
 
     @cached_property
     def merged_triangles(self) -> np.ndarray:

@@ -225,8 +225,10 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     ground = elevation.filled_ground_m(xy[:, 0], xy[:, 1])
     middle, length = (ground[1:] + ground[:-1]) / 2, np.hypot(*np.diff(xy, axis=0).T)
     known = (ring[1:] == ring[:-1]) & np.isfinite(middle)
-    total, whole = (np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length))
-    mean = np.divide(total, whole, out=np.full(len(polygons), np.nan), where=whole > 0)
+    total, total_length = (
+        np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length)
+    )
+    mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
     for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # only there the outline leaves the ground
         if np.isfinite(elevation.filled_ground_m(*_cells_under(polygons[i], elevation, _unmoved))).mean() < LEAST_KNOWN:
             mean[i] = np.nan
@@ -277,10 +279,10 @@ def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
     triangles = _facing_up(clipped.astype(np.int32), xy)
     # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
     while len(triangles) < len(xy) + 2 * (len(ring_ends) - 1) - 2:  # n + 2 h - 2 triangles of n corners and h holes
-        whole = _with_skipped(triangles, xy, ring_ends)
-        if len(whole) == len(triangles):
+        with_corners = _with_skipped(triangles, xy, ring_ends)
+        if len(with_corners) == len(triangles):
             break
-        triangles = whole
+        triangles = with_corners
     return triangles
 
 

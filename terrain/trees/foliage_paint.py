@@ -183,8 +183,8 @@ def _needled(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whor
     thick = model.thickness * rng.uniform(0.7, 1.2, n)
     tint = _tinted(model.needle_albedo, n, rng) * fresh[:, None]
     parts = [_strokes(start, start + twig, np.column_stack([thick, 0.55 * thick]), tint)]
-    for at in (0.3, 0.55, 0.8):
-        root = start + at * twig
+    for position in (0.3, 0.55, 0.8):
+        root = start + position * twig
         shoot = 0.38 * twig + 0.3 * reach * rng.normal(0.0, 1.0, (n, 3)) * (1.0, 1.0, 0.6)
         parts.append(_strokes(root, root + shoot, np.column_stack([0.75 * thick, 0.4 * thick]), tint))
     return _joined(*parts)
@@ -199,18 +199,18 @@ def _clumped(model: Clumped, rng: np.random.Generator) -> Strokes:
 def _leaves(model: Clumped, centre: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> Strokes:
     # A clump is a dome of sprigs, a sprig a bunch of leaves: three scales of raggedness.
     clump = np.repeat(np.arange(len(centre)), model.sprigs)
-    way = _unit(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
-    outward = way * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.flat)
+    direction = _unit(rng.normal(0.0, 1.0, (len(clump), 3)) + (0.0, 0.0, 0.35))
+    outward = direction * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.flat)
     sprig = centre[clump] + outward
     sprig[:, 2] -= model.droop * np.hypot(outward[:, 0], outward[:, 1])
     # What faces down in a clump is in its own shade.
-    shade = (0.74 + 0.52 * way[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
+    shade = (0.74 + 0.52 * direction[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
     tint = _tinted(model.leaf_albedo, len(centre), rng)[clump] * shade
 
     leaf = np.repeat(np.arange(len(clump)), model.leaves)
     scatter = 0.14 * size[clump[leaf]][:, None] * (1.0, 1.0, 0.55 + 0.6 * model.droop)
     base = sprig[leaf] + rng.normal(0.0, 1.0, (len(leaf), 3)) * scatter
-    blade = _unit(rng.normal(0.0, 0.6, (len(leaf), 3)) + way[leaf] + (0.0, 0.0, -0.9 * model.droop))
+    blade = _unit(rng.normal(0.0, 0.6, (len(leaf), 3)) + direction[leaf] + (0.0, 0.0, -0.9 * model.droop))
     long, wide = np.outer(rng.uniform(0.6, 1.25, len(leaf)), model.leaf).T
     albedo = tint[leaf] * rng.uniform(0.87, 1.13, (len(leaf), 1))
     return _strokes(base, base + blade * long[:, None], np.column_stack([wide, 0.5 * wide]), albedo)
@@ -269,11 +269,11 @@ def _stem(
     bark = np.array(low_albedo) + np.clip(2.0 * share - 0.6, 0.0, 1.0)[:, None] * (np.array(high_albedo) - np.array(low_albedo))
     core = _strokes(path[:-1], path[1:], np.column_stack([thick[:-1], thick[1:]]), bark[:-1])
     # Furrows and plates: short strokes up the bark's surface.
-    at, turn = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
-    foot = path[at] + np.column_stack([np.cos(turn), np.sin(turn), np.zeros(900)]) * (0.97 * thick[at])[:, None]
+    piece, turn = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
+    foot = path[piece] + np.column_stack([np.cos(turn), np.sin(turn), np.zeros(900)]) * (0.97 * thick[piece])[:, None]
     plate = np.outer(rng.uniform(0.003, 0.012, 900), (0.0, 0.0, 1.0))
-    shade = bark[at] * rng.uniform(0.5, 1.25, (900, 1))
-    return _joined(core, _strokes(foot, foot + plate, np.outer(0.09 * thick[at], (1.0, 1.0)), shade))
+    shade = bark[piece] * rng.uniform(0.5, 1.25, (900, 1))
+    return _joined(core, _strokes(foot, foot + plate, np.outer(0.09 * thick[piece], (1.0, 1.0)), shade))
 
 
 def _tinted(albedo: tuple[float, float, float], n: int, rng: np.random.Generator) -> np.ndarray:
@@ -294,9 +294,11 @@ def _shaded(tree: Strokes, radius: float) -> Strokes:
     silhouette = 2.0 * tree.radius.mean(axis=1) * np.linalg.norm(tree.end - tree.start, axis=1)
     flat = np.ravel_multi_index(tuple(cell.T), (cells,) * 3)
     area = np.bincount(flat, silhouette, cells**3).reshape((cells,) * 3)
-    ways = [(2, True, shape[0] * shape[1], 0.36)] + [(axis, back, shape[0], 0.16) for axis in (0, 1) for back in (True, False)]
+    directions = [(2, True, shape[0] * shape[1], 0.36)] + [
+        (axis, back, shape[0], 0.16) for axis in (0, 1) for back in (True, False)
+    ]
     light = np.zeros_like(area)
-    for axis, back, face, weight in ways:
+    for axis, back, face, weight in directions:
         path = np.flip(np.cumsum(np.flip(area, axis), axis), axis) if back else np.cumsum(area, axis)
         light += weight * np.exp(-0.9 * gaussian_filter(path - 0.5 * area, 0.7, mode="nearest") * cells**2 / face)
     open_sky = light[tuple(cell.T)][:, None]

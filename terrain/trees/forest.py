@@ -200,8 +200,8 @@ def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, m
     first = on[first]
     if len(key) > most:
         raise _too_many(where, len(key), most)
-    given = spec.height or (POINT_HEIGHT if POINT_HEIGHT in features.attributes else HEIGHT_M)
-    height = _values(given, features, first, key, _HEIGHT)
+    height_source = spec.height or (POINT_HEIGHT if POINT_HEIGHT in features.attributes else HEIGHT_M)
+    height = _values(height_source, features, first, key, _HEIGHT)
     crown = None if spec.crown is None else _values(spec.crown, features, first, key, _CROWN)
     return _usable(Stems(Places(x[first], y[first], key), height, crown))
 
@@ -282,8 +282,10 @@ def _line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[floa
 
 def _own_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Diameters of single crowns: their species' usual ones, wider or narrower as the look is among its kin."""
-    kin = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
-    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / kin[k.species]) for k in TREE_VARIANTS]).T[:, variant]
+    mean_ratio = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
+    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / mean_ratio[k.species]) for k in TREE_VARIANTS]).T[
+        :, variant
+    ]
     return (base + slope * height_m) * wide * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))
 
 

@@ -89,10 +89,10 @@ def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Place
         tiles = shapely.box(cols * pitch, rows * pitch, (cols + _TILE) * pitch, (rows + _TILE) * pitch)
         touched = shapely.intersects(area, tiles)
         cols, rows, within = cols[touched], rows[touched], shapely.contains_properly(area, tiles[touched])
-    for col, row, whole in zip(cols.tolist(), rows.tolist(), within.tolist(), strict=True):
+    for col, row, is_inside in zip(cols.tolist(), rows.tolist(), within.tolist(), strict=True):
         x, y, key = _placed(seed, row, col, min(_TILE, north + 1 - row), min(_TILE, east + 1 - col))
         x, y = x * pitch, y * pitch
-        if not whole:
+        if not is_inside:
             inside = shapely.contains_xy(area, x, y)
             x, y, key = x[inside], y[inside], key[inside]
         yield Places(x, y, key)

@@ -72,9 +72,9 @@ def stages_of(figures: RowFigures) -> dict[str, float]:
 
 
 def _colours(figures: list[RowFigures]) -> dict[str, str]:
-    found = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
-    colours = stage_colours([name for name in found if name != REST])
-    return colours | ({REST: COLOURS["gray"]} if REST in found else {})
+    stages = list(dict.fromkeys(name for f in figures for name in stages_of(f)))
+    colours = stage_colours([name for name in stages if name != REST])
+    return colours | ({REST: COLOURS["gray"]} if REST in stages else {})
 
 
 def _whole_ms(figures: RowFigures) -> float:
@@ -98,14 +98,14 @@ def _grid(axis: Axis, bottom: float) -> Iterator[str]:
 
 
 def _bar(k: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
-    stages, whole, line = stages_of(figures), _whole_ms(figures), y + BAR - 3.0
+    stages, whole_ms, line = stages_of(figures), _whole_ms(figures), y + BAR - 3.0
     x, parts = axis.left, []
     for name, ms in stages.items():
-        width = axis.px(ms, whole)
+        width = axis.px(ms, whole_ms)
         title = tag("title", escape(f"{figures['name']}, {name}: {format_duration(ms)}"))
         parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR, fill=colours[name]))
         x += width
-    if whole > axis.end_ms:
+    if whole_ms > axis.end_ms:
         parts.append(tag("path", d=f"M{x - 17:.1f} {y + BAR + 2:g}l6 {-BAR - 4:g}m5 0l-6 {BAR + 4:g}", class_="cut"))
     time = format_duration(figures["ms_median"])
     return tag(

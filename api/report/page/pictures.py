@@ -54,9 +54,9 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> 
     ``ground`` is uint8 (rows, cols, 3). Visibility is averaged; a pixel that stands for a wrong one is wrong: none vanishes.
     """
     factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
-    while (found := _at(ground, rows, factor, most)).size > most and factor < max(ground.shape[:2]):
+    while (result := _at(ground, rows, factor, most)).size > most and factor < max(ground.shape[:2]):
         factor += 1
-    return found
+    return result
 
 
 def indexes(row: ErrorPicture, factor: int = 1) -> np.ndarray:
@@ -78,15 +78,15 @@ def palette() -> np.ndarray:
 def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, most: int) -> Pictures:
     """The pictures at a factor, or as many of them as show that they are too big."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
-    whole, of_rows = _webp(small, quality=80, method=4), []
-    size = len(whole)
+    ground_uri, of_rows = _webp(small, quality=80, method=4), []
+    size = len(ground_uri)
     for row in rows:
         of_rows.append(_webp(palette()[indexes(row, factor)], lossless=True, quality=25, method=3))
         size += len(of_rows[-1])
         if size > most:
             break
     high, wide = small.shape[:2]
-    return Pictures(whole, of_rows, high, wide, factor)
+    return Pictures(ground_uri, of_rows, high, wide, factor)
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:

@@ -32,10 +32,10 @@ class Scale:
         """Powers of ten within; where these are fewer than three, 2 and 5 times them too."""
         powers = range(floor(log10(self.low)), ceil(log10(self.high)) + 1)
         for factors in ((1,), (1, 2, 5)):
-            found = [f * 10.0**p for p in powers for f in factors if self.low * 0.999 <= f * 10.0**p <= self.high * 1.001]
-            if len(found) >= 3:
+            ticks = [f * 10.0**p for p in powers for f in factors if self.low * 0.999 <= f * 10.0**p <= self.high * 1.001]
+            if len(ticks) >= 3:
                 break
-        return found
+        return ticks
 
 
 def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:

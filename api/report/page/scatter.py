@@ -52,11 +52,11 @@ def scatter_plot(comparison: Comparison) -> str:
 
 
 def _plot(comparison: Comparison) -> str:
-    shown = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
-    shown = shown or {k: row.figures for k, row in enumerate(comparison.rows)}
-    x = scale_of([f["ms_median"] for f in shown.values()], MARGIN_LEFT, SCATTER_WIDTH - MARGIN_RIGHT)
-    y = scale_of([f[comparison.error] for f in shown.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
-    points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in shown.items()]
+    figures_by_row = {k: row.figures for k, row in enumerate(comparison.rows) if casts(row.figures, comparison.light)}
+    figures_by_row = figures_by_row or {k: row.figures for k, row in enumerate(comparison.rows)}
+    x = scale_of([f["ms_median"] for f in figures_by_row.values()], MARGIN_LEFT, SCATTER_WIDTH - MARGIN_RIGHT)
+    y = scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
+    points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in figures_by_row.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
     stairs = _stairs([point for point in points if on_front(point.figures, comparison.light)])
     return "".join([
@@ -99,9 +99,9 @@ def legend(comparison: Comparison) -> str:
 
 
 def _families(comparison: Comparison) -> list[str]:
-    found = {algorithm_family(row.figures, comparison.light) for row in comparison.rows}
+    families = {algorithm_family(row.figures, comparison.light) for row in comparison.rows}
     ranks = {name: k for k, name in enumerate(ALGORITHMS)}
-    return sorted(found - {NO_SHADOWS} or found, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
+    return sorted(families - {NO_SHADOWS} or families, key=lambda name: (" + " in name, ranks.get(name, len(ranks)), name))
 
 
 def swatch(name: str) -> str:
@@ -112,13 +112,13 @@ def swatch(name: str) -> str:
 def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
     bottom, right = SCATTER_HEIGHT - MARGIN_BOTTOM, SCATTER_WIDTH - MARGIN_RIGHT
     for value in y.ticks():
-        at = y(value)
-        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=f"{at:.1f}", y2=f"{at:.1f}", class_="grid")
-        yield _text(MARGIN_LEFT - 9, at + 4.5, f"{100.0 * value:g} %", "end")
+        tick_y = y(value)
+        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=f"{tick_y:.1f}", y2=f"{tick_y:.1f}", class_="grid")
+        yield _text(MARGIN_LEFT - 9, tick_y + 4.5, f"{100.0 * value:g} %", "end")
     for value in x.ticks():
-        at = x(value)
-        yield tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=MARGIN_TOP, y2=bottom, class_="grid")
-        yield _text(at, bottom + 20, round_time(value), "middle")
+        tick_y = x(value)
+        yield tag("line", x1=f"{tick_y:.1f}", x2=f"{tick_y:.1f}", y1=MARGIN_TOP, y2=bottom, class_="grid")
+        yield _text(tick_y, bottom + 20, round_time(value), "middle")
     if y.zero_px is not None:
         yield tag("line", x1=MARGIN_LEFT, x2=right, y1=y.start_px, y2=y.start_px, class_="break")
         yield _text(MARGIN_LEFT - 9, y.zero_px + 4.5, "0 %", "end")
@@ -156,24 +156,24 @@ def _stairs(front: list[ScatterPoint]) -> list[tuple[float, float]]:
 
 def _mark(point: ScatterPoint, comparison: Comparison) -> str:
     figures = point.figures
-    said = f"{figures['name']}: {format_percent(figures[comparison.error])} in {format_duration(figures['ms_median'])}"
-    said += ", on the front" if figures["pareto"] else ""
+    tooltip = f"{figures['name']}: {format_percent(figures[comparison.error])} in {format_duration(figures['ms_median'])}"
+    tooltip += ", on the front" if figures["pareto"] else ""
     return tag(
         "a",
-        tag("title", escape(said)),
+        tag("title", escape(tooltip)),
         tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
         drawn(mark_of(algorithm_family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
         href=f"#row-{point.row}",
         data_row=point.row,
-        aria_label=said,
+        aria_label=tooltip,
         class_="point front" if figures["pareto"] else "point",
     )
 
 
 def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
     """Names of the front's rows, each where it covers neither a mark, a line, another name nor the frame; else none."""
-    taken: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
-    taken += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
+    occupied: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
+    occupied += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
     for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
         lines = point.figures["name"].replace(",", ",\n").split("\n")
         width, more = LABEL_CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
@@ -184,8 +184,8 @@ def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light:
             if abs(down) > 25.0:  # its leader
                 start, end = sorted((point.y + (9.0 if down > 0.0 else -9.0), point.y + down + (-12.0 if down > 0.0 else 4.0)))
                 boxes.append((point.x - 1.0, start, point.x + 1.0, end))
-            if all(_inside(box) and not any(_overlap(box, other) for other in taken) for box in boxes):
-                taken += boxes
+            if all(_inside(box) and not any(_overlap(box, other) for other in occupied) for box in boxes):
+                occupied += boxes
                 yield from (
                     tag("path", d=f"M{point.x:.1f} {top:.1f}V{bottom:.1f}", class_="leader") for _, top, _, bottom in boxes[1:]
                 )
@@ -210,8 +210,8 @@ def _inside(box: TextBox) -> bool:
     )
 
 
-def _overlap(one: TextBox, other: TextBox) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _overlap(first: TextBox, second: TextBox) -> bool:
+    return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]
 
 
 def _text(x: float, y: float, text: str, anchor: str = "start", class_: str | None = None) -> str:

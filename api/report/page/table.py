@@ -81,7 +81,7 @@ def rows_table(comparison: Comparison) -> str:
 
 def details(figures: RowFigures, light: str) -> str:
     """Settings under a light, stages, counters and notes of a row."""
-    parts = [(f"Settings: {kinds}", definitions(its)) for kinds, its in _settings(figures, light).items()]
+    parts = [(f"Settings: {kinds}", definitions(pairs)) for kinds, pairs in _settings(figures, light).items()]
     parts.append(("Stages", definitions({name: format_duration(ms) for name, ms in stages_of(figures).items()})))
     parts.append(("Counters", definitions({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
     parts.append(("Notes", "".join(tag("p", escape(note)) for note in figures["notes"])))
@@ -96,10 +96,10 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
     kinds: dict[str, list[str]] = {}
     settings: dict[str, dict[str, str]] = {}
     for kind, name in figures["algorithm"].get(light, {}).items():
-        its = _flat((figures["settings"].get(light, {}).get(kind)) or {})
-        key = f"{name} {its}"
+        flat_settings = _flat((figures["settings"].get(light, {}).get(kind)) or {})
+        key = f"{name} {flat_settings}"
         kinds.setdefault(key, []).append(kind)
-        settings[key] = {"algorithm": name} | its
+        settings[key] = {"algorithm": name} | flat_settings
     return {", ".join(kinds[key]): settings[key] for key in kinds}
 
 

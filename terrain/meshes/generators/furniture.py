@@ -132,7 +132,7 @@ def fruit_bowl() -> list[Body]:
     bodies = [lathe([(0.0, 0.0), *outside, (0.183, 0.126), *inside, (0.0, 0.026)], 24, PAINT)]
     turn = np.linspace(0, np.pi, 9)[1:-1]
     ball = [(0.0, -0.042), *((0.042 * np.sin(t), -0.042 * np.cos(t)) for t in turn), (0.0, 0.042)]
-    for at in (
+    for position in (
         (0.0, 0.08, 0.1),
         (0.078, 0.022, 0.1),
         (0.05, -0.068, 0.1),
@@ -140,7 +140,7 @@ def fruit_bowl() -> list[Body]:
         (-0.077, 0.024, 0.1),
         (0.0, 0.0, 0.15),
     ):
-        bodies.append(lathe(ball, 12, ORANGE_PEEL, at))
+        bodies.append(lathe(ball, 12, ORANGE_PEEL, position))
     return bodies
 
 

@@ -89,10 +89,10 @@ def _lintel(upright_m: float, seed: int) -> Body:
 def _weathering(points_m: np.ndarray, outward: np.ndarray, seed: int) -> np.ndarray:
     """Displacements (n, 3) along ``outward`` by a sum of plane waves of 0.9 to 5 m, the longer the stronger."""
     rng = np.random.default_rng(seed)
-    way = rng.normal(size=(WAVES, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    direction = rng.normal(size=(WAVES, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     length_m = np.geomspace(0.9, 5.0, WAVES)
-    wave = np.sin(2 * np.pi * (points_m @ way.T / length_m + rng.uniform(size=WAVES))) * length_m**0.9
+    wave = np.sin(2 * np.pi * (points_m @ direction.T / length_m + rng.uniform(size=WAVES))) * length_m**0.9
     return WEAR_M * wave.sum(axis=1, keepdims=True) / np.sqrt((length_m**1.8).sum() / 2) * outward
 
 
