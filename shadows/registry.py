@@ -21,7 +21,7 @@ MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sw
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {}
 
 
-def register(algorithm: Algorithm) -> None:
+def register_algorithm(algorithm: Algorithm) -> None:
     """Make an algorithm known to levels, plans, the selector and the report of this process, in the place of one of its name."""
     ALGORITHMS[algorithm.name] = algorithm
     if algorithm.name not in ALGORITHM_NAMES:
@@ -29,7 +29,7 @@ def register(algorithm: Algorithm) -> None:
 
 
 for _module in MODULES:
-    register(_module.ALGORITHM)
+    register_algorithm(_module.ALGORITHM)
 
 FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
 """What serves every view, light and kind of casters, and is taken where nothing speaks for another."""

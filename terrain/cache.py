@@ -91,7 +91,7 @@ class Cache(Generic[V]):
         self._size_of = size_of or bytes_of
         self._release = release
         self._values: OrderedDict[tuple[Hashable, ...], tuple[V, int]] = OrderedDict()
-        register(self)
+        register_cache(self)
 
     def __len__(self) -> int:
         return len(self._values)
@@ -208,7 +208,7 @@ def cached(
     return decorate
 
 
-def register(cache: Any) -> None:
+def register_cache(cache: Any) -> None:
     """List what keeps values in a way of its own: it has ``name``, ``lasts``, ``limit_bytes``, ``nbytes``, a length, ``clear`` and
     ``clear_of`` as a ``Cache`` has.
     """

@@ -37,7 +37,7 @@ from shadows.algorithm import (
     SettingsRequest,
 )
 from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, algorithms_serving, register, served_algorithms
+from shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm, served_algorithms
 from shadows.render import render_frame
 from shadows.truth.truth import lit_from, ray_scene
 from shadows.work import Work, Workload
@@ -114,7 +114,7 @@ ALGORITHM = Algorithm(
 def registered() -> Iterator[Callable[[Algorithm], None]]:
     """What registers an algorithm for the time of a test."""
     before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
-    yield register
+    yield register_algorithm
     ALGORITHMS.clear()
     ALGORITHMS.update(before)
     ALGORITHM_NAMES[:] = names

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator
 from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import taking
-from api.workers.jobs import Overrides, PictureRequest, ServedPolicy
+from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import InputError
 from terrain.level.level import parse_sun
@@ -27,7 +27,7 @@ class PlanQuery:
     """By which policy a plan is made, and what a request asks of the shadows."""
 
     policy: ServedPolicy
-    overrides: Overrides
+    overrides: RequestedSettings
 
 
 def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
@@ -96,9 +96,9 @@ async def plan_query(
     return PlanQuery(cast(ServedPolicy, policy), _served(asked))
 
 
-def _served(asked: dict[str, Any]) -> Overrides:
+def _served(asked: dict[str, Any]) -> RequestedSettings:
     """Overrides that ask for nothing that is not served. Raises ``InputError``."""
-    overrides = Overrides.of(asked)
+    overrides = RequestedSettings.of(asked)
     if not names_in(overrides.for_selector().get("algorithm")) <= set(served_algorithms()):
         raise InputError("algorithm", asked["algorithm"], ", ".join(["auto", *served_algorithms()]))
     return overrides

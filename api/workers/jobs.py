@@ -29,7 +29,7 @@ class _Value(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Overrides(_Value):
+class RequestedSettings(_Value):
     """What a request asks of the shadows: keys of a level's ``shadows`` and their values, in the order of the keys there.
 
     ``algorithm`` is as the query spells it. A key that is not asked for is not among them: the level has its say. What else a
@@ -39,7 +39,7 @@ class Overrides(_Value):
     asked: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
-    def of(cls, asked: Mapping[str, Any]) -> Overrides:
+    def of(cls, asked: Mapping[str, Any]) -> RequestedSettings:
         """Of keys and values; ``None`` asks for nothing. Raises ``InputError``."""
         ordered = {**dict.fromkeys(Shadows.model_fields), **asked}
         return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
@@ -67,7 +67,7 @@ class PictureRequest(_Value):
     """
 
     sun: SunSpec | None = None
-    overrides: Overrides = Overrides()
+    overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **more: str) -> str:
         """The same wishes as a query string, with others before them; empty where nothing is asked."""

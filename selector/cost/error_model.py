@@ -35,7 +35,7 @@ from shadows.truth.metrics import MOST_INTERIOR
 from terrain.cache import MIB, cached
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
-from terrain.facts.probes import PROBES
+from terrain.facts.probes import HALF_A_HIT
 from terrain.level.level import CasterKind
 
 UNKNOWN_CASTING = Casting(
@@ -54,9 +54,6 @@ LEAST, LEAST_INTERIOR = 1e-3, 1e-5
 
 LEAST_SPREAD = 0.05
 """No algorithm is surer than this."""
-
-HALF_A_HIT = 0.5 / PROBES
-"""What no probe was hit by may be there all the same: half a probe's share."""
 
 
 def error_groups() -> tuple[str, ...]:

@@ -47,7 +47,7 @@ import numpy as np
 from shadows.hybrid.conservative_raster import certain_depths
 from terrain.compiled import compiled
 
-LIT_VALUE, SHADED_VALUE, MASKED = 255, 0, 128
+LIT, SHADED, MASKED = 255, 0, 128
 """What `decide` says of a point."""
 
 
@@ -161,7 +161,7 @@ def _decided(nearest, nearest_other, shaded_beyond, u, v, depth, slack, on_caste
         if 0.0 <= u[i] < cols and 0.0 <= v[i] < rows:
             row, col = int(v[i]), int(u[i])
             if depth[i] + slack[i] < (nearest_other if on_caster[i] else nearest)[row, col]:
-                out[i] = LIT_VALUE
+                out[i] = LIT
             elif depth[i] - slack[i] > shaded_beyond[row, col]:
-                out[i] = SHADED_VALUE
+                out[i] = SHADED
     return out

@@ -17,7 +17,7 @@ import numpy as np
 
 from shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.attached import attached
-from shadows.hybrid.conservative_map import MASKED, SHADED_VALUE
+from shadows.hybrid.conservative_map import MASKED, SHADED
 from shadows.hybrid.maps import classify_pixels, map_pictures
 from shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from shadows.hybrid.work import hybrid_work
@@ -72,7 +72,7 @@ def fill(
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
         counts = count(buffer, scene, light_frame, volumes, settings, marks, True, record)
     log.keep("stencil", light, counts.copy)
-    return np.where(np.where(marks, counts > 0, verdict == SHADED_VALUE), np.float32(0.0), np.float32(1.0))
+    return np.where(np.where(marks, counts > 0, verdict == SHADED), np.float32(0.0), np.float32(1.0))
 
 
 def _compared(
@@ -99,7 +99,7 @@ def _compared(
         for drawn, target in zip(maps, targets, strict=True):
             log.keep("shadow-map", light, depths, gl, drawn, target)
             look_up(gl, drawn, target, buffer, map_settings, visibility, record)
-    verdict = np.where(visibility < 0.5, np.uint8(SHADED_VALUE), np.uint8(255 - SHADED_VALUE))
+    verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED
     return verdict

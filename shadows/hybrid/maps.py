@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.hybrid.conservative_map import (
-    LIT_VALUE,
+    LIT,
     ConservativeMap,
     classify_points,
     clipped_edges,
@@ -77,7 +77,7 @@ def classify_pixels(
     log: PassLog,
 ) -> np.ndarray:
     """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
-    verdict, casting = np.full(wanted.shape, LIT_VALUE, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
+    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
     with log.run(passes[1]), log.run(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, wanted)]
     for window in windows:

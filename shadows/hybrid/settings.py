@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
-from shadows.maps.resolve import resolve_map
+from shadows.maps.resolve import resolve_uniform_map
 from shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from shadows.volumes.settings import VolumeSettings, stencil_settings
 
@@ -37,7 +37,7 @@ def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     asked = request.shadows
     size = HYBRID_TEXELS if asked.map_size == "auto" else asked.map_size
     wish = asked.model_copy(update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"})
-    settings, _ = resolve_map(SettingsRequest(request.descriptor, request.light, wish))
+    settings, _ = resolve_uniform_map(SettingsRequest(request.descriptor, request.light, wish))
     mask = "conservative" if asked.mask == "auto" else asked.mask
     reasons = request.without_filter("hybrid")
     if asked.map_size == "auto":

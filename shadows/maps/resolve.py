@@ -71,11 +71,11 @@ def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> Calibrated
 
 def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
     """Settings of a light's shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
-    settings, reasons = resolve_map(replace(request, shadows=request.sharpened))
+    settings, reasons = resolve_uniform_map(replace(request, shadows=request.sharpened))
     return settings, [*request.why_sharpened, *reasons]
 
 
-def resolve_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
+def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
     """The same of any map that is not in the space of the picture, just as it is asked for."""
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)

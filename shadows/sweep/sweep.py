@@ -224,7 +224,7 @@ REFUSES: dict[Requirement, str] = {
     "forest": "a tree is no heightfield: light passes under its crown and between its leaves",
 }
 
-EXACT, DECIMATED = "sweep", "sweep of decimated ground"
+FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
 """Errors are told apart by whether the drawn triangles of the ground leave out nodes."""
 
 ALGORITHM = Algorithm(
@@ -241,6 +241,8 @@ ALGORITHM = Algorithm(
     keeps=("shadows.sweep.rays.ground_of_level",),
     search=Search(hopeless=_too_wide, variants=({"filter": "sun"},)),
     cost=Cost(_work, calibrated=_calibrated),
-    accuracy=Accuracy(groups=(EXACT, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else EXACT),
+    accuracy=Accuracy(
+        groups=(FULL_DETAIL, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else FULL_DETAIL
+    ),
     mark=Mark("star", "orange"),
 )

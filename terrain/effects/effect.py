@@ -17,7 +17,7 @@ from terrain.geo.grid import MapView
 from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
-BAR_STEP = 1.0 / 255.0
+CHANNEL_STEP = 1.0 / 255.0
 """What can be seen at least: a step of an 8-bit channel. An effect that changes no pixel by more is not called for."""
 
 Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.effects.effect import BAR_STEP, Effect, ShadingBlock, Verdict
+from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.resolve import FOREST
@@ -78,7 +78,7 @@ def _least_light(scene: Scene) -> float:
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
     least = 0.25 * sky if "meshes" not in scene.objects.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
-    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * BAR_STEP)])
+    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * CHANNEL_STEP)])
 
 
 @cached("scene", 16 * MIB)

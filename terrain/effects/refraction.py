@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.casters.reach import longest_shadow_m
-from terrain.effects.effect import BAR_STEP, Effect, Verdict
+from terrain.effects.effect import CHANNEL_STEP, Effect, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
@@ -35,7 +35,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
     moves_px = moves_m / pixel_m
-    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / BAR_STEP
+    steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / CHANNEL_STEP
     text = f"the air lifts the sun by {lift_deg:.2g} degrees"
     if 0.0 < descriptor.weather.cloud_cover < 1.0:
         return Verdict(True, f"{text}, which moves the shadows of clouds")

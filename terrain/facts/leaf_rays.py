@@ -42,7 +42,7 @@ class TreeGrid(NamedTuple):
     disc: np.ndarray
 
 
-class Foliage(NamedTuple):
+class LeafPictures(NamedTuple):
     """Trees as a ``TreeInstances`` has them, and where their pictures have a leaf (``leaves``)."""
 
     base_frame_m: np.ndarray
@@ -114,7 +114,7 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    its = Foliage(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
+    its = LeafPictures(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
     return _first(tree_grid_of(trees), its, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 

@@ -15,14 +15,14 @@ from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground
 from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from terrain.gbuffer.resolve import (
     RELIEF,
-    Camera,
     Faces,
     Ground,
+    PixelCamera,
     ResolvedPoints,
-    Solids,
     SolidsInMap,
-    Trees,
+    SolidsInPerspective,
     TreesInMap,
+    TreesInPerspective,
     resolve_map,
     resolve_perspective,
 )
@@ -124,19 +124,19 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
     image = imagery_of(scene)
     points = resolve_perspective(
         number,
-        Camera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
+        PixelCamera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
         Ground(
             ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease,
             np.zeros((0, 2)) if image is None else _ground_cells(image, ground),
         ),
-        Solids(_NO_POINTS, np.zeros(0), _NO_FACES)
+        SolidsInPerspective(_NO_POINTS, np.zeros(0), _NO_FACES)
         if solids is None or visible.solids is None
-        else Solids(
+        else SolidsInPerspective(
             visible.solids, scene.objects.solids_on(scene.map_crs)[:, 2], _solid_faces(scene.objects, visible.frame)
         ),
-        Trees(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
+        TreesInPerspective(_NO_POINTS, np.zeros(0), _NO_SHAPE, _NO_TURN, scene.world.curvature)
         if trees is None
-        else Trees(trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
+        else TreesInPerspective(trees.base_frame_m, trees.base_height_m, trees.shape, trees.turn, scene.world.curvature),
         root,
     )  # fmt: skip
     albedo = points.albedo

@@ -39,7 +39,7 @@ class ResolvedPoints(NamedTuple):
     cells: np.ndarray
 
 
-class Camera(NamedTuple):
+class PixelCamera(NamedTuple):
     """An eye (3,) in the frame, its rotation (3, 3), and its pixels: ``tangents`` (3,) are those of the first pixel, across and
     down, and their step, for the picture's ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
     """
@@ -73,7 +73,7 @@ class Faces(NamedTuple):
     crease: np.ndarray
 
 
-class Solids(NamedTuple):
+class SolidsInPerspective(NamedTuple):
     """Meshes in perspective: their vertices (n, 3) and these' heights (n,)."""
 
     position_frame_m: np.ndarray
@@ -89,7 +89,7 @@ class SolidsInMap(NamedTuple):
     faces: Faces
 
 
-class Trees(NamedTuple):
+class TreesInPerspective(NamedTuple):
     """Trees (n,) in perspective, as a ``terrain.gbuffer.tree_instances.TreeInstances`` has them."""
 
     base_frame_m: np.ndarray
@@ -111,7 +111,12 @@ class TreesInMap(NamedTuple):
 
 
 def resolve_perspective(
-    number: np.ndarray, camera: Camera, ground: Ground, solids: Solids, trees: Trees, albedo_root: np.ndarray
+    number: np.ndarray,
+    camera: PixelCamera,
+    ground: Ground,
+    solids: SolidsInPerspective,
+    trees: TreesInPerspective,
+    albedo_root: np.ndarray,
 ) -> ResolvedPoints:
     """The points that triangles (numbers (rows, cols)) show; ``albedo_root`` (rows, cols, 3) is of the leaves that are seen."""
     size = number.shape

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from moderngl import Framebuffer
 
-from terrain.cache import register
+from terrain.cache import register_cache
 
 MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
 """So many are held, of so many bytes together: the one used last at any size, those used before it while there is room."""
@@ -27,7 +27,7 @@ class DepthTargets:
         self._make, self._release = make, release
         self.name, self.lifetime, self.limit_bytes = "terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
         self._held: list[_Target] = []  # the one used last at the end
-        register(self)
+        register_cache(self)
 
     def __len__(self) -> int:
         """How many contents are kept."""

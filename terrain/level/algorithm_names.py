@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
-"""All names. ``shadows.registry.register`` adds to them, so nobody keeps a copy."""
+"""All names. ``shadows.registry.register_algorithm`` adds to them, so nobody keeps a copy."""
 
 
 class _OneOfThem:

@@ -11,7 +11,7 @@ import pytest
 
 from api.cli import main as cli
 from api.http.parameters import picture_query
-from api.workers.jobs import Overrides
+from api.workers.jobs import RequestedSettings
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 
@@ -73,6 +73,6 @@ def test_a_request_s_wishes_hold_them():
     given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
     given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
     asked = asyncio.run(picture_query(**given))
-    assert asked.overrides == Overrides.of(given)
+    assert asked.overrides == RequestedSettings.of(given)
     assert given == asked.overrides.for_selector()
     assert asked.query() == "&".join(f"{key}={value}" for key, value in given.items())

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shadows.hybrid.conservative_map import (
-    LIT_VALUE,
+    LIT,
     MASKED,
-    SHADED_VALUE,
+    SHADED,
     ConservativeMap,
     classify_points,
     clipped_edges,
@@ -121,8 +121,8 @@ def test_what_is_certain_is_so(seed: int) -> None:
     found = classify_points(
         known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9
     )
-    assert not before[found == LIT_VALUE].any()
-    assert (before[found == SHADED_VALUE] > 0).all()
+    assert not before[found == LIT].any()
+    assert (before[found == SHADED] > 0).all()
 
 
 @settings(max_examples=60)
@@ -133,8 +133,8 @@ def test_what_is_certain_of_points_on_casters_is_so(seed: int) -> None:
     points = on(triangles, 3000, rng)
     before = layers_before(triangles, points)
     found = classify_points(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
-    assert not before[found == LIT_VALUE].any()
-    assert (before[found == SHADED_VALUE] > 0).all()
+    assert not before[found == LIT].any()
+    assert (before[found == SHADED] > 0).all()
 
 
 SLOPES = [0.0, 0.05, 0.11, 0.25, 0.43, 0.6, 0.8, 1.0]
@@ -163,7 +163,7 @@ def test_no_wire_is_missed(width: float, slope: float) -> None:
     known = conservative_map((64, 64), triangles, boundary(triangles))
     dark = shadow_of(triangles, 10000, rng)
     assert dark.shape[1] > 3000
-    assert not (classify_points(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT_VALUE).any()
+    assert not (classify_points(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT).any()
     anywhere = rng.uniform(0, 64, (2, 20000))
     masked = (classify_points(known, *anywhere, np.full(20000, 0.9), 1e-9) == MASKED).mean()
     assert masked <= (width * np.hypot(1.0, slope) + 2.0 + slope) / 64  # the texels that it touches
@@ -205,7 +205,7 @@ def test_only_outlines_are_masked(turn_deg: float, floor_casts: bool) -> None:
     from_corner = np.stack([u, v], axis=-1)[:, None] - roof[[0, 0, 0, 1], [0, 1, 2, 2]][:, :2]
     dark = (side[:, 0] * from_corner[..., 1] - side[:, 1] * from_corner[..., 0] > 0).all(axis=1)
     known_points = found != MASKED
-    assert ((found == SHADED_VALUE) == dark)[known_points].all()
+    assert ((found == SHADED) == dark)[known_points].all()
     assert (~known_points).mean() * 128**2 < 2.1 * 200.0  # the outline is 200 texels long
 
 
@@ -294,7 +294,7 @@ def test_rounding_past_the_border_of_a_texel_is_harmless() -> None:
 def test_points_outside_are_masked() -> None:
     known = conservative_map((4, 3), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
     u, v = np.array([0.0, 3.99, -1e-9, 4.0, 1.0, 1e300, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 3.0, 1.0, 1.0])
-    assert classify_points(known, u, v, np.zeros(7), 0.0).tolist() == [LIT_VALUE, LIT_VALUE] + 5 * [MASKED]
+    assert classify_points(known, u, v, np.zeros(7), 0.0).tolist() == [LIT, LIT] + 5 * [MASKED]
 
 
 def test_triangles_outside_leave_no_trace() -> None:
