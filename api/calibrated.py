@@ -43,17 +43,17 @@ def in_words(profile: DeviceProfile, path: Path) -> str:
     rates = sum(map(len, profile.rates_ns.values()))
     said = [
         f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {duration(1000.0 * profile.took_s)}.",
-        f"{rates} rates were measured, of {len(profile.rates_ns)} parts of the work.",
+        f"{rates} rates measured, for {len(profile.rates_ns)} parts of the work.",
     ]
     if profile.residuals:
         fits = [
-            f"{spoken(name)} {percent(fit.median)} off in the median, {percent(fit.p90)} in nine tenths"
+            f"{spoken(name)} median {percent(fit.median)}, 90th percentile {percent(fit.p90)}"
             for name, fit in profile.residuals.items()
         ]
-        said.append(f"How well the rates give the times that they come from: {'; '.join(fits)}.")
+        said.append(f"Residuals of the fit, relative to the measured times: {'; '.join(fits)}.")
     said += [
         f"Kept in {path}.",
-        "Choices by prediction go by it from now on, on this device and driver alone; a service that runs takes it up with the "
-        "next render process that it starts.",
+        "The policy predict uses it from now on, on this device and driver only. A running service uses it from the next "
+        "render process that it starts.",
     ]
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said)

@@ -58,7 +58,7 @@ def pins(plan: Plan, descriptor: Descriptor, wishes: Wishes) -> dict[str, Any]:
     cast = {light: {kind: name for kind, name in kinds.items() if name != "none"} for light, kinds in plan.algorithm.items()}
     cast = {light: kinds for light, kinds in cast.items() if kinds}
     if not cast:
-        raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
+        raise InputError("--write", f"view {plan.view}", "a view and a sun with a cast shadow")
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
     automatic = choose(descriptor, wishes, chosen, picks={})
     for key in SETTINGS:
@@ -86,7 +86,9 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
         raise LevelError(str(path), "read-only", "a level file that may be written")
     after = pinned_text(before, chosen, why)
     if after is None:
-        raise LevelError(f"{path}: shadows", json.dumps(dict(chosen)), "to be written by hand, for this file's way of putting it")
+        raise LevelError(
+            f"{path}: shadows", json.dumps(dict(chosen)), "keys written by hand: this file's layout cannot be edited safely"
+        )
     temporary = None
     try:
         with tempfile.NamedTemporaryFile("wb", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:

@@ -119,10 +119,10 @@ def _with_words(taken: Option, options: Sequence[Option], kinds: Sequence[Caster
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
         elif beside.ms >= taken.ms:
-            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.pick.name}, {duration(beside.ms)}"
+            why += f"the fastest other choice within {_limit(max_error)} is {beside.pick.name}, {duration(beside.ms)}"
         else:
             why += f"{beside.pick.name} would take {duration(beside.ms)} {_chance(beside, max_error)}"
-    sizes = f"what the target takes ({settings})"
+    sizes = f"needed for the target ({settings})"
     return replace(taken.pick, why={**dict.fromkeys(kinds, why), **dict.fromkeys(taken.pick.settings, sizes)})
 
 
@@ -147,8 +147,8 @@ def _rejected(options: Mapping[str, Sequence[Option]], taken: Mapping[str, Optio
             nearest = next(each for each in able if each.pick.name == verdict.winner.name)
             if verdict.met:
                 said[name] = (
-                    f"{duration(nearest.ms)} expected of {nearest.pick.name} {_chance(nearest, max_error)}; "
-                    f"{duration(taken[light].ms)} of what is taken"
+                    f"expected: {duration(nearest.ms)} with {nearest.pick.name}, {_chance(nearest, max_error)}; "
+                    f"{duration(taken[light].ms)} with the choice"
                 )
             else:
                 said[name] = f"expected at best: {verdict.missed_by}"

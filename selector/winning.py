@@ -91,7 +91,7 @@ def _missed_by(figures: Figures, max_error: float, max_ms: float | None) -> str:
         over.append(f"an error of {percent(figures.error)}, {percent(figures.error - max_error)} more than {percent(max_error)}")
     if figures.interior > MOST_INTERIOR:
         more = percent(figures.interior - MOST_INTERIOR)
-        over.append(f"{percent(figures.interior)} wrong inside shadows or lights, {more} more than {percent(MOST_INTERIOR)}")
+        over.append(f"an interior error of {percent(figures.interior)}, {more} more than {percent(MOST_INTERIOR)}")
     if max_ms is not None and figures.ms > max_ms:
         over.append(f"{duration(figures.ms)}, {duration(figures.ms - max_ms)} more than {duration(max_ms)}")
     return "; ".join(over)

@@ -159,7 +159,7 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
     has = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
     for layer in sorted(layers - has):
         able = ", ".join(name for name, each in ALGORITHMS.items() if layer in each.layers) or "nothing"
-        raise UnsupportedError("layer", layer, f"what is drawn with is {plan.headline}; what has this layer: {able}")
+        raise UnsupportedError("layer", layer, f"{plan.headline} has no such layer; algorithms that have it: {able}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

@@ -273,8 +273,8 @@ def _words(rows: Measured, figures: Figures) -> str:
 def _said(view: View, rows: Measured) -> str:
     part = part_of(view)
     on_all = sum(trial.on_all for trial in rows.trials)
-    said = f"{len(rows.trials)} candidates held against truth on {rows.probe.pixels} of {part.rows * part.cols} pixels"
+    said = f"{len(rows.trials)} candidates compared with truth on {rows.probe.pixels} of {part.rows * part.cols} pixels"
     said += "" if rows.probe.thin is None else f", {on_all} of them on all"
     if rows.not_tried:
-        said += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
+        said += f"; {len(rows.not_tried)} not run, because smaller maps of the same kind decide"
     return said

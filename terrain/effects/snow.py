@@ -120,7 +120,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "no snow")
     if not facts["on"]:
         return Verdict(False, str(facts["why"]))
-    return Verdict(True, f"snow lies on whatever is less steep than {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
+    return Verdict(True, f"snow lies on slopes below {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> dict[str, Fact]:
@@ -128,10 +128,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, look: Look | None) -> d
     level = scene.loaded.level
     why = None
     if level.water is not None and scene.population.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
-        why = f"all ground lies under water, which stands at {level.water.level:g} m"
+        why = f"all ground lies below the water level, {level.water.level:g} m"
     elif look is not None and len(look.points_frame_m) == 0 and scene.population.trees is None:
-        why = "nothing but the sky is seen"
+        why = "the view shows only sky"
     return {"lies": level.weather.snow, "on": why is None, "why": why}
 
 
-EFFECT = Effect("snow that lies", called_for, facts, stage="albedo", part=lie_on)
+EFFECT = Effect("snow cover", called_for, facts, stage="albedo", part=lie_on)
