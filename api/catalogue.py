@@ -74,9 +74,9 @@ def remarks(path: Path) -> list[str]:
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
     if elevation.units is None and not is_generated:
-        notes.append("the raster does not say its unit of height: taken as metres; set terrain.units if that is wrong")
+        notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
         if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):
-            notes.append("its horizontal unit is a foot: are its heights in feet too?")
+            notes.append("the horizontal unit is feet: check whether heights are in feet, too")
     if scene.world.flat and not is_generated:
-        notes.append("an engineering CRS has no place on earth: no web tiles, and a sun by angles only")
+        notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes

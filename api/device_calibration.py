@@ -42,17 +42,17 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
     rates = sum(map(len, profile.rates_ns.values()))
     lines = [
         f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {format_duration(1000.0 * profile.took_s)}.",
-        f"{rates} rates were measured, of {len(profile.rates_ns)} parts of the work.",
+        f"{rates} rates measured, for {len(profile.rates_ns)} parts of the work.",
     ]
     if profile.residuals:
         fits = [
-            f"{display_name(name)} {format_percent(fit.median)} off in the median, {format_percent(fit.p90)} in nine tenths"
+            f"{display_name(name)} median {format_percent(fit.median)}, 90th percentile {format_percent(fit.p90)}"
             for name, fit in profile.residuals.items()
         ]
-        lines.append(f"How well the rates give the times that they come from: {'; '.join(fits)}.")
+        lines.append(f"Residuals of the fit, relative to the measured times: {'; '.join(fits)}.")
     lines += [
         f"Kept in {path}.",
-        "Choices by prediction go by it from now on, on this device and driver alone; a service that runs takes it up with the "
-        "next render process that it starts.",
+        "The policy predict uses it from now on, on this device and driver only. A running service uses it from the next "
+        "render process that it starts.",
     ]
     return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)

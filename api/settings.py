@@ -45,8 +45,8 @@ class Settings(BaseSettings):
     )
     workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
     queue_length: int = Field(default=32, ge=1, description="Pictures that may wait to be drawn; more are refused.")
-    render_timeout_s: float = Field(default=60.0, gt=0, description="A picture that takes longer is given up.")
-    start_timeout_s: float = Field(default=300.0, gt=0, description="A render process that starts longer is given up.")
+    render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
+    start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
     block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each) and snapshots.")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
@@ -56,7 +56,7 @@ class Settings(BaseSettings):
     )
     remote_sources: bool = Field(default=False, description="Whether levels may name rasters that are not local files.")
     expect_renderer: str | None = Field(
-        default=None, description="Part of the OpenGL renderer's name without which no render process starts."
+        default=None, description="Text that the OpenGL renderer's name has to contain; else no render process starts."
     )
 
     @field_validator("cors_origins", mode="before")

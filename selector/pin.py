@@ -56,7 +56,7 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
     cast = {light: {kind: name for kind, name in kinds.items() if name != NO_SHADOWS} for light, kinds in plan.algorithm.items()}
     cast = {light: kinds for light, kinds in cast.items() if kinds}
     if not cast:
-        raise InputError("--write", f"view {plan.view}", "a view, and a sun, in which something casts a shadow")
+        raise InputError("--write", f"view {plan.view}", "a view and a sun with a cast shadow")
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
     automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
@@ -84,7 +84,9 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
         raise LevelError(str(path), "read-only", "a level file that may be written")
     after = pinned_text(before, chosen, why)
     if after is None:
-        raise LevelError(f"{path}: shadows", json.dumps(dict(chosen)), "to be written by hand, for this file's way of putting it")
+        raise LevelError(
+            f"{path}: shadows", json.dumps(dict(chosen)), "keys written by hand: this file's layout cannot be edited safely"
+        )
     temporary = None
     try:
         with tempfile.NamedTemporaryFile("wb", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:

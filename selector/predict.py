@@ -168,10 +168,10 @@ def _with_words(
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
         elif beside.ms >= winner.ms:
-            why += f"of what else keeps to {_limit(max_error)} the quickest is {beside.choice.name}, {format_duration(beside.ms)}"
+            why += f"the fastest other choice within {_limit(max_error)} is {beside.choice.name}, {format_duration(beside.ms)}"
         else:
             why += f"{beside.choice.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
-    sizes = f"what the target takes ({settings})"
+    sizes = f"needed for the target ({settings})"
     return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
 
 
@@ -198,8 +198,8 @@ def _rejected(
             nearest = next(option for option in candidates if option.choice.name == verdict.winner.name)
             if verdict.met:
                 reasons[name] = (
-                    f"{format_duration(nearest.ms)} expected of {nearest.choice.name} {_chance(nearest, max_error)}; "
-                    f"{format_duration(winners[light].ms)} of what is taken"
+                    f"expected: {format_duration(nearest.ms)} with {nearest.choice.name}, {_chance(nearest, max_error)}; "
+                    f"{format_duration(winners[light].ms)} with the choice"
                 )
             else:
                 reasons[name] = f"expected at best: {verdict.missed_by}"

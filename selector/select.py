@@ -18,7 +18,7 @@ from terrain.scene import Scene
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
 
-UNCALIBRATED = "this device is not calibrated for predictions (skugga calibrate does it): the rules decide"
+UNCALIBRATED = "device not calibrated, so rules instead of predictions (skugga calibrate calibrates it)"
 
 
 def select(
@@ -34,7 +34,7 @@ def select(
     Raises ``InputError`` for what is wrong, ``measure`` among it, and ``UnsupportedError`` for what cannot be served.
     """
     if policy == "measure":
-        raise InputError("policy", policy, "rules, predict: to measure takes the scene itself, at design time (skugga select)")
+        raise InputError("policy", policy, "rules, predict; measure needs the scene itself (skugga select)")
     if policy == "predict" and device is not None:
         from selector.predict import predicted_plan
 

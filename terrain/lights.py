@@ -68,7 +68,7 @@ def lamp_of(name: str, spec: LightSpec, place: Geolocator, where: str) -> Lamp:
         to_target = target - position
         reference_m = float(np.linalg.norm(to_target))
         if not reference_m > 1e-6:
-            raise LevelError(f"{where}.target", spec.target, "a point apart from the position")
+            raise LevelError(f"{where}.target", spec.target, "a point other than the position")
         forward, cutoff = to_target / reference_m, spec.cutoff
     return Lamp(name, spec.kind, position, axes_along(forward, up), cutoff, spec.color, spec.intensity, reference_m)
 

@@ -110,7 +110,9 @@ class Scene:
             *self.elevation.bounds, densify_pts=21
         )
         if not np.isfinite([west, south, east, north]).all():
-            raise SourceError(self.elevation.name, self.elevation.crs.name, "a CRS whose area PROJ can place on earth")
+            raise SourceError(
+                self.elevation.name, self.elevation.crs.name, "a CRS that PROJ can transform into longitude and latitude"
+            )
         return west, max(south, -90.0), east + 360.0 if east < west else east, min(north, 90.0)
 
     @cached_property
@@ -193,7 +195,7 @@ class Scene:
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
         pixels = (east - west) / (size or (1, 1))[0], (north - south) / (size or (1, 1))[1]
         if max(map(abs, extent)) > 1e9 or min(pixels) < 1e-9 * max(map(abs, extent)):
-            raise InputError("bounds", extent, "coordinates below 1e9 and pixels that they can tell apart")
+            raise InputError("bounds", extent, "coordinates below 1e9, and pixels larger than their rounding")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         size = size or spec.size
@@ -223,7 +225,7 @@ class Scene:
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
         if self.bounds_lon_lat[2] > 180.0 and not crs.is_geographic and crs != self.elevation.crs:
-            raise InputError("crs", crs.name, "bounds to go with it: the level crosses the antimeridian, where this CRS ends")
+            raise InputError("crs", crs.name, "a CRS together with bounds: the level crosses the antimeridian, where this CRS ends")
         try:
             bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
         except ProjError:
@@ -255,7 +257,7 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
     unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
     if elevation.flat:
         if bounds is not None:
-            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "no degrees in an engineering CRS")
+            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "no bounds in degrees: the CRS is an engineering CRS")
         return World(crs, True, x, y, metres_per_unit=unit)
     metres = 1.0 if crs.is_geographic else unit
     if bounds is not None:
@@ -268,5 +270,5 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
     else:
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y) if not crs.is_geographic else (x, y)
     if not np.isfinite([lon, lat]).all():
-        raise SourceError(elevation.name, crs.name, "a CRS whose area PROJ can place on earth")
+        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

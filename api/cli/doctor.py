@@ -59,7 +59,7 @@ def _calibration() -> Finding:
     try:
         gl = device()
     except SkuggaError:
-        return Finding("calibration", True, "there is no device to calibrate")
+        return Finding("calibration", True, "no OpenGL device to calibrate")
     profile = load_profile(gl.renderer, gl.version)
     text = missing_profile_reason(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
     return Finding("calibration", True, text or "")

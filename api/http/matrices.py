@@ -57,7 +57,7 @@ def matrix_set_of(name: str) -> TileMatrixSet:
     """A tile matrix set by its name. Raises ``NotServedError`` that lists the ones served."""
     served = served_matrix_sets()
     if name not in served:
-        raise NotServedError("tms", f"There is no tile matrix set {name[:60]!r} here; there are {', '.join(served)}.")
+        raise NotServedError("tms", f"Unknown tile matrix set {name[:60]!r}; served: {', '.join(served)}.")
     return served[name]
 
 
@@ -82,7 +82,7 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
 def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y: int) -> None:
     """Raise ``NotServedError`` for a tile outside of the zooms or of the tile matrix."""
     if not zooms.first <= zoom <= zooms.last:
-        raise NotServedError("z", f"Zoom {zoom} is not served here; zooms {zooms.first} to {zooms.last} are.")
+        raise NotServedError("z", f"Zoom {zoom} is not served; zooms {zooms.first} to {zooms.last} are.")
     matrix = matrix_set.matrix(zoom)
     for name, index, count in (("x", x, matrix.matrixWidth), ("y", y, matrix.matrixHeight)):
         if not 0 <= index < count:

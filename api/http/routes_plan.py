@@ -116,10 +116,10 @@ def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | Non
     if zoom is None and tms is None:
         return level.view_named(view)
     if view is not None or zoom is None:
-        raise InputError("view" if zoom is not None else "zoom", view or "", "view, or zoom with tms where it is not the default")
+        raise InputError("view" if zoom is not None else "zoom", view or "", "either view, or zoom (with tms)")
     matrix_set = tms or DEFAULT_MATRIX_SET
     matrix_set_of(matrix_set)
     zooms = level.zooms_in(matrix_set)
     if not zooms.first <= zoom <= zooms.last:
-        raise NotServedError("zoom", f"Zoom {zoom} is not served here; zooms {zooms.first} to {zooms.last} are.")
+        raise NotServedError("zoom", f"Zoom {zoom} is not served; zooms {zooms.first} to {zooms.last} are.")
     return Tiles(matrix_set=matrix_set, zoom=zoom)

@@ -92,7 +92,7 @@ async def _answer(
     level, matrix_set = await service.level(name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not doubles(matrix_set, zxy[0]):
-        raise NotServedError("z", f"{tms} has no tiles of twice the pixels at zoom {zxy[0]}.")
+        raise NotServedError("z", f"{tms} has no @2x tiles at zoom {zxy[0]}.")
     check_format(layer, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)

@@ -61,7 +61,7 @@ class ServedLevel:
         """
         matrix_set_of(matrix_set)
         if self.world.flat:
-            raise UnsupportedError("level", self.name, "its engineering CRS has no place on earth, so it has no tiles")
+            raise UnsupportedError("level", self.name, "an engineering CRS is not georeferenced, so there are no tiles")
         if matrix_set not in self.zooms:
             raise NotServedError("tms", f"{self.name} lies outside of {matrix_set}; it has {', '.join(self.zooms)}.")
         return self.zooms[matrix_set]
@@ -124,13 +124,13 @@ class ServedLevels:
         for path in paths:
             level = self._read(Path(path))
             if level.name in self._levels:
-                raise InputError("LEVEL", str(path), f"files of different names: there is a '{level.name}' already")
+                raise InputError("LEVEL", str(path), f"files of different names: a level '{level.name}' is served already")
             self._levels[level.name] = _stamps(level.loaded), level
 
     def get(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, or what reading raises if it was broken since."""
         if name not in self._levels:
-            raise NotServedError("level", f"There is no level {name[:60]!r} here; there are {', '.join(self._levels)}.")
+            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(self._levels)}.")
         with self._lock:
             stamps, level = self._levels[name]
             current_stamps = _stamps(level.loaded)
@@ -154,14 +154,16 @@ class ServedLevels:
         loaded = load_level(path)
         remote = [source for source in loaded.sources if not _is_local(source)]
         if remote and not self._remote_sources:
-            raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows what is not")
+            raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
         if not names_in(loaded.level.shadows.algorithm) <= set(served_algorithms()):
             raise LevelError(
                 f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
                 f"in a level that is served: {', '.join(['auto', *served_algorithms()])}",
             )  # fmt: skip
         if loaded.level.shadows.fit == "tight":
-            raise LevelError(f"{path}: shadows.fit", "tight", "in a level that is served: auto or stable; tight tiles do not join")
+            raise LevelError(
+                f"{path}: shadows.fit", "tight", "auto or stable in a served level: tiles with a tight fit do not join"
+            )
         # Without its sun: a time needs the sun's library, which the service may never need.
         scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
         try:

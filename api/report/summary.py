@@ -75,7 +75,7 @@ class _SummaryText:
             return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others}."]
         times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
         if exact > 1:
-            most = f"{exact} rows are exact to what truth can tell; the fastest of them is {best['name']}"
+            most = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
             most = f"{most}, in {format_duration(best['ms_median'])}"
         else:
             most = f"The most accurate is {best['name']}: {self._result(best)}"
@@ -96,7 +96,7 @@ class _SummaryText:
             f"{f'costs {_times(ratio)} the' if ratio >= HARDLY else 'takes hardly more'} time ({here['name']} to {there['name']})"
         )
         if self.exact(there):
-            return f"Bringing the error from {format_percent(self.of(here))} down to what truth can tell {steps}."
+            return f"Bringing the error from {format_percent(self.of(here))} down to the noise of truth {steps}."
         if self.of(there) > self.of(here) / 2.5:
             return f"Halving the error from {format_percent(self.of(here))} {steps}."
         return f"Bringing the error from {format_percent(self.of(here))} down to {format_percent(self.of(there))} {steps}."
@@ -106,15 +106,15 @@ class _SummaryText:
         if not failed:
             return []
         worst = max(f["interior"] for f in failed)
-        pronoun, up_to = ("its", "") if len(failed) == 1 else ("their", "up to ")
+        has, whose, up_to = ("has", "its", "") if len(failed) == 1 else ("have", "their", "up to ")
         return [
-            f"{format_list([f['name'] for f in failed])} {'fails' if len(failed) == 1 else 'fail'} somewhere, although {pronoun} error is "
-            f"small: {up_to}{format_percent(worst)} of the surface is wrong away from all shadow edges, which aliasing cannot explain."
+            f"{format_list([f['name'] for f in failed])} {has} interior errors, although {whose} error is small: {up_to}"
+            f"{format_percent(worst)} of the surface is wrong away from shadow edges, which is no aliasing."
         ]
 
     def _result(self, figures: RowFigures) -> str:
-        error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "off in shadow share"
-        wrong = "exact to what truth can tell" if self.exact(figures) else f"{format_percent(self.of(figures))} {error_phrase}"
+        error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "difference in shadow share"
+        wrong = "exact within the noise of truth" if self.exact(figures) else f"{format_percent(self.of(figures))} {error_phrase}"
         return f"{wrong}, in {format_duration(figures['ms_median'])}"
 
 

@@ -99,7 +99,7 @@ def format_verdict(found: PeerComparison) -> str:
     names = ["Skugga" for tool in right if tool.ours][:1] + [tool.name for tool in right if not tool.ours]
     parts = [_front(found, clock, len(peers)) for clock in CLOCKS]
     if all(tool in right for tool in found.casting if tool.ours):
-        parts.append(f"On the axes, no wrong cell at all in any row of: {_listed(names)}. Off them:")
+        parts.append(f"On the axes these have no wrong cell in any row: {_listed(names)}. Off the axes:")
     return "\n\n".join([*parts, _beside(found)])
 
 
@@ -153,20 +153,20 @@ def page(found: PeerComparison, image: str) -> str:
         "Made by `benchmarks/peers`, which writes every number and verdict below.",
         f"![Time of computing against wrong cells off the axes, each tool a point]({image})",
         "## The verdict",
-        "Is there a peer that is both faster and more accurate? Asked for each of Skugga's rows, of each raster under each sun,\n"
-        "and of the means over the suns off the axes.",
+        "Is there a peer that is both faster and more accurate? The question is put for each of Skugga's rows, in each raster\n"
+        "under each sun, and for the means over the suns off the axes.",
         format_verdict(found),
         "## How it was measured",
         _how(found),
         "## Time, memory, accuracy",
-        f"Seconds are ranges over the {len(found.terrains[0].under)} suns. Peak: of the largest process that a tool starts.\n"
-        "Cores: CPU time by wall time of the whole process, at most. Wrong: per cent of the decided cells, means over rasters\n"
-        "and suns, and the worst.",
+        f"Seconds are ranges over the {len(found.terrains[0].under)} suns. Peak: memory of a tool's largest process.\n"
+        "Cores: CPU time over wall time of the whole process, the largest ratio. Wrong: per cent of the decided\n"
+        "cells, mean over rasters and suns, and the worst.",
         "\n".join(time_table(found)),
         "## Errors, case by case",
         "Raster, azimuth/altitude: false / missed shadow, per cent of the decided cells.",
         "\n".join(error_table(found)),
-        "## What to know of it",
+        "## Notes",
         "\n".join(f"- {note}" for note in _notes(found)),
     ]
     return "\n\n".join(parts) + "\n"
@@ -189,20 +189,20 @@ def _how(found: PeerComparison) -> str:
 in a flat world, on a grid whose north is true north.
 
 **Suns** (azimuth/altitude, degrees): {on} on the grid's axes and diagonals, {off} off them.
-A line from cell to cell meets middles of cells alone only at multiples of 45 degrees: a test of such suns alone hides errors.
+Only at multiples of 45 degrees does a line from cell to cell meet nothing but cell centres. A test of such suns alone hides errors.
 
-**Truth.** Rays from the nodes through the triangles between them. A cell is decided where the answer hangs neither on the rays'
-offset, nor on a hundredth of a degree of the sun's altitude, nor on the diagonal that quads are cut along: {undecided} % of the
-cells are not decided, by raster and sun. Of those that are, {shadow} % lie in shadow.
+**Truth.** Rays from the nodes through the triangles between them. A cell is decided if the answer depends neither on the rays'
+offset, nor on a hundredth of a degree of the sun's altitude, nor on the diagonal along which quads are cut. By raster and sun,
+{undecided} % of the cells are not decided. Of the decided cells, {shadow} % lie in shadow.
 
-**Time.** Computing is what the tool's call takes by its own clock, compiled code being warm; the whole process is what a stopwatch
-beside it shows: start, imports, reading, computing, writing. Medians of {found.repeats}; what takes over {found.slow_s:g} s runs
-once. One process at a time, the tools taking turns. `≤`: the tool does not say what computing took; its whole process less
-what that took at least for the small raster below is a bound, which the verdict takes for the time itself. Seconds hold only beside
-each other: {found.where}.
+**Time.** *Computing* is the time of the tool's call by its own clock, with compiled code warm. *Whole process* is wall-clock time:
+start, imports, reading, computing, writing. Times are medians of {found.repeats}; a tool that takes over {found.slow_s:g} s runs
+once. One process runs at a time, and the tools take turns. `≤` marks a bound: the tool does not report its computing time, so the
+whole process is taken, less its least time for the small raster below. The verdict takes the bound for the time itself. Seconds are
+comparable only with each other: {found.where}.
 
-**Conventions.** Before anything counted, each tool shaded a block on a small flat floor under four suns: its shadow had to end and
-to lie where it should."""
+**Conventions.** Before the measurement, each tool shaded a block on a small flat floor under four suns: the shadow had to have the
+right length and direction."""
 
 
 RASTER_TITLES = {
@@ -243,24 +243,24 @@ def _low_sun(found: PeerComparison, tool: ToolRecord) -> float:
 NOTES = [
     (
         "Skugga sweep, 8 lines",
-        "Skugga's rows differ in the lines that follow the sun's azimuth across each cell; 8 are its default. They are its sweep "
-        "over an array, on all cores: `skugga render` and the tiles add projections, the earth's curvature and colours.",
+        "Skugga's rows differ in the number of lines per cell that follow the sun's azimuth; the default is 8. They measure the "
+        "sweep over an array, on all cores: `skugga render` and the tiles add projections, the earth's curvature and colours.",
     ),
     (
         "GRASS r.horizon",
         "r.horizon lowers far terrain by the earth's curvature, half the square of the distance by the earth's radius; truth here "
-        "does not. To its whole process belong a session and a raster's import and export.",
+        "does not. Its whole process includes a session and a raster's import and export.",
     ),
     (
         "Whitebox Workflows",
-        "Whitebox's `horizon_angle`, topocalc and r.horizon answer with a horizon's angle: one answer serves all altitudes of "
+        "Whitebox's `horizon_angle`, topocalc and r.horizon compute a horizon angle: one answer serves all altitudes of "
         "an azimuth, but no other azimuth. Its `shadow_image` takes a date and a place instead of a sun, and makes a picture.",
     ),
     ("SAGA ta_lighting", "SAGA runs in its mode `shadows only`, slim."),
     ("solweig", "solweig runs on the CPU."),
     (
         "gdaldem hillshade",
-        "gdaldem hillshade casts no shadow: it is what a process costs that reads, looks at neighbours and writes.",
+        "gdaldem hillshade casts no shadow: it shows the cost of a process that reads, compares neighbours and writes.",
     ),
 ]
 """What to know of a tool, said where it ran."""

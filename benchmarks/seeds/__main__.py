@@ -52,11 +52,11 @@ HERE = Path(__file__).parent
 
 INTRODUCTION = f"""# The seeds' experiments, made again
 
-Made by `benchmarks/seeds`: every number below is the script's. It runs the experiments of the texts that Skugga began with in
-the levels built after their scenes, and sets each claim beside what is measured here. Where a finding of its time does not hold on
-today's devices, that is a result too.
+Made by `benchmarks/seeds`, which writes every number below. Skugga began with a few texts (the seeds). The script repeats their
+experiments in levels built after their scenes, and compares each claim with what is measured here. A finding that does not hold on
+today's devices is a result, too.
 
-Verdicts follow from the figures, by the condition that stands in brackets behind them; where what decides lies within
+Verdicts follow from the figures, by the condition in brackets. If the deciding figure lies within
 {whole_percent(SAME - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
 `perspective_shadow_map` and `shadow_volume`. Figures such as `wrong_cast`, `false_shadow` and `edge_p95` are those of
 `skugga compare`, against ray-traced truth."""

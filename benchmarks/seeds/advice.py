@@ -104,9 +104,9 @@ def section(figures: Figures) -> Section:
     room = all_of(at_most(value, 1.0) for value in ceiling.values())
     return Section(
         "The advice (table 1, section 8.2)",
-        "Figures of the experiments above; besides, BoxGrid seen from within the shadow and from close by, and errors in "
-        f"{ERROR_SIZE[0]} x {ERROR_SIZE[1]} (outdoors {OUTDOOR_SIZE[0]} x {OUTDOOR_SIZE[1]}) with maps of 1024 for SM and PSM "
-        "alike.",
+        "Figures of the experiments above. In addition: BoxGrid seen from within the shadow and from close by, and errors in "
+        f"{ERROR_SIZE[0]} x {ERROR_SIZE[1]} (outdoors {OUTDOOR_SIZE[0]} x {OUTDOOR_SIZE[1]}) with maps of 1024 for both SM and "
+        "PSM.",
         [],
         [
             Claim(

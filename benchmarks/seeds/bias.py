@@ -268,11 +268,10 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "Bias, culling and taps",
-        f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits; one tap, or as many a side as are named; `x` is the "
-        "scale of the bias, 0 for none. `bodies` are maps of the meshes alone, without the level ground. `partial` is the share "
-        "of points facing the sun that are neither lit nor shaded, `off` by how much their visibility is off. The report's "
-        f"formulas look up the same maps as drawn, for {len(CONSTANTS)} values of b from {CONSTANTS[0]:g} to {CONSTANTS[-1]:g} of "
-        "the map's depths.",
+        f"{SIZE[0]} x {SIZE[1]} pixels, one map of {TEXELS} and 24 bits, one tap or as many a side as named. `x` is the scale of "
+        "the bias (0: none). `bodies` are maps of the meshes alone, without the level ground. `partial` is the share of points "
+        "facing the sun that are neither lit nor in shadow; `off` is the error of their visibility. The report's formulas use "
+        f"the same maps as drawn, for {len(CONSTANTS)} values of b from {CONSTANTS[0]:g} to {CONSTANTS[-1]:g} of the map's depths.",
         tables,
         claims,
     )

@@ -193,13 +193,13 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "The bits of a depth",
-        f"Generated mountains of {RELIEF_M} m over {SIDE_M // 1000} km, of which the map shows the middle half a side, with thin "
-        f"walls on a slope; {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP}, one tap. A point e behind its caster, along the ray, "
-        f"lies e cos(altitude) from the foot of an upright one on level ground. `{PLANE}` may be off by a step (half by rounding "
-        f"what is drawn, half that points are held nearer), `{OFFSET}` by four units and a half. `shift` is the median over edge "
-        "pixels; `bound` is their length (times the root of 2, for slanting ones) times the shift at each, over the cast shadow; "
-        "`changed` is what differs from 32 bits; `may change` is the share of the cast shadow, by rays, that lies so little "
-        "behind the first thing that the sun meets (acne is no part of it).",
+        f"Generated mountains of {RELIEF_M} m over {SIDE_M // 1000} km, with thin walls on a slope; the map shows the middle half "
+        f"a side. {SIZE[0]} x {SIZE[1]} pixels, one map of {MAP}, one tap. A point that is e behind its caster, along the ray, "
+        f"lies e cos(altitude) from the foot of an upright caster on level ground. `{PLANE}` may be off by one step (half for the "
+        f"rounding of drawn depths, half for the bias), `{OFFSET}` by four units and a half. `shift` is the median over edge "
+        "pixels. `bound` is the length of the edges (times the root of 2, for slanting ones) times the shift at each, over the "
+        "cast shadow. `changed` is the difference from 32 bits. `may change` is the share of the cast shadow, by rays, that lies "
+        "so little behind the first caster that the sun meets (without acne).",
         [("Depth's bits", table)],
         claims,
     )

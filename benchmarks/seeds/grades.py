@@ -269,11 +269,11 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "The grades (table 2)",
-        "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside what is measured under the same kind of "
-        f"light, the spot: times as above; errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means over "
-        f"{len(MOVES)} places of the camera within {whole_percent(max(MOVES))} of its distance to either side; and for robustness "
-        "the largest interior error on the way and how much `wrong_cast` changes (largest less least), added up. Correlations "
-        f"are Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {AGREES} counts as agreement.",
+        "The thesis's subjective grades (speed / quality / robustness, 5 is best) beside figures under the same kind of light, "
+        f"the spot. Speed: times as above. Quality: errors against ray-traced truth in {ERROR_SIZE[0]} x {ERROR_SIZE[1]}, means "
+        f"over {len(MOVES)} places of the camera within {whole_percent(max(MOVES))} of its distance to either side. Robustness: "
+        "the sum of the largest interior error on the way and the change of `wrong_cast` (largest less least). Correlations are "
+        f"Spearman's over the {len(SCENES) * len(FOUR)} pairs of scene and algorithm; {AGREES} counts as agreement.",
         [("Grades and figures", rows)],
         claims,
     )

@@ -166,10 +166,10 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "Map size and cut-off angle (figures 52 and 53)",
-        f"The water tower's shadow from close by, {FRAME[0]} x {FRAME[1]} pixels, one tap; the spot aimed so that its cone is the "
-        f"smallest that holds the tower ({least_deg:.1f}°), then opened to {wide_deg:.0f}°, as the thesis's listing has it. "
-        "`texel` is what the thesis's equation 1 predicts for a texel in the picture, the mean over the shadow's edges. Errors "
-        f"within {whole_percent(SAME - 1.0)} of one another count as the same.",
+        f"The water tower's shadow from close by, {FRAME[0]} x {FRAME[1]} pixels, one tap. The spot's cone is first the smallest "
+        f"that holds the tower ({least_deg:.1f}°), then opened to {wide_deg:.0f}°, as in the thesis's listing. `texel` is the "
+        "size of a texel in the picture that the thesis's equation 1 predicts, the mean over the shadow's edges. Errors within "
+        f"{whole_percent(SAME - 1.0)} of one another count as the same.",
         [("Shadow maps by size", table)],
         claims,
         [

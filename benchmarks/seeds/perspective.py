@@ -280,10 +280,10 @@ def section_light_direction(figures: Figures) -> Section:
     return Section(
         "Perspective maps by the light's direction (figure 54)",
         f"The stone circles in their main view, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS} texels a side, one tap. Three "
-        f"controls stand between the algorithms, each with one idea taken out: *{FITTED}* is the same fit without the camera's "
-        f"perspective; *{BARE}* is the camera's own, or the shortest slide-back that is possible; *{ALWAYS}* takes a slide-back "
-        "even where a uniform map has the smaller texels. What is said of the perspective alone compares the last of these with "
-        "the first.",
+        f"controls lie between the algorithms; each leaves one idea out. *{FITTED}* is the same fit without the camera's "
+        f"perspective. *{BARE}* is the camera's own perspective, or the shortest slide-back that is possible. *{ALWAYS}* takes a "
+        "slide-back even where a uniform map has the smaller texels. Statements about the perspective alone compare the last "
+        "control with the first.",
         [("wrong_cast / wrong share of the nearest third of the shadows / of the farthest third", table)],
         claims,
         [
@@ -342,9 +342,9 @@ def section_bad_case(figures: Figures) -> Section:
     ]
     return Section(
         "A bad case for perspective maps (figure 55)",
-        f"The stone circles from afar, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS}, under a spot of {NEAR_CUTOFF_DEG:.0f}° "
-        "that comes ever nearer to the middle circle. The thesis does not say where its light stood: these are places where "
-        "stretching is strong. Controls as above.",
+        f"The stone circles from afar, {SIZE[0]} x {SIZE[1]} pixels, maps of {TEXELS}, under a spot of {NEAR_CUTOFF_DEG:.0f}° that "
+        "comes nearer and nearer to the middle circle. The thesis does not say where its light stood; these places have strong "
+        "stretching. Controls as above.",
         [("wrong_cast", table)],
         claims,
         [

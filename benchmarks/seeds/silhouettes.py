@@ -289,9 +289,10 @@ def section(figures: Figures) -> Section:
     return Section(
         "Silhouettes, z-pass and z-fail",
         f"Main views of the thesis's scenes under the sun, {SIZE[0]} x {SIZE[1]}. Volumes of the same triangles (those of closed "
-        "bodies that face the sun) are built twice by the same code: with the edges that neighbours share, and as if each side "
-        "of a triangle were an edge of its own, one volume a triangle; both are counted by z-fail, as in the report. Times are "
-        f"ratios to building and filling a volume for each polygon, taking turns, medians of {REPEATS} (the search is timed once).",
+        "bodies that face the sun) are built twice by the same code: once with the edges that neighbours share, once with every "
+        "side of a triangle as an edge of its own, one volume per triangle. Both are counted by z-fail, as in the report. Times "
+        f"are ratios to building and filling one volume per polygon, taken in turns, medians of {REPEATS} (the search is timed "
+        "once).",
         [("Silhouettes against one volume a polygon", table)],
         claims,
     )

@@ -224,10 +224,10 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "SpatialAce: maps redrawn and kept",
-        f"`spatialace --view main`, {FRAME[0]} x {FRAME[1]}, one map of 16 bits. Times are those of whole frames, taking turns, "
-        f"medians of {REPEATS}, as ratios to frames without shadows (theirs: {THEIR_FPS_WITHOUT} frames a second over those with "
-        "the map); `map made` is the share of fitting and drawing the map in the time of the shadow alone, `coverage` by how "
-        "much blocks' shadow shares are off.",
+        f"`spatialace --view main`, {FRAME[0]} x {FRAME[1]}, one map of 16 bits. Times are those of whole frames, taken in turns, "
+        f"medians of {REPEATS}, as ratios to frames without shadows (the thesis's: {THEIR_FPS_WITHOUT} frames a second over those "
+        "with the map). `map made` is the share of fitting and drawing the map in the shadow time; `coverage` is the error of "
+        "shadow shares in blocks.",
         [("Frames against frames without shadows, and errors", table)],
         claims,
     )

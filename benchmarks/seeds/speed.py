@@ -113,13 +113,13 @@ def section_stages(figures: Figures) -> Section:
         claims += _timing_claims(views, light)
     return Section(
         "Times of the four algorithms (figure 47)",
-        f"The five scenes in their main views, {SIZE[0]} x {SIZE[1]}, maps of 1024 (the hybrid's of its own choice), everything "
-        f"made anew for each frame; medians of {REPEATS} turns. Our passes beside the thesis's stages: *map* is placing the map "
-        "and drawing the scene from the light; *look-up* is rendering with the map, in the hybrid finding the silhouette pixels; "
-        "*volumes* is finding silhouettes and making volumes of them; *counting* is drawing volumes into the stencil; *between* "
-        "is what no pass accounts for, in the hybrid above all telling which points lie on lit faces of casters. The thesis's "
-        f"times hold a drawing of the scene too, ours the shadow alone. Times within {whole_percent(SAME - 1.0)} count as the "
-        "same; what hangs on less is a draw.",
+        f"The five scenes in their main views, {SIZE[0]} x {SIZE[1]}, maps of 1024 (the hybrid has its own size), everything made "
+        f"anew for each frame, medians of {REPEATS} turns. Our passes correspond to the thesis's stages like this. *map*: placing "
+        "the map and drawing the scene from the light. *look-up*: rendering with the map; in the hybrid, finding the silhouette "
+        "pixels. *volumes*: finding silhouettes and building volumes. *counting*: drawing volumes into the stencil. *between*: "
+        "time outside of all passes; in the hybrid mainly finding which points lie on lit faces of casters. The thesis's times "
+        f"include drawing the scene, ours are the shadow alone. Times within {whole_percent(SAME - 1.0)} count as the same: a "
+        "draw.",
         tables,
         [*claims, *_size_claims(figures["sizes"]), *_frame_claims(figures["frames"])],
     )
@@ -337,7 +337,7 @@ def section_stencil(figures: Figures) -> Section:
     )
     return Section(
         "One- and two-sided stencil (figure 22)",
-        f"Shadow volumes with `stencil: two_pass` as times of `one_pass`, main views, {SIZE[0]} x {SIZE[1]}, medians of "
+        f"Time of shadow volumes with `stencil: two_pass`, relative to `one_pass`; main views, {SIZE[0]} x {SIZE[1]}, medians of "
         f"{STENCIL_REPEATS} turns. The thesis's scene is its water tower.",
         [("Two passes, of one", rows)],
         [

@@ -170,8 +170,8 @@ def section(figures: Figures) -> Section:
     ]
     return Section(
         "An open tree (figure 57)",
-        f"A tree of {figures['triangles']} triangles: tubes without ends that run into one another, leaves of two crossed "
-        f"rectangles, oriented at random; {figures['open_edges']} of its {figures['edges']} edges have one triangle. {SIZE[0]} x "
+        f"A tree of {figures['triangles']} triangles: open tubes that run into one another, and leaves of two crossed rectangles, "
+        f"oriented at random. {figures['open_edges']} of its {figures['edges']} edges have only one triangle. {SIZE[0]} x "
         f"{SIZE[1]} pixels, maps of {TEXELS}, one tap.",
         [("Errors by algorithm", table)],
         claims,

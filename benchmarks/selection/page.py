@@ -71,9 +71,9 @@ def _what(views: Sequence[Figures]) -> str:
     if late.size:
         kept, most = format_percent(float(np.mean(late <= 1.0))), format_percent(max(float(late.max()) - 1.0, 0.0))
         text += (
-            " `measure` is judged without the limit of time: it chose in another hour than that in\n"
-            "which the plans were timed, and the machine's speed is not the same in every hour. By the plans' times what it took\n"
-            f"kept to the limit in {kept} of the views, and was {most} late at most."
+            " `measure` is judged without the time limit: it chose in another hour than that in\n"
+            "which the plans were timed, and the machine's speed changes. By the plans' times its choices\n"
+            f"kept to the limit in {kept} of the views, and were {most} late at most."
         )
     text += "\n\n"
     return text + _table(["family", "views", "terrains", "plans measured"], [*rows, total_row])

@@ -37,7 +37,7 @@ TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
 
 FINE_SAMPLES = 16
 
-NO_CAST = "nothing lies in cast shadow: only false shadow can be measured"
+NO_CAST = "no cast shadow in the view: only false shadow can be measured"
 """A remark on a view."""
 
 
@@ -157,7 +157,7 @@ def compare(
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     if left_out:
-        remarks.append(f"left out for want of time ({time_limit_s:g} s): {', '.join(left_out)}")
+        remarks.append(f"left out by the time limit ({time_limit_s:g} s): {', '.join(left_out)}")
     return Comparison(
         view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks
     )
@@ -294,7 +294,7 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> 
     elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
     if truth.there.any() and view_truth.error == "coverage":
-        remarks.append("over half of the surface is not decidable: coverage is the error that counts")
+        remarks.append("coverage is the error that counts: truth cannot decide over half of the surface")
     if not rows:
-        remarks.append("no algorithm but none serves this view")
+        remarks.append("no shadow algorithm can serve this view")
     return remarks

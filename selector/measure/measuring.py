@@ -298,8 +298,8 @@ def _words(rows: LightTrials, figures: CandidateFigures) -> str:
 def _said(view: View, rows: LightTrials) -> str:
     part = part_of(view)
     at_full_resolution = sum(trial.at_full_resolution for trial in rows.trials)
-    text = f"{len(rows.trials)} candidates held against truth on {rows.trial_view.pixels} of {part.rows * part.cols} pixels"
+    text = f"{len(rows.trials)} candidates compared with truth on {rows.trial_view.pixels} of {part.rows * part.cols} pixels"
     text += "" if rows.trial_view.subsampled is None else f", {at_full_resolution} of them on all"
     if rows.not_tried:
-        text += f"; {len(rows.not_tried)} not run, since smaller maps of the same kind decide"
+        text += f"; {len(rows.not_tried)} not run, because smaller maps of the same kind decide"
     return text

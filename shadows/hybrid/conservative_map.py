@@ -1,41 +1,10 @@
 """The conservative map: what of a light's shadow is certain from a small map, whatever is thinner than its texels.
 
-Chan and Durand (2004, An Efficient Hybrid Shadow Rendering Algorithm) let a shadow map decide the pixels that lie off its
-silhouettes, and shadow volumes the others. Their map knows depths at texel centres, and misses what lies between. This one knows
-bounds over whole texels.
-
-**What counts.** Casting triangles are turned to the light, so that in the map's (u, v) all go round the same way. Shadow volumes
-call a point dark if at least one of them covers it from before. The *silhouette edges* are the boundary of the chain of casting
-triangles: the edges whose signed sum over the triangles is not zero.
-
-**What is kept.** The *square* of a texel is widened by a margin, more for edges than for triangles. Each triangle that touches
-it has an interval there that holds its depths over the square; so has each edge. Intervals that overlap or touch make a *run*; the
-runs of a texel are disjoint and follow one another in depth. A run without an edge is *whole*.
-
-**Lemma.** Over a texel's square, the triangles of a whole run cover each point by the same number of layers.
-
-*Proof.* The number of layers at a point is the winding number of the boundary of the run's triangles round it, and is constant
-where that boundary is absent. An edge of the boundary within the square is either a silhouette edge, or triangles outside of the
-run cancel it in the full chain. The first has an interval that overlaps those of its triangles, so that it is in the run, which
-is then not whole. The second belongs to a triangle inside and to one outside of the run; where it passes through the square both
-have its depth, so that their intervals meet and they are in one run: a contradiction. Triangles too thin to tell which way round
-they go are left out and leave their three edges behind, as if each were a silhouette edge: so runs that they join are not whole,
-and since a thin triangle's depths in a square lie between its edges', it begins and ends where they do.
-
-**Hence**, of a point at depth d in a texel:
-
-* It is **lit** if d is less than the near bound of the first run: nothing in the texel lies before it.
-* It is **lit** if it is itself on a casting triangle, the first run is whole and of one layer, and d is less than the near bound of
-  the second: its own triangle touches the texel and cannot be of the second run or a later one, so it is of the first, and is that
-  one layer; all else lies behind.
-* It is **in shadow** if d is more than the far bound of a whole run of one layer or more: these all lie before it.
-* Else it is **masked**: volumes decide.
-
-So a point that is not masked has the very answer of shadow volumes, whatever the size of texels and however thin a caster. Layers
-are counted at a probe inside the texel, with a margin: counted too many makes a point masked, and none is counted wrongly, since
-a triangle that is not thin covers some of the square where it covers the surroundings of the probe. The margin of squares
-(1/64 texel) exceeds all rounding of u and v, so that the texel of a point is that of its rounded coordinates; rounding of depths is
-the caller's ``slack``, that of the intervals themselves is in them.
+The map of Chan and Durand (2004, An Efficient Hybrid Shadow Rendering Algorithm) knows depths at texel centres, and misses what
+lies between. This one knows bounds over whole texels: for each texel, the depths of casting triangles and silhouette edges, joined
+to disjoint runs. A run without an edge is *whole*, and covers each point of the texel by the same number of layers. So a point in
+front of all runs is lit, a point behind a whole run of one layer or more is in shadow, and what is not certain is masked: volumes
+decide. ``docs/conservative-map.md`` has the terms, the proof and the handling of rounding.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ count only in marked pixels, by a bit of the stencil, which makes that exact.
 
 **Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
 thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which
-``shadows.hybrid.conservative_map`` proves that volumes would say what the map says: no caster is too thin for it.
+``docs/conservative-map.md`` proves that volumes would say what the map says: no caster is too thin for it.
 """
 
 from __future__ import annotations

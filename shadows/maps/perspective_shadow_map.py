@@ -1,43 +1,8 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``shadows.maps.post_perspective`` derives the map's matrix P and why no caster is lost. Here it is fitted, drawn, and looked up.
-
-**Window.** P is chosen by a sample of the receivers (what is seen and not turned away from the light) and then fitted to all of
-them: x and y to the map but for a border, in which the bias and the taps move; depth from before the nearest receiver, by twice
-what is taken off it below and by what its triangle rises beside it, to the farthest. What casts before that is clamped to depth 0.
-A few pixels at the far end of a view can lie well outside of what the sample spans, or beyond the horizon of P: fitted to them,
-the map would leave hardly a texel to all others. So the outermost receivers join the sample's outline, and P is chosen anew.
-
-**Comparison.** P keeps lines and planes. With a receiver at p and a triangle's corners p + s_k, let
-
-    W_k = (P (p + s_k))_w,  (X_k, Y_k, Z_k) = (P s_k)_xyz - (x, y, z) (P s_k)_w,     x, y, z: the map's coordinates of p,
-
-which are exact differences, however far the origin is. A point of the triangle with homogeneous weights c_k (their sum weighted
-by W_k is 1) lies at (x, y, z) + sum of c_k (X_k, Y_k, Z_k), so that the weights at (dx, dy) beside p are
-
-    c = (X cross Y + dx Y cross W + dy W cross X) / ((X cross Y).W).
-
-The texel's centre falls into the triangle if all are at least 0, corners behind the horizon included, and the depth there is z +
-c.Z: exactly what the map holds unless something else is nearer. As in ``shadows.maps.shadow_map`` it is compared as it is. Only
-the rasteriser's grid of 1/256 texel, the float32 of positions and half a depth step are taken off; where the light grazes the
-triangle, at most the range of its corners' depths. The sum of the weights is 1/w there: nearer to the horizon errors grow with
-its square.
-
-*Beside them* the receiver is moved along its unit normal n. Let r and u be the steps in the frame that move it by a texel right
-and up at the same depth in the map: two columns of the inverse of the Jacobian J = (P_3x3 - (x, y, z) P_w) / w at p, so texels
-have their own size and slant at every point. The plane n.(q - p) = 0 is in the map A dx + B dy + C dz = 0 with (A, B, C) the
-products of n with the three columns, times 1/w: a texel's centre at (i, j) lies |i n.r + j n.u| / (w |C|) nearer. A step of b
-along n gains b / (w' |C|), where w' = w + b n.P_w is that of the moved point.
-With n taps a side, k = n/2 + 1/128, and the neighbours' crease c as there,
-
-    b = k (|n.r| + |n.u| + c max(|r + u|, |r - u|)) / (1 - c^2 / 2),    b / (1 - b n.P_w / w)
-
-is enough at every slope. ``bias_scale`` multiplies it, and what the depth on the triangle differs by from the point's own.
-
-The error that float32 makes of a position is taken as 16 units in the last place of the triangle's largest coordinate, not of the
-scene's: what is near the eye is near the frame's origin, too.
-
-Taps, their weights, kept maps and foliage are as in ``shadows.maps.shadow_map``. A uniform map is put on record with the reason.
+``shadows.maps.post_perspective`` makes the map's matrix. Here it is fitted to the receivers, drawn, and looked up;
+``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, kept maps and foliage are
+as in ``docs/shadow-maps.md``. A uniform map is put on record with the reason.
 """
 
 from __future__ import annotations

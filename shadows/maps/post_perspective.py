@@ -1,48 +1,8 @@
 """The matrix of a perspective shadow map: from a frame to the light's clip space, by way of a camera's. Float64, no OpenGL.
 
 After Stamminger and Drettakis 2002, "Perspective shadow maps", with the cases of Kozlov 2004, "Perspective shadow maps: care and
-feeding" (GPU Gems, chapter 14).
-
-**Camera.** A virtual camera looks as the real one does from b metres behind it (the slide-back). V takes what it sees between its
-near and far plane to a cube, in which what is near is large. The planes lie round the receivers: what the camera sees and the
-light may reach.
-
-**Light.** V takes the light along: the homogeneous point S = (direction to the sun, 0) or (position, 1) to S' = V S. The fourth
-coordinate w' of S' is the distance ahead of the virtual camera, hence three kinds: a ``point`` (w' > 0: the light is in front),
-a ``sink`` (w' < 0: it is behind, and rays run towards S' instead of away from it), ``parallel`` light (w' = 0). With C a point
-amid the receivers in the cube (fourth coordinate 1) and D = S'_xyz - w' C, these four functions of a homogeneous point X of the
-cube are smooth in S', and are one formula for the three kinds (a, b, D at right angles; a, b of length 1):
-
-    x = a.X_xyz - (a.C) X_w                 y = b.X_xyz - (b.C) X_w
-    w = (D.S'_xyz X_w - w' D.X_xyz) / D^2   z = (D.C X_w - D.X_xyz) / D^2
-
-They are the light's perspective: x, y and w are 0 at S', and w is 1 at C. At S' itself z is -1.
-
-**No caster is lost.** So the whole map P takes the light to (0, 0, -1, 0). Whatever lies between a point X and the sun, X + t S,
-goes to P X + (0, 0, -t, 0): it has the u, v and w of X, and a depth z/w that falls evenly with t, without bound. What lies at a
-share k of the way to a lamp goes to (1 - k) P X + k (0, 0, -1, 0): the same u and v, w of the same sign, and a depth that falls by
-k / ((1 - k) w). Where w > 0 at a receiver, then, all that can shade it is drawn before it in its very texel, be it behind the eye,
-beside the view or past the plane that V takes to infinity; what lies before the map's depth 0 is clamped to it. Nothing needs to
-slide back for the casters' sake: b is chosen for the receivers alone.
-
-Kozlov's matrix for a sink has its near plane at -e and its far plane at +e, so that depth is e/z and runs through infinity; for
-a point in front it has two positive ones. Depth is a sum of w and a positive multiple of the z above in both: the two differ
-along a ray by a shift and a stretch, which the fit to the receivers undoes. So e need not be chosen.
-
-**Slide-back.** In the light's own image (along the sun; from the lamp) P is a homography, whose horizon w = 0 moves with b: for a
-large b it lies far behind the receivers, and hardly anything is distorted. No receiver may lie on it or beyond, nor much nearer to
-it than the farthest one (float32 would not tell them apart): that alone rules out slide-backs. Of the others the one is taken whose
-texels are seen smallest. With T two directions across the light's ray at a receiver, A = d(texels)/dT and B = d(pixels)/dT (2 x 2
-both), the columns of B A^-1 are a texel's sides in the picture; the mean square of its norm over a sample of the receivers is
-compared. The displacement of shadow edges goes with it, but for the slope of the surfaces to the light, which no map can help. A
-large slide-back is as good as a uniform map under the sun, and nearly so under a lamp; where every one is coarser than that, the
-uniform map is taken (a lamp near its receivers, which the perspective stretches far from the eye; Sindholt's figure 55).
-Slide-backs that are tried double from one to the next, down to the nearest receiver's distance: in a view of 30 m to 80 km longer
-ones alone would leave a few columns to all that is near.
-
-**Singular directions.** Where the light, as seen from amid the receivers, stands in the view's axis or in its continuation behind
-the eye, V distorts along the rays alone, and the map is uniform whatever b. Within ``CONE_DEG`` of the axis the uniform map is
-taken at once, and likewise where no slide-back keeps the receivers off the horizon or none is finer; ``note`` says which.
+feeding" (GPU Gems, chapter 14). ``docs/perspective-shadow-maps.md`` derives the light's perspective, one formula for its three
+kinds; why no caster is lost; and which slide-back is taken.
 """
 
 from __future__ import annotations
@@ -125,7 +85,7 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
     """
     near, far = near_m + slide_m, far_m + slide_m
     if not 0.0 < near < far:
-        raise ValueError(f"near {near} and far {far} are no planes before a camera")
+        raise ValueError(f"near {near}, far {far}: needed is 0 < near < far")
     projection = np.array([
         [1.0 / tangent, 0.0, 0.0, 0.0], [0.0, 1.0 / tangent, 0.0, 0.0],
         [0.0, 0.0, (far + near) / (far - near), -2.0 * far * near / (far - near)], [0.0, 0.0, 1.0, 0.0],

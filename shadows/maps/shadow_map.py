@@ -1,78 +1,8 @@
-"""`shadow_map`: depth maps as a light sees the casters. The sun's is orthographic and follows what is looked at; a spot's is a
-perspective one, an omni light's six of them.
+"""`shadow_map`: depth maps from the light. The sun's is orthographic and follows the view; a spot has one perspective map, an omni
+light six.
 
-**Window of the sun's map.** In light space (x right, y up, z away from the sun, metres from the level's anchor) the map covers the
-block's receivers and a border, its corner on the lattice of texels and depth steps counted from the anchor. Texel size
-and depth step are the plan's, one for all blocks of a level, zoom and sun; only the number of texels follows the block.
-Depth spans the receivers. Casters before it are clamped to depth 0: they are before every receiver. Casters beyond the
-last receiver cannot shade anything.
-
-That is the fit ``stable``: whole-pixel shifts of a view change no texel. With ``tight`` the window and the depths are the bounds
-of this block's receivers, as finely as the map's size allows (never more coarsely than the stable ones), and move with the view.
-
-**Kept maps.** A perspective view's map that was drawn from the very same geometry, light, window and settings is looked up again
-(``terrain.gl.depth_targets`` says how many are held). Map views' are not: their blocks' pictures are kept instead.
-
-**Cascades.** In perspective there may be several maps, each for the receivers at some distances from the eye, with texels of
-its own. A point belongs to one of them alone.
-
-**Window of a lamp's map.** It covers the spot's cone, or a sixth of the sphere, and a border of texels. Depth lies between the
-nearest and the farthest receiver; what is nearer casts as well, clamped to depth 0.
-
-**Comparison.** The map holds depths at texel centres, so a receiver is held against a surface point beside it: half a texel
-away along each axis, (n/2) t with n taps a side (t: the texel's side; 1/128 more for the rasteriser's grid of 1/256). Two
-ways keep a surface from shading itself (bias ``receiver_plane``; with ``normal_offset`` the second is the only one, and takes all
-n taps):
-
-1. *On a triangle that is known.* If the texel's centre falls, as the light sees it, into one of the six triangles round the
-   receiver's nearest node that face the sun (a map's ground) or into the receiver's own triangle (everything else), the depth
-   of that very triangle there is what the map holds unless something else is nearer. It is compared as it is: no bias at all,
-   at any slope. Taps whose centre falls beside these triangles do not count, unless all of them do.
-2. *Beside them* (coarse maps, surfaces that the light grazes) the receiver is moved along its normal instead. With unit
-   normal (nx, ny, nz) in light space, depth on its plane changes by |nx/nz| and |ny/nz| per metre, so the texel's centre lies
-   up to (dx |nx| + dy |ny|) / |nz| nearer. Moving by b gains a clearance of b / |nz| along the ray, so b = dx |nx| + dy |ny|
-   is exactly enough at every slope, and never more than d times the root of 2, where a bias in depth would grow without
-   bound. (For t = tx = ty this is the k t sin(theta) of the tables of slope-scaled offsets.)
-   The centre may lie on a neighbouring triangle of unit normal m, with |m - n| at most the buffer's ``crease`` c. For it
-   dx |mx| + dy |my| <= dx |nx| + dy |ny| + |d| c, and n.m >= 1 - c^2 / 2, hence
-
-       b = (dx |nx| + dy |ny| + |d| c) / (1 - c^2 / 2),
-
-   the divisor held above 1/4, so that b stays below 8 texels even on a knife edge. For a lamp dx and dy are the texel's
-   sides at the receiver's distance: a step (dx, dy, 0) aside leaves a plane by at most the same sum.
-
-A third way, ``polygon_offset``, is there to show what it costs: depths are drawn glPolygonOffset(1.1, 4) farther and points
-looked up as they are. A slope's texel centres lie up to (n/2) t (|dz/dx| + |dz/dy|), at most n times t max(|dz/dx|, |dz/dy|),
-nearer than the point: the factor has to be n, and 1.1 is enough for one tap alone. ``bias_scale`` multiplies whichever it is.
-
-Constants remain: e for float32 positions (8 units in the last place of the coordinates' extent), half a depth step and e for
-the map's rounding, and on a known triangle the slope times (t/128 + e) for the rasteriser's grid.
-
-**Filter.** n taps a side are weighted by what of each texel lies in the square of n - 1 texels round the point (n = 2: bilinear),
-so that visibility is the lit share of that square, centred on the point. One tap is the texel that holds it.
-Beside the known triangles two taps a side are taken at most: a point moved clear of all that more taps would see is moved
-past what touches its surface.
-
-**The sun's disc** (filter ``sun``). Each texel that holds something before the receiver is seen from there as a rectangle, at the
-distance that it holds (Guennebaud, Barthe and Paulin 2006, "Real-time soft shadow mapping by backprojection"), and covers those of
-128 samples of the disc that lie in it, which a bit each remembers, so that nothing is counted twice (Schwarz and Stamminger 2007,
-"Bitmask soft shadows"). With r the disc's radius, something s metres before the receiver matters up to s tan r beside it in the
-map. That bounds the search; blocks of texels whose least depth is known bound it more tightly. Cells of several texels are
-taken where the disc would be wider than 16 of them, and it is never taken for wider than 128 texels. A texel reaches to its
-neighbours, where those cover something too, so that no light falls between the depths of one surface.
-
-    A surface does not shade itself: a plane with slope m in depth has s = m d at d beside the receiver and covers a part of the
-    disc if m tan r > 1 alone, where it really does hide that part; those samples are found by the normal instead. But a
-    texel is half a texel wide to either side, hence this holds from s tan r = t/2 on. Nearer things, across which the disc is
-    narrower than a texel, are compared as above with three taps, the samples spread over a texel's radius, so that edges have no
-    stairs. Between t/2 and t both are done.
-
-The map knows the nearest caster alone: what lies behind it and would show beside it is not seen.
-
-**Culling.** With ``front`` the faces towards the light of bodies that are closed, facing outwards, are not drawn: their back faces
-throw the same shadow, and lie a whole body behind the lit ones. Everything else is drawn as it is.
-
-**Foliage** is alpha-tested with the mipmap of its footprint in the map, which keeps its coverage.
+``docs/shadow-maps.md`` derives it all in order: the window of a map (``windows``), comparison and bias, the filter (``lookup``),
+and the sun's disc (``sun_disc``).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ LATTICE = 17
 BENT_CELLS = 0.1
 """How far, in cells, the lines may leave the cubics that stand for them."""
 
-RAYS_BEND_REASON = "the sun's rays bend too much across a view this wide: shadow_map serves it"
+RAYS_BEND_REASON = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
 
 CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
@@ -117,7 +117,7 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
     t = t_of(*np.meshgrid(i, j, indexing="ij"))
     j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
-        raise UnsupportedError("algorithm", "sweep", "the view leaves the area of its CRS: shadow_map serves it")
+        raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
     if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
         raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)

@@ -68,7 +68,7 @@ def homogeneous(light: np.ndarray) -> np.ndarray:
     checked = np.asarray(light, np.float64)
     sound = checked.shape == (4,) and np.isfinite(checked).all() and checked[3] in (0.0, 1.0) and checked.any()
     if not sound:
-        raise InputError("light", light, "a direction that is not zero and 0, or a position and 1")
+        raise InputError("light", light, "a direction other than zero and 0, or a position and 1")
     return checked
 
 

@@ -24,7 +24,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if not descriptor.facts.get("alpha_test", {}).get("drawn", True):
         return Verdict(False, "no tree is large enough to be drawn")
     if any(lamp.reaches for lamp in descriptor.lamps):
-        return Verdict(True, "foliage stands in the light of lamps")
+        return Verdict(True, "foliage in the light of lamps")
     return cast_shadows.sun_kind_verdict(descriptor, "forest")
 
 
@@ -39,4 +39,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"drawn": stand is not None and len(stand) > 0}
 
 
-EFFECT = Effect("foliage casts by its texture's holes", called_for, facts, needs=("cast_shadows",), unknown=None)
+EFFECT = Effect("alpha test: light passes the gaps in foliage", called_for, facts, needs=("cast_shadows",), unknown=None)

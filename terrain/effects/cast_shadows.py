@@ -56,8 +56,8 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if not lamps:
         return sun
     if not can_cast(descriptor):
-        return Verdict(False, "bare ground at one height: nothing can cast")
-    return Verdict(True, f"{', '.join(lamps)} {'shines' if len(lamps) == 1 else 'shine'} on what can cast shadows")
+        return Verdict(False, "flat ground without objects: nothing can cast a shadow")
+    return Verdict(True, f"casters in the light of {', '.join(lamps)}")
 
 
 def sun_verdict(descriptor: Descriptor) -> Verdict:
@@ -65,16 +65,16 @@ def sun_verdict(descriptor: Descriptor) -> Verdict:
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
-        return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
+        return Verdict(False, f"night: the sun is at most {descriptor.highest_sun_deg:.1f} degrees high anywhere in the level")
     if descriptor.weather.overcast:
-        return Verdict(False, "overcast: no direct sun comes through the clouds")
+        return Verdict(False, "overcast: no direct sunlight")
     if not can_cast(descriptor):
-        return Verdict(False, "bare ground at one height: nothing can cast")
+        return Verdict(False, "flat ground without objects: nothing can cast a shadow")
     kinds = [kind for kind in descriptor.casters if sun_kind_verdict(descriptor, kind).called_for]
     if not kinds:
         return Verdict(False, "; ".join(sun_kind_verdict(descriptor, kind).reason for kind in descriptor.casters))
     caster_names = [f"{descriptor.relief_m:.0f} m of relief" if kind == "relief" else kind for kind in kinds]
-    return Verdict(True, f"sun at {descriptor.sun_altitude_deg:.1f} degrees over {', '.join(caster_names)} can be blocked")
+    return Verdict(True, f"the sun, {descriptor.sun_altitude_deg:.1f} degrees high, can be blocked by {', '.join(caster_names)}")
 
 
 def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
@@ -82,20 +82,20 @@ def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
     facts = descriptor.facts.get("cast_shadows", {})
     if kind != "relief":
         if facts.get(kind, True) and (kind != "forest" or descriptor.facts.get("alpha_test", {}).get("drawn", True)):
-            return Verdict(True, f"{kind} can shade what is seen")
-        return Verdict(False, f"no shadow of {kind} can fall on what is seen")
+            return Verdict(True, f"{kind} can cast shadows into the view")
+        return Verdict(False, f"{kind} cannot cast shadows into the view")
     if descriptor.relief_m <= 0.0:
-        return Verdict(False, "level ground cannot cast")
+        return Verdict(False, "level ground casts no shadow")
     least, most = number(facts.get("least_slope")), number(facts.get("most_slope"))
     grazing = _grazing(descriptor.sun_altitude_deg or 0.0)
     if least == np.inf:
-        return Verdict(False, "no ground lies between what is seen and the sun")
+        return Verdict(False, "no ground between the view and the sun")
     if least is not None and least > grazing:
-        return Verdict(False, f"no ground rises above the sun's grazing plane: the steepest lies {least:.2g} of a slope below it")
+        return Verdict(False, f"no slope is steeper than the sun's rays: the steepest is {least:.2g} (rise over run) flatter")
     bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
     if most is not None and most < -grazing and bare:
-        return Verdict(False, f"all ground is turned away from the sun: the flattest lies {-most:.2g} of a slope behind it")
-    return Verdict(True, f"ground rises above the sun's grazing plane ({descriptor.relief_m:.0f} m of relief)")
+        return Verdict(False, f"all ground faces away from the sun, by a slope of at least {-most:.2g} (rise over run)")
+    return Verdict(True, f"some slopes are steeper than the sun's rays ({descriptor.relief_m:.0f} m of relief)")
 
 
 def _grazing(altitude_deg: float) -> float:
@@ -260,4 +260,4 @@ def _hide(first, last, points, slack, cells):
     return False
 
 
-EFFECT = Effect("shadows that things cast on each other", called_for, facts, unknown=None)
+EFFECT = Effect("cast shadows", called_for, facts, unknown=None)

@@ -226,17 +226,19 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if cover == 0.0:
         return Verdict(False, "no clouds")
     if cover == 1.0:
-        return Verdict(False, "overcast: no direct sun is left for single clouds to take away")
+        return Verdict(False, "overcast: no direct sunlight for single clouds to block")
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
-        return Verdict(False, f"night: the sun is nowhere higher than {descriptor.highest_sun_deg:.1f} degrees over the level")
+        return Verdict(False, f"night: the sun is at most {descriptor.highest_sun_deg:.1f} degrees high anywhere in the level")
     taken_share = number(facts["taken"])
     if taken_share is None:
-        return Verdict(True, f"clouds over {cover:.3g} of the sky")
+        return Verdict(True, f"cloud cover {cover:.3g}")
     if taken_share <= UNSEEN:
-        return Verdict(False, f"clouds over {cover:.3g} of the sky take at most {taken_share:.1%} of the light of anything seen")
-    return Verdict(True, f"clouds over {cover:.3g} of the sky take up to {taken_share:.0%} of the light")
+        return Verdict(
+            False, f"cloud cover {cover:.3g}: clouds block at most {taken_share:.1%} of the light on any visible surface"
+        )
+    return Verdict(True, f"cloud cover {cover:.3g}: clouds block up to {taken_share:.0%} of the light")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:

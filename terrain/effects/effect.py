@@ -101,7 +101,7 @@ class Effect:
     stage: Stage | None = None
     part: Callable[[np.ndarray, ShadingBlock], None] | None = None
     needs: tuple[str, ...] = ()
-    unknown: Verdict | None = Verdict(False, "the descriptor says nothing of it")
+    unknown: Verdict | None = Verdict(False, "not in the descriptor")
 
     def verdict(self, name: str, descriptor: Descriptor) -> Verdict:
         """Whether a scene calls for it; ``name`` is its own."""

@@ -54,14 +54,14 @@ SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out in maps, in clear air, and where all that is seen is too near for the air in between to show."""
     if descriptor.view_kind == "map":
-        return Verdict(False, "a map is seen from straight above, at no distance: there is no air to look through")
+        return Verdict(False, "a map view has no viewing distance, so no haze")
     facts = descriptor.facts["haze"]
     visibility_m, farthest_m, shows_from_m = (facts.get(key) for key in ("visibility_m", "farthest_m", "shows_from_m"))
     if visibility_m is None:
-        return Verdict(False, "the air is clear: the level's weather names no visibility")
+        return Verdict(False, "clear air: the level sets no weather.visibility")
     assert isinstance(visibility_m, float) and isinstance(farthest_m, float) and isinstance(shows_from_m, float)
     if farthest_m <= shows_from_m:
-        reason = f"nothing seen is farther than {_metres(farthest_m)}, and at {_metres(visibility_m)} of visibility"
+        reason = f"no visible surface is farther than {_metres(farthest_m)}; at {_metres(visibility_m)} of visibility"
         return Verdict(False, f"{reason} haze shows from {_metres(shows_from_m)} on")
     share = 100.0 * -np.expm1(-farthest_m * extinction(visibility_m))
     return Verdict(

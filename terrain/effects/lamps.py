@@ -28,8 +28,8 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no lamps")
     reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
     if not reaching:
-        return Verdict(False, f"too far away, or turned away from all that is seen: {_names(descriptor)}")
-    return Verdict(True, f"{', '.join(reaching)} can be seen to shine")
+        return Verdict(False, f"no light from {_names(descriptor)} reaches the view")
+    return Verdict(True, f"light from {', '.join(reaching)} reaches the view")
 
 
 def _names(descriptor: Descriptor) -> str:

@@ -23,14 +23,14 @@ from terrain.scene import Scene
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where no ground is high enough, or none is outside."""
     if descriptor.view_kind == "perspective":
-        return Verdict(False, "a perspective view holds all the ground there is, behind the eye too")
+        return Verdict(False, "a perspective view includes all ground, also behind the camera")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):
-        return Verdict(False, "the picture shows all the ground there is, in one block")
+        return Verdict(False, "one block shows all of the ground")
     relief = cast_shadows.sun_kind_verdict(descriptor, "relief")
     if relief.called_for and cast_shadows.sun_verdict(descriptor).called_for:
-        return Verdict(True, f"{relief.reason}, outside of what is shown too")
+        return Verdict(True, f"{relief.reason}, also outside of the view")
     if any(lamp.reaches for lamp in descriptor.lamps) and descriptor.relief_m > 0.0:
-        return Verdict(True, "ground between what is shown and a lamp can stand in its light")
+        return Verdict(True, "ground between the view and a lamp can cast shadows into the view")
     return Verdict(False, relief.reason if not relief.called_for else cast_shadows.sun_verdict(descriptor).reason)
 
 
@@ -48,4 +48,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"outside": not inside}
 
 
-EFFECT = Effect("ground beyond a map's block casts into it", called_for, facts, needs=("cast_shadows",), unknown=None)
+EFFECT = Effect("casters outside of a map's block", called_for, facts, needs=("cast_shadows",), unknown=None)

@@ -30,13 +30,13 @@ def called_for(descriptor: Descriptor) -> Verdict:
     facts = descriptor.facts["refraction"]
     lift_deg, moves_m = float(facts["lift_deg"] or 0.0), float(facts["moves_m"] or 0.0)
     if lift_deg == 0.0:
-        return Verdict(False, "the sun's angles are given as they are seen")
+        return Verdict(False, "the sun's angles are apparent: refraction is in them")
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel
     moves_px = moves_m / pixel_m
     steps = exposure_of(descriptor.sun_altitude_deg) * np.radians(lift_deg) * SRGB_SLOPE / CHANNEL_STEP
-    text = f"the air lifts the sun by {lift_deg:.2g} degrees"
+    text = f"refraction lifts the sun by {lift_deg:.2g} degrees"
     if 0.0 < descriptor.weather.cloud_cover < 1.0:
         return Verdict(True, f"{text}, which moves the shadows of clouds")
     if moves_px > 1.0:
@@ -56,4 +56,4 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"lift_deg": scene.sun.lift_deg, "moves_m": longer_m}
 
 
-EFFECT = Effect("the atmosphere lifts the sun", called_for, facts)
+EFFECT = Effect("atmospheric refraction", called_for, facts)

@@ -40,9 +40,9 @@ def called_for(descriptor: Descriptor) -> Verdict:
     hidden, steps = descriptor.facts["sky_view"]["hidden"], descriptor.facts["sky_view"]["steps"]
     assert isinstance(hidden, float) and isinstance(steps, float)
     if hidden == 0.0:
-        return Verdict(False, "no ground rises round another that is seen: nothing hides the sky")
-    text = f"ground hides up to {100.0 * hidden:.2g} % of the sky, which darkens what is lit by it alone by "
-    return Verdict(True, f"{text}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{text}a step of 255 at most")
+        return Verdict(False, "open sky: no ground rises above any that is seen")
+    text = f"ground hides up to {100.0 * hidden:.2g} % of the sky and darkens surfaces lit by the sky alone by "
+    return Verdict(True, f"{text}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{text}at most one step of 255")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -176,4 +176,4 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
     return north + (r - r0) * (south - north)
 
 
-EFFECT = Effect("sky light that relief hides", called_for, facts, "skylight", apply_sky_view)
+EFFECT = Effect("sky-view factor: sky light that relief blocks", called_for, facts, "skylight", apply_sky_view)

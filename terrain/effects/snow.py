@@ -110,7 +110,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "no snow")
     if not facts["on"]:
         return Verdict(False, str(facts["why"]))
-    return Verdict(True, f"snow lies on whatever is less steep than {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
+    return Verdict(True, f"snow lies on slopes below {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -118,10 +118,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     level = scene.loaded.level
     why = None
     if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:
-        why = f"all ground lies under water, which stands at {level.water.level:g} m"
+        why = f"all ground lies below the water level, {level.water.level:g} m"
     elif coarse_view is not None and len(coarse_view.points_frame_m) == 0 and scene.objects.trees is None:
-        why = "nothing but the sky is seen"
+        why = "the view shows only sky"
     return {"lies": level.weather.snow, "on": why is None, "why": why}
 
 
-EFFECT = Effect("snow that lies", called_for, facts, stage="albedo", part=apply_snow)
+EFFECT = Effect("snow cover", called_for, facts, stage="albedo", part=apply_snow)

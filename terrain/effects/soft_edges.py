@@ -19,7 +19,7 @@ DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
-        return Verdict(False, "the level has no sun, and lamps are points, whose shadows have sharp edges")
+        return Verdict(False, "no sun in the level, and lamps are points: no penumbra")
     wide_m = penumbra_m(descriptor)
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:
@@ -39,4 +39,4 @@ def penumbra_m(descriptor: Descriptor) -> float:
     return thrown_m * DISC / float(sine)
 
 
-EFFECT = Effect("edges as soft as the sun's disc makes them", called_for, needs=("cast_shadows",))
+EFFECT = Effect("penumbrae of the sun's disc", called_for, needs=("cast_shadows",))

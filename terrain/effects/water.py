@@ -88,13 +88,13 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if level_m is None:
         return Verdict(False, "the level has no water")
     if not facts["covers"]:
-        return Verdict(False, f"no ground as drawn lies below the water's {level_m:.1f} m")
+        return Verdict(False, f"no ground lies below the water level, {level_m:.1f} m")
     if change is None:
         return Verdict(False, f"the water at {level_m:.1f} m is out of view")
     if change <= 1:
-        return Verdict(False, f"what the water mirrors changes its colour by {change:.0f} of 255 at the most")
+        return Verdict(False, f"reflections change the water's colour by at most {change:.0f} of 255")
     mirrored = "the sky and the sun" if facts["glint"] else "the sky"
-    return Verdict(True, f"water at {level_m:.1f} m mirrors {mirrored}: up to {change:.0f} of 255")
+    return Verdict(True, f"water at {level_m:.1f} m reflects {mirrored}: up to {change:.0f} of 255")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
@@ -345,4 +345,4 @@ def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun
                 color[i, j, k] = shown
 
 
-EFFECT = Effect("mirrored sky and sun glint on standing water", called_for, facts, "color", apply_water)
+EFFECT = Effect("reflected sky and sun glint on standing water", called_for, facts, "color", apply_water)

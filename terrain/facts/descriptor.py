@@ -34,7 +34,7 @@ def _number_of_text(fact: object) -> object:
 
 def _a_number(fact: Fact) -> Fact:
     if isinstance(fact, float) and np.isnan(fact):
-        raise PydanticCustomError("nan", "a number that is one")
+        raise PydanticCustomError("nan", "a number, not NaN")
     return fact
 
 
@@ -112,10 +112,14 @@ class Descriptor(Facts):
             _once(f"lights.{name}.casts", list(light.casts), self.casters)
         is_given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
         if any(is_given) != all(is_given):
-            raise PydanticCustomError("sun", "a sun takes sun_azimuth_deg, sun_altitude_deg and highest_sun_deg; no sun, none")
+            raise PydanticCustomError(
+                "sun", "sun_azimuth_deg, sun_altitude_deg and highest_sun_deg: all three, or none of them without a sun"
+            )
         if not self.mean_slope_deg <= self.highest_slope_deg or not self.p95_slope_deg <= self.highest_slope_deg:
             raise PydanticCustomError(
-                "slope", "highest_slope_deg {highest} lies below another slope", {"highest": self.highest_slope_deg}
+                "slope",
+                "highest_slope_deg {highest} is less than mean_slope_deg or p95_slope_deg",
+                {"highest": self.highest_slope_deg},
             )
         shares_add_up([band.share for band in self.bands], "bands")
         return self
@@ -124,7 +128,7 @@ class Descriptor(Facts):
 def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise PydanticCustomError("twice", "{key}: '{name}' stands there twice", {"key": key, "name": name})
+            raise PydanticCustomError("twice", "{key}: '{name}' is listed twice", {"key": key, "name": name})
         if allowed is not None and name not in allowed:
             allowed_names = ", ".join(allowed) or "nothing"
             raise PydanticCustomError(

@@ -65,7 +65,9 @@ class Band(Facts):
         _ascending("far_m", self.near_m, self.far_m)
         for low, high in zip(self.low_light_m, self.high_light_m, strict=True):
             if high < low:
-                raise PydanticCustomError("bounds", "high_light_m {high} lies below low_light_m {low}", {"high": high, "low": low})
+                raise PydanticCustomError(
+                    "bounds", "high_light_m {high} is less than low_light_m {low}", {"high": high, "low": low}
+                )
         return self
 
 
@@ -170,9 +172,11 @@ def _nearest_first(bands: tuple[CastBand, ...]) -> None:
     shares_add_up([band.share for band in bands], "bands")
     for before, after in zip(bands, bands[1:], strict=False):
         if before.far_m is None or after.near_m < before.far_m:
-            raise PydanticCustomError("bands", "near_m {near} of a band lies before the end of the last", {"near": after.near_m})
+            raise PydanticCustomError(
+                "bands", "near_m {near} of a band is less than far_m of the band before", {"near": after.near_m}
+            )
 
 
 def _ascending(name: str, low: float, high: float) -> None:
     if high <= low:
-        raise PydanticCustomError("order", "{name} {high} is not above {low}", {"name": name, "high": high, "low": low})
+        raise PydanticCustomError("order", "{name} {high} is not more than {low}", {"name": name, "high": high, "low": low})

@@ -87,7 +87,7 @@ def look_at(
     forward = target_earth_m - eye_earth_m
     distance = float(np.linalg.norm(forward))
     if not distance > 1e-6:
-        raise InputError("target", "the eye itself", "a point apart from the eye")
+        raise InputError("target", "the eye itself", "a point other than the eye")
     forward = forward / distance
     right = np.cross(forward, up_earth)
     if np.linalg.norm(right) < 1e-9:

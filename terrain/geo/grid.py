@@ -150,9 +150,7 @@ def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], 
     grid = map_grid(world, crs, min(col_px, row_px))
     nodes = max(min(cols, BLOCK_PX) * col_px, min(rows, BLOCK_PX) * row_px) / grid.step
     if nodes > MAX_WINDOW_NODES:
-        raise InputError(
-            "size", f"{cols}x{rows}", f"pixels nearer to squares: these are {col_px:.3g} by {row_px:.3g} in {crs.name}"
-        )
+        raise InputError("size", f"{cols}x{rows}", f"nearly square pixels: these are {col_px:.3g} by {row_px:.3g} in {crs.name}")
     # Differences first: with coordinates in the millions they are exact where sums are not.
     row0, row_step = _snapped(((grid.y0 - north) + row_px / 2) / grid.step, row_px / grid.step, rows)
     col0, col_step = _snapped(((west - grid.x0) + col_px / 2) / grid.step, col_px / grid.step, cols)

@@ -58,7 +58,7 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
     elif world.flat:
-        raise InputError("time", spec.time.isoformat(), "azimuth and altitude: an engineering CRS has no place on earth")
+        raise InputError("time", spec.time.isoformat(), "azimuth and altitude: an engineering CRS is not georeferenced")
     else:
         azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
     to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)

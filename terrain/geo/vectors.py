@@ -75,7 +75,7 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
         geometry = _mended(_projected(source, geometry, own, crs))
     kept = np.flatnonzero(~shapely.is_empty(geometry))
     if not len(kept):
-        raise SourceError(source, "polygons without area alone", "points or polygons")
+        raise SourceError(source, "only polygons without an area", "points or polygons")
     values = dict(zip(meta["fields"], columns, strict=True))
     return Features(source, geometry[kept], {name: v[kept] for name, v in values.items()}, len(geometry) - len(kept))
 
@@ -158,7 +158,9 @@ def _check_places(source: str, own: CRS, crs: CRS, before: np.ndarray, after: np
     bad = ~known.all(axis=1)
     if bad.any():
         place = ", ".join(f"{v:.10g}" for v in before[bad][0])
-        raise SourceError(source, f"the coordinates {place}", f"coordinates of '{own.name}' that have a place in '{crs.name}'")
+        raise SourceError(
+            source, f"the coordinates {place}", f"coordinates of '{own.name}' that can be transformed into '{crs.name}'"
+        )
 
 
 def _mended(geometry: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ class World:
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if self.flat:
             if crs != self.crs:
-                raise UnsupportedError("crs", crs.name, f"the level is in the engineering CRS '{self.crs.name}' alone")
+                raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             east, north = (x - self.anchor_x) * self.metres_per_unit, (y - self.anchor_y) * self.metres_per_unit
             up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*x.shape, 3))
             return np.stack([east, north, np.zeros_like(east)], axis=-1), up
@@ -150,7 +150,7 @@ class World:
             return self._flat_frame(point, FRAME_PITCH_M)
         lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
         if not np.isfinite(lon + lat):
-            raise UnsupportedError("view", f"{x}, {y}", f"outside of what '{crs.name}' can transform")
+            raise UnsupportedError("view", f"{x}, {y}", f"outside of the area of '{crs.name}'")
         return self._globe_frame(lon, lat, FRAME_PITCH_DEG)
 
     def frame_near_earth(self, point_earth_m: np.ndarray, pitch_share: float = 1.0) -> LocalFrame:
@@ -177,7 +177,7 @@ class World:
         """x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` as ``ground``."""
         if self.flat:
             if crs != self.crs:
-                raise UnsupportedError("crs", crs.name, f"the level is in the engineering CRS '{self.crs.name}' alone")
+                raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
             scale = 1.0 / self.metres_per_unit
             return (
                 point_earth_m[..., 0] * scale + self.anchor_x,

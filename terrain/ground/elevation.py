@@ -115,9 +115,9 @@ class Elevation:
         if self.crs.is_geocentric:
             raise SourceError(source, self.crs.name, "a projected, geographic or engineering CRS")
         if dataset.transform.is_identity and not self.crs.is_engineering:
-            raise SourceError(source, "no word of where it lies", "a raster with a geotransform")
+            raise SourceError(source, "not georeferenced", "a raster with a geotransform")
         if dataset.transform.determinant == 0:
-            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
+            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of a size above 0")
         self.rows, self.cols = dataset.height, dataset.width
         _, south, _, north = self.bounds
         if self.crs.is_geographic and not -91.0 <= south <= north <= 91.0:  # files overshoot the poles by a cell

@@ -36,6 +36,6 @@ class Geolocator:
         x, y = self.xy(position[:2])
         ground_m = float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
         if not np.isfinite(ground_m):
-            raise LevelError(where, position, "a place on the ground's data")
+            raise LevelError(where, position, "a position on the terrain's data")
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
         return point + (ground_m + position[2]) * up, up

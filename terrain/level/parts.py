@@ -189,7 +189,7 @@ class MeshSpec(Model):
         if (self.source is None) == (self.generate is None):
             raise PydanticCustomError("mesh", "either source or generate")
         if (self.surface is None) != (self.ground is None):
-            raise PydanticCustomError("mesh", "surface and ground together: heights are the one raster minus the other")
+            raise PydanticCustomError("mesh", "surface and ground together: heights are surface minus ground")
         return self
 
     @property
@@ -259,7 +259,7 @@ class LightSpec(Model):
         if (self.kind == "spot") != (self.target is not None):
             raise PydanticCustomError("target", "a target for a spot, none for an omni light")
         if self.target is not None and self.target == self.position:
-            raise PydanticCustomError("target", "a target apart from the position")
+            raise PydanticCustomError("target", "a target other than the position")
         return self
 
 
@@ -293,7 +293,7 @@ class PerspectiveSpec(Model):
     @model_validator(mode="after")
     def _apart(self) -> PerspectiveSpec:
         if self.eye == self.target:
-            raise PydanticCustomError("target", "a target apart from the eye")
+            raise PydanticCustomError("target", "a target other than the eye")
         return self
 
 

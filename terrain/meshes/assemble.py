@@ -125,7 +125,7 @@ def _spot(at: MapPosition | None, where: str, world: World, elevation: Elevation
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
         raise LevelError(
-            f"{where}.at", "nothing" if at is None else at, f"a place on the terrain: within {_extent(world, elevation)}"
+            f"{where}.at", "nothing" if at is None else at, f"a position on the terrain: within {_extent(world, elevation)}"
         )
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Spot(point + height * up, world.earth_from_enu(point, up))

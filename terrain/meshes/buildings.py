@@ -155,7 +155,7 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     solid = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
     if not solid.any():
-        raise SourceError(features.name, "polygons without area alone", "footprints")
+        raise SourceError(features.name, "only polygons without an area", "footprints")
     return shapely.orient_polygons(parts[solid], exterior_cw=False), feature[solid]
 
 

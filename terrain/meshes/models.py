@@ -56,7 +56,7 @@ def read_model(source: str) -> Body:
         count += len(part.vertices)
     points = np.concatenate(vertices)
     if not np.isfinite(points).all():
-        raise SourceError(source, "vertices that are no numbers", "finite coordinates")
+        raise SourceError(source, "vertices that are not finite", "finite coordinates")
     if y_up:
         points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
     body = Body(points, np.concatenate(triangles), np.concatenate(albedo))

@@ -98,7 +98,7 @@ class Canopy:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
         if dataset.transform.determinant == 0:
-            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of some size")
+            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of a size above 0")
         unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
         self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
         self.rows, self.cols = dataset.height, dataset.width

@@ -291,7 +291,7 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
     rgba = np.asarray(rgba)
     sides = rgba.shape[:2]
     if rgba.dtype != np.uint8 or rgba.ndim != 3 or rgba.shape[2] != 4 or any(n < SMALLEST_MIP_PX or n & (n - 1) for n in sides):
-        raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4) with powers of two of at least 4 as h and w")
+        raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4), h and w powers of two, 4 at least")
     if not 0.0 < threshold < 1.0:
         raise InputError("threshold", threshold, "a number above 0 and below 1")
 

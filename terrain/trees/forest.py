@@ -151,7 +151,7 @@ def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> 
     if (dimensions == 0).all():
         return _point_stems(spec, features, where, site, most)
     found = "lines" if (dimensions == 1).any() else "both polygons and points"
-    raise SourceError(source, found, "polygons alone, or points alone, or a raster of canopy heights")
+    raise SourceError(source, found, "only polygons, only points, or a raster of canopy heights")
 
 
 def _is_vector(source: str) -> bool:
@@ -167,7 +167,7 @@ def _is_vector(source: str) -> bool:
 
 def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
     if spec.density is None:
-        raise LevelError(f"{where}.density", "nothing", "trees per hectare, since the source has polygons")
+        raise LevelError(f"{where}.density", "nothing", "trees per hectare: the source has polygons")
     geometry, index = features.geometry, np.arange(len(features.geometry))
     if site.outline is not None:
         shapely.prepare(site.outline)
@@ -191,7 +191,7 @@ def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site,
 
 def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
     if spec.density is not None:
-        raise LevelError(f"{where}.density", spec.density, "no density, since the source has points: each is a tree")
+        raise LevelError(f"{where}.density", spec.density, "no density: the source has points, each a tree")
     x, y = shapely.get_x(features.geometry), shapely.get_y(features.geometry)
     on = np.flatnonzero(site.elevation.covers(*site.on_terrain(x, y)))
     if not len(on):
@@ -209,7 +209,7 @@ def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, m
 def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
     for name in ("density", "height"):
         if getattr(spec, name) is not None:
-            raise LevelError(f"{where}.{name}", getattr(spec, name), f"no {name}, since the source is a raster of canopy heights")
+            raise LevelError(f"{where}.{name}", getattr(spec, name), f"no {name}: the source is a raster of canopy heights")
     if isinstance(spec.crown, str):
         raise LevelError(f"{where}.crown", spec.crown, "[least, most] in metres: a raster has no attributes")
     canopy, stands, count = Canopy(source), [], 0
@@ -340,5 +340,5 @@ def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:
             bounds = np.full(4, np.nan)
     stand, terrain = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))
     return LevelError(
-        f"{where}.source", f"a stand at {stand}", f"one on the terrain, at {terrain} (west, south, east, north; {crs.name})"
+        f"{where}.source", f"trees at {stand}", f"trees on the terrain, at {terrain} (west, south, east, north; {crs.name})"
     )

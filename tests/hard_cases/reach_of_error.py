@@ -100,7 +100,7 @@ def _map_moves(
     seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Moves to where a map looks: the centres of its taps, on the plane of the point's triangle, on those of a map's ground
-    connected with it or, where none is known there, at the depth of the point moved clear (``shadows.maps.shadow_map`` derives by
+    connected with it or, where none is known there, at the depth of the point moved clear (``docs/shadow-maps.md`` derives by
     how much). Either as it is and as much nearer to the sun as the map's steps of depth and float32 may make it.
 
     The rasteriser's grid and float32 put an edge up to GRID_TEXELS and ``off`` beside itself, which as well moves the centre; and

@@ -335,7 +335,7 @@ def test_why_others_are_left_out_is_what_was_expected_of_them():
     plan = planned(described(), max_error=0.01)
     said = {one.name: one.reason for one in plan.rejected}
     assert said["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
-    assert "ms expected of shadow_volume" in said["shadow_volume"] and "ms of what is taken" in said["shadow_volume"]
+    assert "ms with shadow_volume" in said["shadow_volume"] and "ms with the choice" in said["shadow_volume"]
     assert "shadow_map" not in said and said["truth"]
 
 

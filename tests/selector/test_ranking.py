@@ -41,7 +41,7 @@ def test_the_winner_is_the_one_that_the_rules_name(max_error, max_ms, winner, me
 
 def test_what_is_missed_is_told_in_numbers():
     assert best(ALL, 0.003).missed_by == "an error of 0.40 %, 0.10 % more than 0.30 %"
-    assert best([LEAKY], 0.03).missed_by == "0.40 % wrong inside shadows or lights, 0.30 % more than 0.10 %"
+    assert best([LEAKY], 0.03).missed_by == "an interior error of 0.40 %, 0.30 % more than 0.10 %"
     assert best([SMALL], 0.04, 4.0).missed_by == "an error of 5.0 %, 1.0 % more than 4.0 %; 10 ms, 6.0 ms more than 4.0 ms"
 
 

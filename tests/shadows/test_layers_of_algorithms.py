@@ -268,12 +268,16 @@ def test_every_layer_is_made_in_one_way_and_every_layer_of_an_algorithm_is_known
 @pytest.mark.parametrize(
     ("algorithm", "layer", "words"),
     [
-        ("none", "shadow-map", "with is none; what has this layer: shadow_map, perspective_shadow_map, hybrid"),
-        ("shadow_map", "stencil", "with is shadow_map; what has this layer: shadow_volume, hybrid, planar"),
-        ("planar", "shadow-map", "with is planar; what has this layer: shadow_map"),
-        ("planar", "silhouettes", "with is planar; what has this layer: shadow_volume, hybrid"),
-        ("shadow_map", "volumes", "with is shadow_map; what has this layer: shadow_volume, hybrid"),
-        ("shadow_volume", "shadow-map", "with is shadow_volume; what has this layer: shadow_map, perspective_shadow_map, hybrid"),
+        ("none", "shadow-map", "none has no such layer; algorithms that have it: shadow_map, perspective_shadow_map, hybrid"),
+        ("shadow_map", "stencil", "shadow_map has no such layer; algorithms that have it: shadow_volume, hybrid, planar"),
+        ("planar", "shadow-map", "planar has no such layer; algorithms that have it: shadow_map"),
+        ("planar", "silhouettes", "planar has no such layer; algorithms that have it: shadow_volume, hybrid"),
+        ("shadow_map", "volumes", "shadow_map has no such layer; algorithms that have it: shadow_volume, hybrid"),
+        (
+            "shadow_volume",
+            "shadow-map",
+            "shadow_volume has no such layer; algorithms that have it: shadow_map, perspective_shadow_map, hybrid",
+        ),
     ],
 )
 def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):

@@ -178,7 +178,7 @@ def test_the_plan_names_the_kinds_there_are(build):
         assert all(list(per_kind) == kinds for per_kind in plan.algorithm.values())
     level = build(ground="level", meshes=[HOUSE])
     plan = plan_of(level, level.view("eye"))
-    assert plan.algorithm[SUN] == {"relief": "none", "meshes": "shadow_volume"}  # level ground cannot cast
+    assert plan.algorithm[SUN] == {"relief": "none", "meshes": "shadow_volume"}  # level ground casts no shadow
 
 
 # -- stand-ins and the clock

@@ -236,7 +236,7 @@ def test_a_lamp_off_the_data_is_refused_in_one_line(floor, make_scene, light, sa
     scene = make_scene(floor, lights={"lamp": light})
     with pytest.raises(LevelError, match=said) as caught:
         _ = scene.lamps
-    assert "\n" not in str(caught.value) and "ground's data" in str(caught.value)
+    assert "\n" not in str(caught.value) and "terrain's data" in str(caught.value)
 
 
 @pytest.mark.parametrize(

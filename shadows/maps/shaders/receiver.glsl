@@ -1,4 +1,4 @@
-// The visible point of a pixel, as a light sees it, held against the depth map. Derived in shadows/maps/shadow_map.py.
+// The visible point of a pixel, as a light sees it, held against the depth map. Derived in docs/shadow-maps.md.
 uniform sampler2D position_frame_m;  // rgb: the visible points
 uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease
 uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground

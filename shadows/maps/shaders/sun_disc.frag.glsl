@@ -1,5 +1,5 @@
 // Visibility of the sun's disc from a depth map: the share of its samples that no texel covers, each texel seen from the point
-// at the distance that it holds. Derived in shadows/maps/shadow_map.py.
+// at the distance that it holds. Derived in docs/shadow-maps.md.
 uniform sampler2D least_depth;       // the smallest depth of each block of block_texels x block_texels texels
 uniform int block_texels;
 uniform ivec2 first_texel;           // of the map, counted from the anchor

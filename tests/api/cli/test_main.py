@@ -130,7 +130,7 @@ def test_options_change_the_picture(gl, run, tmp_path):
         (("render", "jacksboro"), ("-o",)),
         (("render", "jacksboro", "--sparkle", "-o", "x.png"), ("--sparkle",)),
         (("render", "jacksboro", "--size", "²x1", "-o", "x.png"), ("--size",)),
-        (("render", "jacksboro", "--size", "16384x1", "-o", "x.png"), ("size", "squares")),
+        (("render", "jacksboro", "--size", "16384x1", "-o", "x.png"), ("size", "square pixels")),
         (("render", "jacksboro", "--crs", "²", "-o", "x.png"), ("crs",)),
         (("render", "jacksboro", "--bounds=-1e300,-1e300,1e300,1e300", "-o", "x.png"), ("bounds", "1e9")),
         (("render", "jacksboro", "--bounds", "740000,4040000,740000.0000001,4040000.0000001", "-o", "x.png"), ("bounds",)),

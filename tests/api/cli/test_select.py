@@ -109,7 +109,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
         (("--algorithm", "perspective_shadow_map"), ("algorithm", "no perspective")),
         (("--altitude", "10"), ("azimuth",)),
         (("--size", "0x5"), ("--size", "0x5")),
-        (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "casts a shadow")),
+        (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "cast shadow")),
         (("--descriptor", "no/such/folder.json"), ("no/such/folder.json",)),
     ],
 )

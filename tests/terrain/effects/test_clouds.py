@@ -170,7 +170,7 @@ def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
         ({"weather": {"cloud_cover": 1.0}}, "overcast"),
         ({"weather": {"cloud_cover": 0.4}, "sun": "none"}, "no sun"),
         ({"weather": {"cloud_cover": 0.4}, "sun": {"azimuth": 90.0, "altitude": -3.0}}, "night"),
-        ({"weather": {"cloud_cover": 1e-5}}, "take at most 0.0%"),
+        ({"weather": {"cloud_cover": 1e-5}}, "block at most 0.0%"),
     ],
 )
 def test_left_out(make_scene, write_raster, keys: dict, reason: str) -> None:

@@ -113,7 +113,7 @@ def test_sky_and_what_is_not_there_stay_as_they_are(floor):
 
 def test_maps_clear_air_and_the_sky_alone_have_no_haze(floor):
     hazy = floor(weather={"visibility": 100})
-    assert "straight above" in verdict(hazy, "map").reason and not verdict(hazy, "map").called_for
+    assert "no viewing distance" in verdict(hazy, "map").reason and not verdict(hazy, "map").called_for
     clear = floor()
     assert "clear" in verdict(clear).reason and not verdict(clear).called_for
     heaven = floor(target=(0.0, 0.0, 400.0), weather={"visibility": 100})

@@ -130,8 +130,8 @@ def test_same_ground_same_snow_in_every_part(slope) -> None:
     [
         ({}, True, "38 to 52 degrees"),
         ({"weather": {"snow": False}}, False, "no snow"),
-        ({"water": {"level": 500.0}}, False, "all ground lies under water"),
-        ({"water": {"level": 50.0}}, True, "less steep"),
+        ({"water": {"level": 500.0}}, False, "all ground lies below the water level"),
+        ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
 )
 def test_called_for(slope, keys: dict, called: bool, reason: str) -> None:

@@ -221,7 +221,7 @@ def test_a_map_by_night_needs_no_mirror(make_lake):
 
 @pytest.mark.parametrize(
     ("level_m", "name", "reason"),
-    [(20.0, "map", "no ground as drawn lies below the water's 20.0 m"), (LEVEL_M, "away", "the water at 100.0 m is out of view")],
+    [(20.0, "map", "no ground lies below the water level, 20.0 m"), (LEVEL_M, "away", "the water at 100.0 m is out of view")],
 )
 def test_reasons_of_what_is_left_out(make_lake, level_m, name, reason):
     scene = make_lake(level_m=level_m)

@@ -263,7 +263,7 @@ def test_a_view_off_the_data_is_refused_in_one_line(floor, make_scene):
         scene = make_scene(floor, views=eye_view(eye, target))
         with pytest.raises(InputError, match=f"views.eye.{name}") as caught:
             scene.view("eye")
-        assert "\n" not in str(caught.value) and "ground's data" in str(caught.value)
+        assert "\n" not in str(caught.value) and "terrain's data" in str(caught.value)
     scene = make_scene(floor, views=eye_view((0, 0, 10), (0, 20, 0)))
     for keys, name in (({"bounds": (0, 0, 1, 1)}, "bounds"), ({"crs": UTM}, "crs"), ({"size": (5000, 10)}, "size")):
         with pytest.raises(InputError, match=name) as caught:

@@ -150,7 +150,7 @@ def test_the_eye_itself_is_no_target(apart):
     eye = np.array([3e6, 1e6, 5e6])
     with pytest.raises(InputError, match="target") as caught:
         look_at(eye, eye + np.array([apart, 0.0, 0.0]), UP, 50.0, 4, 4)
-    assert "\n" not in str(caught.value) and "apart from the eye" in str(caught.value)
+    assert "\n" not in str(caught.value) and "other than the eye" in str(caught.value)
 
 
 def test_a_frame_s_eye_and_axes_are_the_earth_s():

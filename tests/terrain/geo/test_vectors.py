@@ -102,7 +102,7 @@ def test_shapefile_without_prj_is_refused(tmp_path):
         (
             [point(9, 470)],
             [],
-            "the coordinates 9, 470'; needed: coordinates of 'WGS 84' that have a place in 'WGS 84 / UTM zone 32N'",
+            "the coordinates 9, 470'; needed: coordinates of 'WGS 84' that can be transformed into 'WGS 84 / UTM zone 32N'",
         ),
     ],
 )

@@ -58,7 +58,7 @@ def test_bundled_levels_load():
         (GOOD + "effects: {glitter: on}\n", "effects.glitter", "glitter", "cast_shadows"),
         (GOOD + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
         (GOOD + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "nothing", "required"),
-        (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "apart from the eye"),
+        (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "other than the eye"),
         (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "names other than sun"),
         (GOOD + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
         (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "a light (sun) or a caster kind"),

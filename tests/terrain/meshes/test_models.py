@@ -138,7 +138,7 @@ def broken(path):
         ("empty.obj", lambda path: path.write_text(""), ""),
         ("rubbish.ply", lambda path: path.write_text("no model"), ""),
         ("points.ply", points_alone, "no triangle"),
-        ("nan.obj", without_numbers, "vertices that are no numbers"),
+        ("nan.obj", without_numbers, "vertices that are not finite"),
         ("line.obj", without_area, "no triangle with an area"),
     ],
 )

@@ -349,15 +349,15 @@ def test_a_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
 @pytest.mark.parametrize(
     ("geometry", "spec", "message"),
     [
-        (shapely.box(0, 0, 50, 50), {}, r"level.yaml: forest.0.density: 'nothing' .*since the source has polygons"),
-        (shapely.Point(5, 5), {"density": 3}, r"forest.0.density: '3.0' .*each is a tree"),
-        (shapely.LineString([(0, 0), (9, 9)]), {"density": 3}, "stand.gpkg: 'lines'; needed: polygons alone"),
+        (shapely.box(0, 0, 50, 50), {}, r"level.yaml: forest.0.density: 'nothing' .*the source has polygons"),
+        (shapely.Point(5, 5), {"density": 3}, r"forest.0.density: '3.0' .*each a tree"),
+        (shapely.LineString([(0, 0), (9, 9)]), {"density": 3}, "stand.gpkg: 'lines'; needed: only polygons"),
         (shapely.GeometryCollection([shapely.Point(5, 5), shapely.box(0, 0, 9, 9)]), {"density": 3}, "both polygons and points"),
         (shapely.Point(5, 5), {"height": "kind"}, "'kind = oak'; needed: numbers"),
         (shapely.Point(5, 5), {"height": "none"}, "no attribute 'none''; needed: one of kind, low"),
         (shapely.Point(5, 5), {"crown": "low"}, "stand.gpkg: 'low = -1 ...'; needed: metres from 0.1 to 150"),
-        (shapely.Point(-5, 5), {}, r"'a stand at 499995, 5200005, .*on the terrain, at 500000, 5200000, 502000, 5202000"),
-        (shapely.box(5000, 0, 6000, 9), {"density": 1}, r"forest.0.source: 'a stand at 50[45][^,]*, .*WGS 84 / UTM zone 32N"),
+        (shapely.Point(-5, 5), {}, r"'trees at 499995, 5200005, .*on the terrain, at 500000, 5200000, 502000, 5202000"),
+        (shapely.box(5000, 0, 6000, 9), {"density": 1}, r"forest.0.source: 'trees at 50[45][^,]*, .*WGS 84 / UTM zone 32N"),
         (shapely.box(0, 0, 2000, 2000), {"density": 20000}, r"forest.0: '8,00.,... trees' .*at most 5,000,000 trees in a level$"),
     ],
 )  # fmt: skip
@@ -385,9 +385,9 @@ def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypa
     ("spec", "value", "x", "message"),
     [
         ({"density": 4}, 9, X0, r"forest.0.density: '4.0' .*no density"),
-        ({"height": [4, 5]}, 9, X0, r"forest.0.height: .*no height, since the source is a raster"),
+        ({"height": [4, 5]}, 9, X0, r"forest.0.height: .*no height: the source is a raster"),
         ({"crown": "w"}, 9, X0, r"forest.0.crown: 'w' .*a raster has no attributes"),
-        ({}, 9, X0 + 5000, r"forest.0.source: 'a stand at 50[45][^,]*, .*on the terrain, at 500000, 5200000"),
+        ({}, 9, X0 + 5000, r"forest.0.source: 'trees at 50[45][^,]*, .*on the terrain, at 500000, 5200000"),
         ({}, np.nan, X0, r"canopy.tif: 'no height in any cell \(all nodata\)'"),
     ],
 )
