@@ -41,7 +41,8 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
     """What a calibration measured, how well it fits and where it is kept, as text for a terminal."""
     rates = sum(map(len, profile.rates_ns.values()))
     lines = [
-        f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in {format_duration(1000.0 * profile.took_s)}.",
+        f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in "
+        f"{format_duration(1000.0 * profile.took_s)}.",
         f"{rates} rates measured, for {len(profile.rates_ns)} parts of the work.",
     ]
     if profile.residuals:

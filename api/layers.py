@@ -128,7 +128,7 @@ def _kept(layer: PassLayer) -> Callable[[Scene, Frame], np.ndarray]:
     def data(scene: Scene, frame: Frame) -> np.ndarray:
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
         if not by_light:
-            raise InputError("layer", layer, "a layer of something that was drawn: the view shows nothing under a light")
+            raise InputError("layer", layer, "a layer of a drawn pass: in this view no light has any")
         if light not in by_light:
             raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
         return by_light[light]
@@ -245,7 +245,7 @@ def check_suffix(layer: str, path: Path) -> None:
     if path.suffix.lower() not in known(layer).suffixes:
         raise InputError("output", str(path), f"for layer {layer}: {', '.join(LAYERS[layer].suffixes)}")
     if not path.parent.is_dir():
-        raise FileNotFoundError(2, "its folder does not exist", str(path))
+        raise FileNotFoundError(2, "folder not found", str(path))
 
 
 def _write_tiff(frame: Frame, array: np.ndarray, path: Path, nodata: float | None) -> None:

@@ -1,9 +1,9 @@
 """Who is to be taken where times and errors are only expected: the candidate with the least expected loss. Pure arithmetic.
 
-A target that is missed is taken to cost ``MISS_PENALTY`` times what candidates that are likely to meet it cost in the median: much as
-choices are judged (the PAR10 score of B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but not by the
-slowest, which nobody would take. So some more time is spent where it does away with a chance to miss, and not much more where it
-does away with little.
+A target that is missed is taken to cost ``MISS_PENALTY`` times what candidates that are likely to meet it cost in the median:
+much as choices are judged (the PAR10 score of B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but
+not by the slowest, which nobody would take. So some more time is spent where it does away with a chance to miss, and not much
+more where it does away with little.
 """
 
 from __future__ import annotations

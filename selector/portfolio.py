@@ -35,7 +35,7 @@ def tuned_settings() -> tuple[str, ...]:
 
 
 def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Choice]:
-    """What can be picked for a light, for the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same."""
+    """The choices for a light and the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same."""
     return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds]), MAX_CHOICES))
 
 

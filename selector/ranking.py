@@ -90,7 +90,8 @@ def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None
     over = []
     if figures.error > max_error:
         over.append(
-            f"an error of {format_percent(figures.error)}, {format_percent(figures.error - max_error)} more than {format_percent(max_error)}"
+            f"an error of {format_percent(figures.error)}, {format_percent(figures.error - max_error)} more "
+            f"than {format_percent(max_error)}"
         )
     if figures.interior > MOST_INTERIOR:
         more = format_percent(figures.interior - MOST_INTERIOR)

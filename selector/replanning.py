@@ -5,7 +5,8 @@ present view. Algorithms, map sizes and numbers of cascades are kept as long as 
 
 - at once, where the old one cannot serve: a kind of casters throws shadows that nothing was picked for, the view or what is asked
   is of another kind, an algorithm refuses the view; and where the target is missed by more than ``IMMEDIATE_SWITCH``;
-- after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the target. What is then
+- after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
+target. What is then
   left must be worse by as much again before there is a way back, so that a camera at a border does not flip; and as what is
   expected is uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
 
@@ -208,9 +209,9 @@ def transition_frames(kept: Plan, fresh: Plan) -> int:
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
-    """The share of the pixels to show ``after`` when it was ``last_share`` a frame ago, for the visibilities (rows, cols) of each light
-    in the two pictures of a view, NaN where there is no surface: the largest with which no more than ``MOST_CHANGED`` of the
-    surface's pixels (one, if that is less) change from shadow to light or back.
+    """The share of the pixels to show ``after`` when it was ``last_share`` a frame ago, for the visibilities (rows, cols) of each
+    light in the two pictures of a view, NaN where there is no surface: the largest with which no more than ``MOST_CHANGED`` of
+    the surface's pixels (one, if that is less) change from shadow to light or back.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
     there = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
@@ -273,7 +274,9 @@ def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[s
     before = {light: choices.get(light, choice) for light, choice in more.items()}
     return {
         light: replace(
-            choice, algorithm={**before[light].algorithm, **choice.algorithm}, settings={**before[light].settings, **choice.settings}
+            choice,
+            algorithm={**before[light].algorithm, **choice.algorithm},
+            settings={**before[light].settings, **choice.settings},
         )
         for light, choice in more.items()
     }  # fmt: skip

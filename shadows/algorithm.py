@@ -32,7 +32,7 @@ Requirement = ViewKind | LightKind | CasterKind | GroundKind
 MOST_BEND_PX = 0.25
 """How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
 
-DRAWS_IN_THE_VIEW = "it draws in the view itself, and at this scale the map bends by more than a quarter of a pixel off any camera"
+DRAWS_IN_THE_VIEW = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
 """Why such an algorithm refuses a ``bent map``."""
 
 
@@ -99,14 +99,14 @@ class SettingsRequest:
     @property
     def why_sharpened(self) -> list[Reasoned]:
         """The reason for that, for an algorithm that would filter otherwise."""
-        return [Reasoned(name="filter 1", reason=f"sharp edges: {self.sharp_because}")] if self._is_sharpened else []
+        return [Reasoned(name="filter 1", reason=f"hard edges: {self.sharp_because}")] if self._is_sharpened else []
 
     def without_filter(self, name: str, *filters: int | str) -> list[Reasoned]:
         """Of an algorithm without filters other than these: what is said where one is asked for."""
         asked = self.sharpened.filter
         if asked in ("auto", 1, *filters):
             return []
-        return [Reasoned(name=f"filter {asked}", reason=f"left out: the edges of {name} are sharp as they are")]
+        return [Reasoned(name=f"filter {asked}", reason=f"no effect: {name} has hard edges only")]
 
     @property
     def _is_sharpened(self) -> bool:

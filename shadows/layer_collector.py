@@ -26,7 +26,10 @@ class LayerCollector:
     def add(
         self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
-        """Put in what a block's passes kept; its pixels ``block_window`` are the frame's ``frame_window``. Raises ``InputError`` for too much."""
+        """Put in what a block's passes kept; its pixels ``block_window`` are the frame's ``frame_window``.
+
+        Raises ``InputError`` for too many texels.
+        """
         for (layer, light), pictures in kept.items():
             if layer in OF_PIXELS:
                 frame_pictures = self._of_pixels.setdefault(

@@ -205,11 +205,11 @@ def _wrong_share(casting: Casting) -> float:
 
 ALGORITHM = Algorithm(
     name="planar",
-    about="casters projected onto level ground through the stencil; they throw no shadow on one another",
+    about="casters projected onto level ground through the stencil; no shadows of casters on casters",
     plural="planar",
     fill=fill,
     passes=PASSES,
-    refuses={"uneven": "it projects onto one plane, and the ground of this level is not flat"},
+    refuses={"uneven": "ground not flat: casters are projected onto one plane"},
     layers=("stencil",),
     resolve=_resolve,
     search=Search(map_sizes_beside=FEW_MAP_SIZES),

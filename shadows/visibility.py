@@ -23,8 +23,9 @@ def fill_steps(
 ) -> np.ndarray:
     """A light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of what its steps fill.
 
-    ``steps`` are of one light (``Plan.steps_under``), ``effects`` those that run (``Plan.runs``). Where nobody looks for the light
-    (``without_hidden_points``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the algorithms do.
+    ``steps`` are of one light (``Plan.steps_under``), ``effects`` those that run (``Plan.runs``). Where nobody looks for the
+    light (``without_hidden_points``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the
+    algorithms do.
     """
     steps = list(steps)
     visibility = np.ones(buffer.there.shape, np.float32)

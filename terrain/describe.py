@@ -58,7 +58,8 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
         lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"])),
-        facts={key: _known(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None}, **own,
+        facts={key: _known(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None},
+        **own,
     )  # fmt: skip
 
 

@@ -86,7 +86,7 @@ def test_a_setting_more_is_everywhere(said):
 
     left_out = {
         "name": "gloss bright",
-        "reason": "asked for by the request, and left out: nothing that is taken has this to choose",
+        "reason": "set by the request, without effect: no chosen algorithm has this setting",
     }
     (status, _, err), reasons = found["render"]
     assert status == 0 and left_out in reasons, err

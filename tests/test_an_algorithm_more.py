@@ -180,7 +180,7 @@ def test_it_is_planned_with_its_own_settings_and_survives_json(coarse_rays, scen
 def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
     lit = build_scene(load_level(level_file(tmp_path)))
     view = lit.view(size=(64, 64))
-    with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; what can: shadow_map"):
+    with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; algorithms that can: shadow_map"):
         make_plan(describe(lit, view), lit.loaded.level, {"algorithm": "coarse_rays"})
     assert "coarse_rays" in algorithms_serving(("map", "sun", "relief", "uneven")) and "coarse_rays" not in algorithms_serving(
         ("map", "omni", "relief")
@@ -270,8 +270,8 @@ def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges
 @pytest.mark.parametrize(
     ("change", "rates", "why"),
     [
-        ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet (benchmarks/selection fits them)"),
-        ({}, {}, "this device has no rates for coarse rays (skugga calibrate measures them)"),
+        ({"accuracy": Accuracy()}, RATES, "its errors are not measured yet: benchmarks/selection fits them"),
+        ({}, {}, "this device has no rates for coarse rays: run skugga calibrate again"),
     ],
 )
 def test_what_is_not_measured_yet_is_said_and_something_else_is_taken(

@@ -34,7 +34,7 @@ _FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
 LayerName = Annotated[
     str,
     typer.Option(
-        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or what an algorithm leaves behind: "
+        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or an algorithm's intermediate picture: "
         f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}."
     ),
 ]
@@ -47,7 +47,7 @@ AltitudeOption = Annotated[float | None, typer.Option(help="Apparent degrees abo
 SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
 BoundsOption = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
 CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
-SecondsOption = Annotated[float | None, typer.Option(help="The clock of moving casters.")]
+SecondsOption = Annotated[float | None, typer.Option(help="Clock for moving casters, seconds.")]
 
 
 @app.callback()
@@ -75,7 +75,7 @@ def serve(
 @with_shadow_options("render")
 def render(
     level: LevelArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write; its suffix says the format.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write; the suffix sets the format.")],
     view: ViewOption = "map",
     layer: LayerName = "color",
     time: TimeOption = None,
@@ -84,9 +84,11 @@ def render(
     size: SizeOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
-    light: Annotated[str | None, typer.Option(help="The light that the layer is of.")] = None,
+    light: Annotated[str | None, typer.Option(help="Light of the layer.")] = None,
     seconds: SecondsOption = None,
-    stats: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach.")] = None,
+    stats: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
+    ] = None,
     **asked: Any,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
@@ -109,7 +111,11 @@ def select(
     level: LevelArgument,
     view: ViewOption = "map",
     policy: Annotated[
-        str, typer.Option(help="rules: what is known beforehand; predict: by this device; measure: against truth, in minutes.")
+        str,
+        typer.Option(
+            help="rules: fixed rules; predict: cost and error models of this device; measure: candidates against ray-traced "
+            "truth (minutes)."
+        ),
     ] = "predict",
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
@@ -143,7 +149,7 @@ def select(
 
 @app.command()
 def calibrate(as_json: JsonOption = False) -> None:
-    """Measure this device, so that `predict` can tell what shadows will take on it."""
+    """Calibrate this device for the policy `predict`."""
     from api.device_calibration import format_calibration
     from selector.cost.calibration import calibrate as measure
     from selector.cost.device_profile import save_profile
@@ -171,10 +177,10 @@ def compare(
     light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
     fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
     time_limit: Annotated[
-        float | None, typer.Option(min=0.0, metavar="S", help="Seconds that rows and repeats may take in all; default: 70.")
+        float | None, typer.Option(min=0.0, metavar="S", help="Time limit for all rows and repeats, seconds; default: 70.")
     ] = None,
 ) -> None:
-    """Hold every capable algorithm and setting against ray-traced truth: error beside milliseconds."""
+    """Compare algorithms and settings with ray-traced truth: error against time."""
     from api.cli.snapshot import scene_and_view
     from api.report.comparison import check_outputs, show, write
     from selector.measure.compare import TIME_LIMIT_S
@@ -226,7 +232,7 @@ def validate(level: LevelArgument) -> None:
 
 @app.command()
 def doctor(as_json: JsonOption = False) -> None:
-    """Say what this machine renders with and what is missing."""
+    """Check OpenGL and packages of this machine, and name what is missing."""
     findings = doctor_checks.examine()
     if as_json:
         typer.echo(json.dumps([finding.__dict__ for finding in findings], indent=2))

@@ -81,7 +81,7 @@ async def plan_query(
     policy: Annotated[
         str,
         Query(
-            description="`rules`: by what is known beforehand; `predict`: by the calibration of the service's device.",
+            description="`rules`: fixed rules; `predict`: cost and error models, calibrated for the service's device.",
             json_schema_extra={"enum": ["predict", "rules"]},
         ),
     ] = "predict",
@@ -89,7 +89,7 @@ async def plan_query(
 ) -> PlanQuery:
     """The dependency for plans. Raises ``InputError``."""
     if policy == "measure":
-        allowed = "rules, predict: to measure takes minutes, at design time (skugga select --policy measure)"
+        allowed = "rules, predict; measure takes minutes: skugga select --policy measure"
         raise InputError("policy", policy, allowed)
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))

@@ -91,7 +91,10 @@ def format_expectation(plan: Plan) -> str:
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
     verb = "Measured" if plan.policy == "measure" else "Expected"
-    text = f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, {format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+    text = (
+        f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
+        f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
+    )
     if plan.target.met is None:
         return f"{text} Asked for: {target}."
     if plan.target.met:

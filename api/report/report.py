@@ -98,7 +98,8 @@ def _remark(remark: str) -> str:
 
 def _shares(comparison: Comparison) -> dict[str, str]:
     return {
-        "boundary": f"{format_percent(comparison.boundary)} of the surface: no error is counted there, for truth itself is not certain",
+        "boundary": f"{format_percent(comparison.boundary)} of the surface: no error is counted there, for "
+        "truth itself is not certain",
         "drawn grid": f"{format_percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
         "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
         f"errors up to {format_percent(FLOORS * comparison.noise_floor)} are called exact",

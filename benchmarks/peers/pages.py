@@ -131,7 +131,8 @@ def _beside(found: PeerComparison) -> str:
         peer, our_place = (min(group, key=lambda place: getattr(place, merit)) for group in (peer_places, our_places))
         return (
             f"- the {word} peer is {peer.tool.name}: {seconds(peer.seconds)} s of computing, {percent(peer.wrong)} % wrong; "
-            f"Skugga's {word} row is {_lines(our_place)}: {seconds(our_place.seconds)} s ({our_place.seconds / peer.seconds:.2g} of that time), "
+            f"Skugga's {word} row is {_lines(our_place)}: {seconds(our_place.seconds)} s "
+            f"({our_place.seconds / peer.seconds:.2g} of that time), "
             f"{percent(our_place.wrong)} % wrong;"
         )
 

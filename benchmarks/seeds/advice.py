@@ -112,7 +112,8 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.2",
                 "SM where the camera never gets near a shadow's edge",
-                f"`edge_p95`, pixels, from afar: {listed_by_scene(edges['overview'])}; from close by: {listed_by_scene(edges['close'])} (held if "
+                f"`edge_p95`, pixels, from afar: {listed_by_scene(edges['overview'])}; from close by: "
+                f"{listed_by_scene(edges['close'])} (held if "
                 "nowhere larger from afar)",
                 afar,
                 because(
@@ -158,7 +159,8 @@ def section(figures: Figures) -> Section:
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
                 "SV gets considerably faster where light and objects rest",
-                f"time with volumes kept, of that with all redrawn: {listed_by_scene(kept)} (held if at most {CONSIDERABLY} everywhere)",
+                f"time with volumes kept, of that with all redrawn: {listed_by_scene(kept)} (held if at most "
+                f"{CONSIDERABLY} everywhere)",
                 still,
                 because(
                     still,

@@ -114,7 +114,8 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, figure 52",
             f"jaggedness falls with the map's size, to very nice edges at {FINE} under the smallest cut-off",
             f"from {percent(small[0]['wrong_cast'])} wrong at {small[0]['map_size']} to {percent(fine['wrong_cast'])} at {FINE}, "
-            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most {SHARP_EDGE_PX:g} px there)",
+            f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
+            f"{SHARP_EDGE_PX:g} px there)",
             nice,
             because(
                 nice,

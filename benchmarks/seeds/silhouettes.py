@@ -213,7 +213,8 @@ def section(figures: Figures) -> Section:
             because(
                 slower,
                 "the search grows with the square of the triangles "
-                f"({listed_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves grows with their number",
+                f"({listed_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves "
+                "grows with their number",
                 "at so few triangles the search is cheaper than the filling that it saves",
             ),
         ),

@@ -154,7 +154,8 @@ def section(figures: Figures) -> Section:
         ),
         Claim(
             SPATIALACE,
-            f"while nothing moves a kept map costs hardly more the larger it is: {factor(thesis_gain['kept'])} times as much at {last} "
+            f"while nothing moves a kept map costs hardly more the larger it is: {factor(thesis_gain['kept'])} "
+            f"times as much at {last} "
             f"as at {first}",
             f"{factor(growth['kept'])} times as much (held up to {FLAT_SCENE:g})",
             flat,

@@ -213,7 +213,8 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "the volumes alone (made and drawn) are cheaper in the hybrid in BoxGrid and Water Tower, about as dear elsewhere",
-            f"time of the hybrid's volumes and counting, of SV's: {listed_by_scene(volume)} (held if under 1 in these two, and within a "
+            f"time of the hybrid's volumes and counting, of SV's: {listed_by_scene(volume)} (held if under 1 in "
+            "these two, and within a "
             f"factor of {1.0 / MUCH_THE_SAME:g} elsewhere)",
             cheaper,
             because(
@@ -225,7 +226,8 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
         ),
         claim(
             "where the hybrid is slower, it is for its map and its search for silhouette pixels",
-            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed_by_scene(bare)} (held if under 1 everywhere)"
+            f"its volumes and counting alone, of SV's whole time, where it is slower: {listed_by_scene(bare)} "
+            "(held if under 1 everywhere)"
             if loses
             else "it is slower nowhere",
             for_map,

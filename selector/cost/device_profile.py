@@ -81,7 +81,7 @@ def save_profile(profile: DeviceProfile) -> Path:
 
 
 def load_profile(renderer: str, version: str) -> DeviceProfile | None:
-    """The profile of a device; ``None`` where there is none that can be used, for the reason that ``missing_profile_reason`` gives."""
+    """The profile of a device; ``None`` where there is none that can be used (``missing_profile_reason`` says why)."""
     profile = _read(renderer, version)
     return profile if isinstance(profile, DeviceProfile) else None
 
@@ -97,17 +97,17 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return f"{renderer} is not calibrated: skugga calibrate does it"
+        return f"{renderer} is not calibrated: run skugga calibrate"
     except (OSError, ValueError) as error:  # ValueError: not JSON, or not UTF-8
-        return f"{path} cannot be read ({' '.join(str(error).split())}): skugga calibrate makes it anew"
+        return f"{path} cannot be read ({' '.join(str(error).split())}): run skugga calibrate again"
     if isinstance(data, dict) and data.get("schema_version") != SCHEMA:
-        return f"{path} is of another version of Skugga: skugga calibrate makes it anew"
+        return f"{path} was written by another version of Skugga: run skugga calibrate again"
     try:
         profile = DeviceProfile.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the whole"
-        return f"{path}: {where}: {first['msg'].lower()}: skugga calibrate makes it anew"
+        return f"{path}: {where}: {first['msg'].lower()}: run skugga calibrate again"
     if (profile.renderer, profile.version) != (renderer, version):
-        return f"{path} is of another device, {profile.renderer}: skugga calibrate makes it anew"
+        return f"{path} is for another device, {profile.renderer}: run skugga calibrate again"
     return profile

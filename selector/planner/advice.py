@@ -9,7 +9,7 @@ from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import Shadows
 
-NO_RULE = "no rule speaks for another, and a map serves every view, light and kind of casters"
+NO_RULE = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
 
 
 def advised(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choice]:

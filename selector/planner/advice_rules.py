@@ -107,27 +107,27 @@ def _settings_of_maps(case: RuleInput) -> str | None:
     keys = [key for key in MAP_SETTINGS if getattr(case.asked, key) not in others.get(key, ("auto",))]
     if not keys:
         return None
-    return f"what is asked for is a map's: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
+    return f"settings of shadow maps are set: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
 
 
 def _heightfield(case: RuleInput) -> str | None:
     across_m = swept_m(case.descriptor)
     if case.light != SUN or case.kind != "relief" or across_m is None or across_m > SWEPT_M:
         return None
-    return "ground is a heightfield: lines along the sun's azimuth find its shadows, without texels"
+    return "heightfield: a line sweep along the sun's azimuth finds its shadows without texels"
 
 
 def _perfect(case: RuleInput) -> str | None:
     if case.asked.max_error >= MAPS_ERROR:
         return None
-    return f"an error of {case.asked.max_error:.2g} is asked for, which maps rarely keep to: volumes are exact to the pixel"
+    return f"max_error {case.asked.max_error:.2g} is too small for most shadow maps: shadow volumes are exact to the pixel"
 
 
 def _leaves(case: RuleInput) -> str | None:
     if case.kind == "forest":
-        return "leaves are cut out by their texture, which maps alone can do; on trees a perspective map is no finer"
+        return "alpha-tested foliage needs a shadow map; a perspective map is no finer on trees"
     if "forest" in case.descriptor.casters:
-        return "the map of the leaves holds all else for little more"
+        return "the shadow map for the foliage draws the other casters at little extra cost"
     return None
 
 
@@ -135,7 +135,7 @@ def _few_polygons(case: RuleInput) -> str | None:
     casters = case.casters
     if casters is None or not 0 < casters.triangles <= FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
         return None
-    return f"polygons are few, {casters.triangles} triangles: volumes are cheap, and exact to the pixel"
+    return f"few polygons ({casters.triangles} triangles): shadow volumes are cheap, and exact to the pixel"
 
 
 def _narrow(case: RuleInput) -> str | None:
@@ -145,31 +145,31 @@ def _narrow(case: RuleInput) -> str | None:
     texel_px = across_m / USUAL_TEXELS / case.descriptor.pixel_m
     if texel_px > SHARP_TEXEL_PX:
         return None
-    return f"the light is narrow: a map's texel covers {texel_px:.2g} pixels where it is aimed"
+    return f"narrow light: a texel covers {texel_px:.2g} pixels at the target"
 
 
 def _small_shadow(case: RuleInput) -> str | None:
     casting = case.seen.casts.get(case.kind) if case.seen else None
     if casting is None or casting.share > SMALL_SHADOW:
         return None
-    return f"the shadowed area is small, {100.0 * casting.share:.1f} % of what is seen"
+    return f"small shadowed area, {100.0 * casting.share:.1f} % of the view"
 
 
 def _behind(case: RuleInput) -> str | None:
     if case.seen is None or case.seen.to_view_deg is None or case.seen.to_view_deg < BEHIND_DEG:
         return None
-    return "the light comes from where the camera looks from: most shadows hide behind what casts them"
+    return "light near the camera: most shadows are hidden behind their casters"
 
 
 def _map_view(case: RuleInput) -> str | None:
-    return "a map shows every edge from equally far" if case.descriptor.view_kind == "map" else None
+    return "map view: every edge is equally far away" if case.descriptor.view_kind == "map" else None
 
 
 def _afar(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if texel_px is None or texel_px > COARSE_TEXEL_PX:
         return None
-    return f"the camera is near no edge of a shadow: at the nearest a map's texel covers {texel_px:.2g} pixels"
+    return f"camera far from shadow edges: a texel covers {texel_px:.2g} pixels at the nearest edge"
 
 
 def _complex(case: RuleInput) -> str | None:
@@ -177,8 +177,8 @@ def _complex(case: RuleInput) -> str | None:
     if texel_px is None or texel_px <= COARSE_TEXEL_PX or case.seen is None or case.seen.volume_layers < COMPLEX_LAYERS:
         return None
     return (
-        f"shadows are complex, about {case.seen.volume_layers:.2g} faces of volumes over a pixel, and the camera is near: "
-        f"a map's texel covers {texel_px:.2g} pixels at the nearest edge"
+        f"complex shadows (about {case.seen.volume_layers:.2g} volume faces per pixel) and a near camera: "
+        f"a texel covers {texel_px:.2g} pixels at the nearest edge"
     )
 
 
@@ -191,7 +191,7 @@ def _little_seen(case: RuleInput) -> str | None:
     gain = bands[-1].far_m / bands[0].near_m
     if gain < LEAST_GAIN:
         return None
-    return f"of all that the light covers {100.0 * light_facts.area_share:.1f} % is seen: texels go where the camera looks"
+    return f"the camera sees {100.0 * light_facts.area_share:.1f} % of the lit area: a perspective map puts its texels there"
 
 
 def _near_texel_px(case: RuleInput) -> float | None:
@@ -215,16 +215,16 @@ RULES: tuple[Rule, ...] = (
     Rule("settings of a map", "shadow_map", _settings_of_maps, "docs/algorithms.md"),
     Rule("a heightfield is swept", "sweep", _heightfield, "docs/sweep-accuracy.md: 0.01 % wrong"),
     Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
-    Rule("leaves go by a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule("foliage needs a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
     Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: cheapest there"),
     Rule("narrow light", "shadow_map", _narrow, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
     Rule("small shadowed area", "shadow_map", _small_shadow, THESIS_SECTION),
     Rule("light near the camera", "shadow_map", _behind, f"{THESIS_SECTION}; docs/seeds.md, figure 54, for a lamp"),
-    Rule("a map has no near", "shadow_map", _map_view, "docs/how-it-works.md: a map view is no camera"),
+    Rule("map view", "shadow_map", _map_view, "docs/how-it-works.md: a map view is no camera"),
     Rule("far from every edge", "shadow_map", _afar, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
     Rule("complex shadows from near", "hybrid", _complex, f"{THESIS_SECTION}; docs/seeds.md: cheaper than volumes in some of them"),
     Rule(
-        "little is seen of much",
+        "small part of the lit area seen",
         "perspective_shadow_map",
         _little_seen,
         f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",

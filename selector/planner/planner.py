@@ -199,10 +199,10 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
         if requested != "auto":
             runs, reason = requested == "on", f"forced {requested} by the level ({verdict.reason})"
         elif name == "soft_edges" and shadows.filter != "auto":
-            runs, reason = shadows.filter != 1, f"filter {shadows.filter} is asked for ({verdict.reason})"
+            runs, reason = shadows.filter != 1, f"filter {shadows.filter} is set ({verdict.reason})"
         missing_needs = [other for other in left_out if other.name in effect.needs]
         if runs and missing_needs:
-            runs, reason = False, f"without {missing_needs[0].name} there is nothing to do: {missing_needs[0].reason}"
+            runs, reason = False, f"needs {missing_needs[0].name}, which does not run: {missing_needs[0].reason}"
         (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
     return effects, left_out
 
@@ -223,13 +223,13 @@ def _with_work(
     filtered = any(getattr(kind_settings, "filter", 1) != 1 for kind_settings in settings.get(SUN, {}).values())
     idle_reasons = {}
     if not casting:
-        idle_reasons["cast_shadows"] = "the algorithm is none for all that there is"
+        idle_reasons["cast_shadows"] = "no caster has a shadow algorithm"
     if "forest" not in casting:
-        idle_reasons["alpha_test"] = "foliage casts by no algorithm"
+        idle_reasons["alpha_test"] = "no algorithm draws shadows of foliage"
     if not filtered:
         idle_reasons["soft_edges"] = f"the edges of {', '.join(sorted(set(sun.values()) - {NO_SHADOWS})) or 'lamps'} are sharp"
     if "relief" not in casting:
-        idle_reasons["outside_casters"] = "ground casts by no algorithm"
+        idle_reasons["outside_casters"] = "no algorithm draws shadows of the ground"
     stopped = [
         Reasoned(name=effect.name, reason=f"{idle_reasons[effect.name]} ({effect.reason})")
         for effect in effects
@@ -262,15 +262,15 @@ def _algorithm(
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
         return NO_SHADOWS, sun_verdict(descriptor).reason, False
     if requested is not None:
-        return requested, f"asked for by {requester}", False
+        return requested, f"set by {requester}", False
     if caster == "relief" and descriptor.relief_m <= 0.0:
-        return NO_SHADOWS, "level ground cannot cast", False
+        return NO_SHADOWS, "level ground casts no shadow", False
     if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
         return NO_SHADOWS, sun_kind_verdict(descriptor, caster).reason, False
     if light != SUN and "lamps" not in forced and not next(lamp for lamp in descriptor.lamps if lamp.name == light).reaches:
-        return NO_SHADOWS, f"{light} reaches nothing that is seen", False
+        return NO_SHADOWS, f"no light from {light} reaches the view", False
     if choice is None or caster not in choice.algorithm:
-        return FALLBACK, "it serves every view, light and kind of casters", True
+        return FALLBACK, "serves every view, light and kind of casters", True
     return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
@@ -280,7 +280,7 @@ def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Req
     if why is not None:
         key = "algorithm" if requester == "the request" else "shadows.algorithm"
         raise UnsupportedError(
-            key, f"{name} for {caster} under {light}", f"{why}; what can: {', '.join(algorithms_serving(parts))}"
+            key, f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
         )
 
 
@@ -290,19 +290,19 @@ def _rejected(name: AlgorithmName, assignments: list[_Taken], requester: str, re
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
     if not free_assignments:
-        return f"{requester} asks for {', '.join(sorted({assignment.name for assignment in assignments}))}"
+        return f"{requester} sets {', '.join(sorted({assignment.name for assignment in assignments}))}"
     if name == NO_SHADOWS:
-        return "there are casters and light"
+        return "casters and light are present"
     if name in rejected:
         return rejected[name]
     if len(free_assignments) == 1:
         return (
             ALGORITHMS[name].refusal(free_assignments[0].parts)
-            or f"{free_assignments[0].name} goes before it: {free_assignments[0].why}"
+            or f"{free_assignments[0].name} was preferred: {free_assignments[0].why}"
         )
     kinds_by_reason: dict[str, list[str]] = {}
     for assignment in free_assignments:
-        why = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.name} goes before it"
+        why = ALGORITHMS[name].refusal(assignment.parts) or f"{assignment.name} was preferred"
         kinds_by_reason.setdefault(why, []).append(
             assignment.kind if assignment.light == SUN else f"{assignment.kind} under {assignment.light}"
         )
@@ -317,7 +317,9 @@ def _settings_asked_for(
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
     given_reasons: list[Reasoned],
 ) -> list[Reasoned]:
-    """Of each setting that is asked for, who asks, or that what is taken has no such choice; ``given_reasons`` are what is told already."""
+    """For each setting that is asked for: who set it, and whether any chosen algorithm has it; ``given_reasons`` are known
+    already.
+    """
     resolved = [kind_settings for per_kind in settings.values() for kind_settings in per_kind.values()]
     reported = {reasoned.name.rpartition(": ")[2] for reasoned in given_reasons}
     reasons = []
@@ -325,8 +327,8 @@ def _settings_asked_for(
         value = getattr(shadows, key)
         name = f"{key} {value}"
         if value != "auto" and name not in reported:
-            reason = f"asked for by {_who(overrides, key)}"
+            reason = f"set by {_who(overrides, key)}"
             if not any(each.asked_as.get(key) == value for each in resolved):
-                reason += ", and left out: nothing that is taken has this to choose"
+                reason += ", without effect: no chosen algorithm has this setting"
             reasons.append(Reasoned(name=name, reason=reason))
     return reasons

@@ -41,7 +41,7 @@ def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     mask = "conservative" if asked.mask == "auto" else asked.mask
     reasons = request.without_filter("hybrid")
     if asked.map_size == "auto":
-        reasons.append(Reasoned(name=f"map_size {size}", reason="a small map: where it cannot decide, volumes do"))
+        reasons.append(Reasoned(name=f"map_size {size}", reason="small map: shadow volumes decide where it cannot"))
     if asked.mask == "auto":
-        reasons.append(Reasoned(name=f"mask {mask}", reason="the pixels that the map decides are those in which it provably can"))
+        reasons.append(Reasoned(name=f"mask {mask}", reason="the map decides only pixels where it is provably right"))
     return HybridSettings(map=settings, mask=mask, **stencil_settings(asked)), reasons

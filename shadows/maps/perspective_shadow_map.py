@@ -250,13 +250,13 @@ def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Algor
 
 ALGORITHM = Algorithm(
     name="perspective_shadow_map",
-    about="a map in the space of the picture: fine near the eye",
+    about="depth map in post-perspective space: fine near the eye",
     plural="perspective shadow maps",
     fill=fill,
     passes=PASSES,
     refuses={
-        "map": "a map has no perspective that it could follow",
-        "omni": "what shines all round has no one map in post-perspective space",
+        "map": "a map view has no perspective",
+        "omni": "an omni light does not fit one post-perspective map",
     },
     layers=("shadow-map",),
     settings=(PerspectiveMapSettings,),

@@ -43,10 +43,10 @@ PERSPECTIVE_TEXELS = 1024
 """Texels a side of a perspective map, unless the level says otherwise: they go where the eye sees them, so that few do."""
 
 NO_CHOICE = {
-    "fit": ("tight", "a perspective map follows the camera, and is always fitted closely"),
-    "cascades": (1, "a perspective map is one map, which is fine near the eye by itself"),
-    "bias": ("receiver_plane", "a perspective map is compared on the triangle that is seen"),
-    "culling": ("none", "a perspective map is drawn whole, since it needs no bias"),
+    "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
+    "cascades": (1, "a perspective map is a single map, fine near the eye"),
+    "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
+    "culling": ("none", "a perspective map needs no bias, so no culling"),
 }
 """What a shadow map may be asked for: the only way of a perspective one, and why."""
 
@@ -95,14 +95,14 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
         size = _power(max(footprints_px) / wished_px, LARGEST_MAP)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
-        more = f", above the {wished_px} wished for: the largest automatic size" if covers_px > wished_px else ""
+        more = f", more than the {wished_px} aimed at: largest automatic size" if covers_px > wished_px else ""
         reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
     texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
     ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
     shifts_px = [range_m / (2**16 - 1) * np.cos(altitude) / run[2] for range_m, run in zip(ranges_m, runs, strict=True)]
     if bits == "auto" and taps == "sun":
         bits = 24
-        why = "the penumbra goes by how far casters lie before the point, wherever they are"
+        why = "the penumbra's width follows the distance to the caster, so depths must be fine everywhere"
         reasons.append(Reasoned(name="depth_bits 24", reason=why))
     elif bits == "auto":
         worst = int(np.argmax(shifts_px))
@@ -115,7 +115,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         ))  # fmt: skip
     if taps == "auto":
         taps = 3
-        reasons.append(Reasoned(name="filter 3", reason="nine taps smooth the stairs of texels along shadow edges"))
+        reasons.append(Reasoned(name="filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
     steps = 2**16 - 1 if bits == 16 else 2**24 - 1
     cascades = tuple(
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
@@ -123,14 +123,14 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     )
     fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
     if shadows.fit == "auto":
-        why = "texels stay where they are on the ground when the view moves"
-        why += ", and neighbouring blocks join" if descriptor.view_kind == "map" else ""
+        why = "texels stay fixed to the ground when the view moves"
+        why += ", and neighbouring blocks match" if descriptor.view_kind == "map" else ""
         reasons.append(Reasoned(name="fit stable", reason=why))
     if shadows.bias == "auto":
-        why = "a comparison on the triangle that is seen needs no bias in depth, whatever the slope"
+        why = "comparison on the receiver's own triangle needs no depth bias at any slope"
         reasons.append(Reasoned(name="bias receiver_plane", reason=why))
     if shadows.culling == "auto" and "meshes" in descriptor.casters:
-        why = "with no bias needed, drawing closed bodies by their back faces gains nothing"
+        why = "no bias, so front-face culling gains nothing"
         reasons.append(Reasoned(name="culling none", reason=why))
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
@@ -142,19 +142,19 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows)
     if size == "auto":
         size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
         texel_px = across_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
-        why = f"a texel covers {texel_px:.2g} pixels where it is aimed"
+        why = f"a texel covers {texel_px:.2g} pixels at the target"
         reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
     bits = 32 if shadows.depth_bits == "auto" else shadows.depth_bits
     if shadows.depth_bits == "auto":
-        why = "a perspective map's steps grow with the square of the distance: even ones need float"
+        why = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
     taps = 3 if shadows.filter == "auto" else shadows.filter
     if taps == "sun" and descriptor.highest_sun_deg is None:
-        reason = f"the penumbra of the sun's disc is the sun's alone; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
+        reason = f"filter sun is for the sun only; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
         taps = 3
-        reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="the penumbra that is asked for is that of the sun's disc"))
+        reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="filter sun is for the sun only"))
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(shadows)), reasons
 
 
@@ -165,13 +165,13 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
     """
     light, asked = request.light, request.sharpened
     if asked.filter == "sun":
-        reason = "texels of a perspective map are as uneven as the picture: 1, 2, 3 or 5 taps a side; shadow_map has the penumbra"
+        reason = "texels of a perspective map differ in size: 1, 2, 3 or 5 taps a side; shadow_map can filter over the sun's disc"
         raise UnsupportedError("filter", "sun", reason)
     who = "" if light == SUN else f"{light}: "
     reasons = [
         *request.why_sharpened,
         *(
-            Reasoned(name=f"{who}{key} {getattr(asked, key)}", reason=f"left out: {why}")
+            Reasoned(name=f"{who}{key} {getattr(asked, key)}", reason=f"no effect: {why}")
             for key, (only, why) in NO_CHOICE.items()
             if getattr(asked, key) not in ("auto", only)
         ),
@@ -179,14 +179,14 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
     size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
     if size == "auto":
         size = PERSPECTIVE_TEXELS
-        reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small where the eye is near: few will do"))
+        reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small near the eye: few are enough"))
     if bits == "auto":
         bits = 24 if light == SUN else 32
         why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
-        reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits would not do far away"))
+        reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
     if taps == "auto":
         taps = 3
-        reasons.append(Reasoned(name=f"{who}filter 3", reason="nine taps smooth the stairs of texels along shadow edges"))
+        reasons.append(Reasoned(name=f"{who}filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
     return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
 
 
@@ -226,7 +226,7 @@ def _cascades(
         )
     _, _, inner, worst, first, last = min(options, key=lambda option: option[:2])
     if shadows.cascades == "auto":
-        why = f"a texel covers at most {worst / inner:.2g} pixels, {wished_px:g} wished for, with the fewest texels"
+        why = f"a texel covers at most {worst / inner:.2g} pixels ({wished_px:g} aimed at), with the fewest texels"
         reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
     far_m = [*(bands[j].far_m for j in last[:-1]), None]
     return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]

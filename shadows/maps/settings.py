@@ -12,7 +12,7 @@ MapFit = Literal["stable", "tight"]
 """Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
 
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
-"""What keeps a surface from shading itself, as ``shadows.maps.shadow_map`` says."""
+"""What keeps a surface from shading itself: derived in ``docs/shadow-maps.md``."""
 
 Culling = Literal["none", "front"]
 """Faces of closed casters that are left out of a map."""

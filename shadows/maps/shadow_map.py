@@ -97,7 +97,7 @@ VARIANTS: tuple[dict[str, Any], ...] = tuple(MIDDLE | change for change in (
 
 ALGORITHM = Algorithm(
     name="shadow_map",
-    about="depth map from the light, which follows what is looked at",
+    about="depth map from the light, fitted to the view",
     plural="shadow maps",
     fill=fill,
     passes=PASSES,

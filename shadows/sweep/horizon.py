@@ -84,7 +84,7 @@ def slopes(
     own_towards: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
-    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``NO_HORIZON_SLOPE`` without any ground.
+    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``NO_HORIZON_SLOPE`` without ground.
 
     ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are the ground's
     there.

@@ -215,13 +215,13 @@ def _too_wide(descriptor: Descriptor, kind: CasterKind) -> bool:
     return (swept_m(descriptor) or 0.0) > SWEPT_M
 
 
-ONE_AZIMUTH = "its lines run along the one azimuth of the sun: a lamp's rays spread"
+ONE_AZIMUTH = "a lamp's rays spread: the lines of the sweep run along one azimuth"
 
 REFUSES: dict[Requirement, str] = {
     "spot": ONE_AZIMUTH,
     "omni": ONE_AZIMUTH,
-    "meshes": "it knows one height per place, and a mesh may have several above each other",
-    "forest": "a tree is no heightfield: light passes under its crown and between its leaves",
+    "meshes": "meshes are no heightfield: the sweep knows one height per place",
+    "forest": "trees are no heightfield: light passes under crowns and between leaves",
 }
 
 FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
@@ -229,7 +229,7 @@ FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
 
 ALGORITHM = Algorithm(
     name="sweep",
-    about="lines along the sun's azimuth over the heightfield, good at every azimuth; needs no OpenGL",
+    about="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
     passes=PASSES,

@@ -62,7 +62,7 @@ def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
 
 
 NO_VOLUME: dict[Requirement, str] = {
-    "forest": "a volume is made of edges and knows no texture: alpha-tested leaves would cast the whole of their quads",
+    "forest": "a shadow volume knows no texture: alpha-tested leaves would cast their whole quads",
     "bent map": DRAWS_IN_THE_VIEW,
 }
 """What no volume can serve, and why."""
@@ -72,7 +72,7 @@ KEEPS = ("shadows.volumes.volumes", "shadows.volumes.volumes._structure", "shado
 
 ALGORITHM = Algorithm(
     name="shadow_volume",
-    about="volumes of shadow counted in the stencil: exact to the pixel",
+    about="shadow volumes, counted in the stencil: exact to the pixel",
     plural="shadow volumes",
     fill=fill,
     passes=PASSES,

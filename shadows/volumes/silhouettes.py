@@ -84,8 +84,8 @@ def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np
 def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
     """How triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
 
-    ``rule`` is one for all, or a number for each: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for what casts nothing; all
-    triangles of a part of a mesh have the same. Raises ``InputError`` for any other rule.
+    ``rule`` is one for all, or a number for each: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for what casts
+    nothing; all triangles of a part of a mesh have the same. Raises ``InputError`` for any other rule.
     """
     if isinstance(rule, str) and rule not in FACING_RULE_CODES:
         raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))

@@ -48,8 +48,10 @@ def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeIn
 def _points_in_look(coarse_view: CoarseView, pixel: float) -> Probes:
     there = coarse_view.buffer.there
     return Probes(
-        frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m, normal_frame=coarse_view.buffer.normal_frame[there].astype(np.float64),
-        pixel_m=coarse_view.away_m * pixel, away_m=coarse_view.away_m, kind=coarse_view.buffer.kind[there], number=np.arange(len(coarse_view.away_m)),
+        frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
+        normal_frame=coarse_view.buffer.normal_frame[there].astype(np.float64),
+        pixel_m=coarse_view.away_m * pixel, away_m=coarse_view.away_m, kind=coarse_view.buffer.kind[there],
+        number=np.arange(len(coarse_view.away_m)),
     )  # fmt: skip
 
 
@@ -69,7 +71,8 @@ def _among_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -
     met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
     leaf = np.isfinite(met)
     leaves = Probes(
-        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * direction[leaf], normal[leaf], met[leaf] * pixel, met[leaf],
+        coarse_view.buffer.frame, coarse_view.eye_frame_m + met[leaf, None] * direction[leaf], normal[leaf], met[leaf] * pixel,
+        met[leaf],
         np.full(int(leaf.sum()), FOREST, np.uint8), chosen[leaf],
     )  # fmt: skip
     return _joined(bare.some(point[there[chosen] & ~leaf]), leaves)

@@ -146,7 +146,8 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
         view, visible.frame, points.there, points.position, points.height, points.normal, points.shading, points.crease,
-        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees, solids_frame_m=visible.solids,
+        points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
+        solids_frame_m=visible.solids,
         samples_from=None if below is None else view.rows, sample_pixels=None if below is None else (row, col),
     )  # fmt: skip
 

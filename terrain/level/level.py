@@ -64,39 +64,39 @@ class Shadows(Model):
         Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
     ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.")
     max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
-        default=0.03, ge=0, le=1, description="Share of the cast shadow that may be wrong."
+        default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong."
     )
     max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
-        default=None, gt=0, description="Milliseconds that shadows of a block may take."
+        default=None, gt=0, description="Time limit: milliseconds for the shadows of a block."
     )
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
-        default="auto", description="Shadow-map texels a side."
+        default="auto", description="Size of a shadow map: texels a side."
     )
     cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
-        default="auto", description="Shadow maps of a perspective view."
+        default="auto", description="Number of cascades: shadow maps of a perspective view, one behind the other."
     )
-    depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of a shadow map's depths.")
+    depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
     filter: Literal["auto", 1, 2, 3, 5, "sun"] = Field(
-        default="auto", description="Shadow-map taps a side, or `sun` for the penumbra of the sun's disc."
+        default="auto", description="Filter of a shadow map: taps a side, or `sun` for the penumbra of the sun's disc."
     )
     fit: Annotated[Literal["auto", "stable", "tight"], Requests(take=("render", "select"))] = Field(
-        default="auto", description="Where shadow maps lie: on a fixed lattice, or close round what is seen."
+        default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight round the view."
     )
     bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
-        default="auto", description="What keeps a surface from shading itself in a shadow map."
+        default="auto", description="Bias of a shadow map: what keeps a surface from shading itself."
     )
     culling: Literal["auto", "none", "front"] = Field(
-        default="auto", description="Faces of closed bodies that are left out of a shadow map."
+        default="auto", description="Culling: faces of closed bodies that are left out of a shadow map."
     )
     stencil: Literal["auto", "one_pass", "two_pass"] = Field(
-        default="auto", description="Whether both sides of shadow volumes are drawn at once."
+        default="auto", description="Stencil passes of shadow volumes: both sides at once, or one after the other."
     )
     counting: Annotated[Literal["auto", "z_fail"], Requests(auto=True)] = Field(
         default="auto",
-        description="Faces of shadow volumes that count: what each caster needs, or those behind the point for all.",
+        description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or z-fail for all.",
     )
     mask: Literal["auto", "conservative", "original"] = Field(
-        default="auto", description="How a hybrid finds the pixels that it leaves to volumes."
+        default="auto", description="Mask of the hybrid: how it finds the pixels left to shadow volumes."
     )
 
     @field_validator("algorithm")

@@ -165,9 +165,9 @@ class Canopy:
     ) -> Iterator[Crowns]:
         """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
 
-        ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops: see ``TREETOP_WINDOW_M``.
-        Canopy too low for its cells to show trees is scattered as dense as such crowns close it. Raises ``SourceError`` where the
-        raster is not to be read or has no place in ``crs``.
+        ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops
+        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show trees is scattered as dense as such crowns close it. Raises
+        ``SourceError`` where the raster is not to be read or has no place in ``crs``.
         """
         to_m = self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
         cell_m = np.sqrt(abs(np.linalg.det(to_m)))

@@ -132,7 +132,7 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=only(name, light, caster))
         said = str(caught.value)
-        assert said.startswith(f"algorithm: '{name} for {caster} under {light}' cannot be served: {why}; what can: ")
+        assert said.startswith(f"algorithm: '{name} for {caster} under {light}' cannot be served: {why}; algorithms that can: ")
         assert "\n" not in said and name not in said.split("what can: ")[1]
 
 
@@ -161,7 +161,7 @@ def test_what_fills_is_what_has_passes():
         ("perspective_shadow_map", {"map": "perspective", "bent map": "perspective", "omni": "shines all round"}),
         ("shadow_volume", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
         ("hybrid", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
-        ("planar", {"uneven": "it projects onto one plane, and the ground of this level is not flat"}),
+        ("planar", {"uneven": "ground not flat: casters are projected onto one plane"}),
         ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per place", "forest": "heightfield"}),
     ],
 )
@@ -179,7 +179,7 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
-    for ground, words in (("uneven", "is not flat"), ("level", "goes before it")):
+    for ground, words in (("uneven", "is not flat"), ("level", "was preferred")):
         plan = plan_of(scene_on(ground), scene_on(ground).view("map"))
         (reason,) = [item.reason for item in plan.rejected if item.name == "planar"]
         assert words in reason
@@ -250,7 +250,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
             plan_of(scene, view, algorithm=name)
         said = str(caught.value)
         assert f"'{name} for forest under sun'" in said and "alpha-tested leaves would cast the whole of their quads" in said
-        assert said.endswith("; what can: shadow_map, perspective_shadow_map")
+        assert said.endswith("; algorithms that can: shadow_map, perspective_shadow_map")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
     assert [step.algorithm for step in frame.plan.steps[:2]] == ["shadow_volume", "shadow_map"]
@@ -265,7 +265,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
 def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl):
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     for name in ("shadow_volume", "hybrid"):
-        with pytest.raises(UnsupportedError, match="at this scale the map bends.*; what can: shadow_map, sweep$"):
+        with pytest.raises(UnsupportedError, match="at this scale the map bends.*; algorithms that can: shadow_map, sweep$"):
             plan_of(scene, block_at(-84.25, 36.6, 8), algorithm=name)
         block = block_at(-84.25, 36.6, 12)
         view = replace(block, row0=block.row0 + 500, col0=block.col0 + 500, rows=96, cols=96)

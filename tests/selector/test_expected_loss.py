@@ -103,6 +103,10 @@ def test_nobody_else_has_a_smaller_expected_loss(candidates, max_error, max_ms):
 
 @given(forecasts, st.floats(1e-4, 0.2), st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
 def test_times_in_another_unit_change_nothing(candidates, max_error, factor):
-    longer = [Forecast(CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior), one.error_miss_chance)
+    longer = [
+        Forecast(
+            CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior),
+            one.error_miss_chance
+        )
               for one in candidates]  # fmt: skip
     assert least_expected_loss(candidates, max_error).winner.name == least_expected_loss(longer, max_error).winner.name

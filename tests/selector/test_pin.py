@@ -181,7 +181,7 @@ def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
     assert chosen == {"algorithm": {"relief": "shadow_map"}, "map_size": 1024, "filter": 1}
     again = make_plan(facts, StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects))
     assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
-    assert "asked for by the level" in again.reasons[0].reason
+    assert "set by the level" in again.reasons[0].reason
 
 
 def test_at_night_there_is_nothing_to_pin(scene):

@@ -205,7 +205,7 @@ def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
     plan = planned(village, own, {"algorithm": {"meshes": "shadow_volume"}}, None, max_error=0.03)
     assert plan.algorithm[SUN]["meshes"] == "shadow_volume" and plan.algorithm[SUN]["relief"] != "none"
     said = {one.name: one.reason for one in plan.reasons}
-    assert said["sun/meshes: shadow_volume"] == "asked for by the request"
+    assert said["sun/meshes: shadow_volume"] == "set by the request"
     assert "expected" in said[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
     with pytest.raises(UnsupportedError, match="a volume is made of edges"):
         planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
@@ -215,7 +215,7 @@ def test_what_a_device_has_no_rates_for_is_left_out_with_the_reason():
     plan = planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
     assert plan.policy == "predict" and plan.predicted is not None
     said = {one.name: one.reason for one in plan.rejected}
-    assert said["hybrid"] == "this device has no rates for mask (skugga calibrate measures them)"
+    assert said["hybrid"] == "this device has no rates for mask: run skugga calibrate again"
 
 
 def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why():

@@ -89,7 +89,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
     }  # fmt: skip
     assert plan["settings"]["sun"]["relief"]["map_size"] == 777
     reasons = {one["name"]: one["reason"] for one in plan["reasons"]}
-    assert reasons["sun/relief: shadow_map"] == reasons["map_size 777"] == "asked for by the request"
+    assert reasons["sun/relief: shadow_map"] == reasons["map_size 777"] == "set by the request"
     _, out, _ = run("select", "jacksboro", "--policy", "rules", "--azimuth", "90", "--altitude", "-20")
     assert "20 degrees below the horizon in the east" in " ".join(out.split()) and "Relief casts nothing" in out
 
@@ -129,12 +129,12 @@ def test_a_pinned_choice_is_what_is_then_taken(gl, run, level):
     assert status == 0 and str(level) in err and text.startswith(before) and "by the rules" in text and "View map" in text
     _, out, _ = run("select", str(level), "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
-    assert plan.reasons[0].reason == "asked for by the level"
+    assert plan.reasons[0].reason == "set by the level"
     stats = level.parent / "stats.json"
     run("render", str(level), "--size", "60x60", "-o", str(level.parent / "x.png"), "--stats", str(stats))
     drawn = json.loads(stats.read_text())["plan"]
     assert drawn["algorithm"] == plan.model_dump(mode="json")["algorithm"]
-    assert drawn["reasons"][0]["reason"] == "asked for by the level"
+    assert drawn["reasons"][0]["reason"] == "set by the level"
 
 
 def test_a_second_choice_is_made_as_if_there_had_been_no_first(gl, run, level):

@@ -63,7 +63,7 @@ def test_the_plan_of_a_view_is_the_plan_of_its_facts(client: Client, seen: dict,
 def test_what_is_asked_is_in_the_plan(client: Client, facts: dict):
     plan = client.post("/plan", params={"max_error": 0.01, "max_ms": 7, "algorithm": "hybrid"}, json=facts).json()
     assert (plan["target"]["max_error"], plan["target"]["max_ms"], plan["algorithm"]) == (0.01, 7, {"sun": {"relief": "hybrid"}})
-    assert "asked for by the request" in plan["reasons"][0]["reason"]
+    assert "set by the request" in plan["reasons"][0]["reason"]
 
 
 def test_an_uncalibrated_device_says_so(client: Client, facts: dict):

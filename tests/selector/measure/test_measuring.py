@@ -106,7 +106,7 @@ def test_what_is_asked_for_is_kept(gl, scene):
     plan = measured_plan(scene, scene.view("eye"), "eye", {"algorithm": "shadow_map", "map_size": 128, "max_error": 0.5})
     settings = plan.settings["sun"]["meshes"]
     assert plan.headline.endswith("shadow_map") and settings.map_size == 128
-    assert "asked for by the request" in plan.reasons[0].reason or "asked for" in " ".join(one.reason for one in plan.reasons)
+    assert "set by the request" in plan.reasons[0].reason or "asked for" in " ".join(one.reason for one in plan.reasons)
 
 
 def test_night_needs_no_measurement(gl, scene, monkeypatch):

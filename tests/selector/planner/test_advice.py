@@ -145,7 +145,7 @@ def test_who_asks_for_a_map_s_settings_gets_a_map(asked, relief, meshes):
 def test_leaves_go_by_a_map_and_all_else_with_them():
     few = {"stands": [stand(triangles=12, closed_share=1.0)]}
     assert rule_of(sun_over("meshes", **few)) == "few polygons"
-    assert rule_of(sun_over("meshes", "forest", **few)) == rule_of(sun_over("meshes", "forest"), "forest") == "leaves go by a map"
+    assert rule_of(sun_over("meshes", "forest", **few)) == rule_of(sun_over("meshes", "forest"), "forest") == "foliage needs a map"
 
 
 def test_few_polygons_of_closed_meshes_take_volumes():
@@ -192,8 +192,8 @@ def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
 
 def test_little_seen_of_much_takes_a_perspective_map():
     for share, far_m, name in (
-        (LITTLE_SEEN, 1024.0, "little is seen of much"), (1.01 * LITTLE_SEEN, 1024.0, None),
-        (LITTLE_SEEN, 16.0 * LEAST_GAIN, "little is seen of much"), (LITTLE_SEEN, 15.0 * LEAST_GAIN, None),
+        (LITTLE_SEEN, 1024.0, "small part of the lit area seen"), (1.01 * LITTLE_SEEN, 1024.0, None),
+        (LITTLE_SEEN, 16.0 * LEAST_GAIN, "small part of the lit area seen"), (LITTLE_SEEN, 15.0 * LEAST_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
         assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * COARSE_TEXEL_PX, area_share=share))) == name

@@ -55,24 +55,22 @@ def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
     """Rejections under the rules: a refusal, or what a rule took instead; under another policy what that says."""
     said = reasons_of(plan_of(scene, scene.view()))
     assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
-    assert said["shadow_volume"] == f"sweep goes before it: {said['sun/relief: sweep']}"
-    assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "there are casters and light"
+    assert said["shadow_volume"] == f"sweep was preferred: {said['sun/relief: sweep']}"
+    assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "casters and light are present"
     choices = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
     given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
     plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=given)
     said = reasons_of(plan)
     assert plan.headline == "hybrid" and said["sun/relief: hybrid"] == "it is mine" and said["sweep"] == "12 ms more"
-    assert said["shadow_volume"] == "hybrid goes before it: it is mine"
+    assert said["shadow_volume"] == "hybrid was preferred: it is mine"
 
 
 def test_of_several_kinds_of_casters_each_says_what_went_before(wooded):
     said = reasons_of(plan_of(wooded, wooded.view()))
     volume = ALGORITHMS["shadow_volume"].refuses["forest"]
-    assert said["shadow_volume"] == (
-        f"for relief: sweep goes before it; for meshes: shadow_map goes before it; for forest: {volume}"
-    )
+    assert said["shadow_volume"] == (f"for relief: sweep was preferred; for meshes: shadow_map was preferred; for forest: {volume}")
     plan = plan_of(wooded, wooded.view(), algorithm={"relief": "sweep", "meshes": "hybrid"})
-    assert reasons_of(plan)["sun/meshes: hybrid"] == "asked for by the request"
+    assert reasons_of(plan)["sun/meshes: hybrid"] == "set by the request"
     assert reasons_of(plan)["shadow_volume"] == volume  # of what is left to choose
 
 
@@ -92,10 +90,10 @@ def test_overrides_win_and_are_named(scene):
         return make_plan(describe(scene, view), Level.model_validate({"version": 1, "terrain": terrain, **keys}))
 
     plan = plan_of(scene, view, algorithm="none")
-    assert plan.headline == "none" and "asked for by the request" in plan.reasons[0].reason
+    assert plan.headline == "none" and "set by the request" in plan.reasons[0].reason
     assert "the algorithm is none" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
     assert reasons_of(plan)["sweep"] == "the request asks for none"
-    assert "asked for by the level" in of_level(shadows={"algorithm": "none"}).reasons[0].reason
+    assert "set by the level" in of_level(shadows={"algorithm": "none"}).reasons[0].reason
     plan = of_level(effects={"cast_shadows": "off"})
     left_out = {item.name: item.reason for item in plan.left_out}
     assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
@@ -109,14 +107,14 @@ def test_settings_that_are_asked_for_are_named(scene):
     settings = plan.settings["sun"]["relief"]
     assert (settings.map_size, settings.depth_bits, settings.filter) == (777, 32, 5)
     for name in ("map_size 777", "depth_bits 32", "filter 5", "cascades 1"):
-        assert reasons_of(plan)[name] == "asked for by the request"
+        assert reasons_of(plan)[name] == "set by the request"
     level = scene.loaded.level.model_copy(update={"shadows": Shadows(algorithm="hybrid", map_size=512, mask="original")})
     said = reasons_of(make_plan(describe(scene, view), level, {"map_size": 256, "mask": None}))
-    assert said["map_size 256"] == "asked for by the request" and said["mask original"] == "asked for by the level"
+    assert said["map_size 256"] == "set by the request" and said["mask original"] == "set by the level"
     assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # a map's setting
     said = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))
     for name in ("map_size 777", "stencil two_pass"):
-        assert said[name] == "asked for by the request, and left out: nothing that is taken has this to choose"
+        assert said[name] == "set by the request, without effect: no chosen algorithm has this setting"
 
 
 @pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])

@@ -144,7 +144,7 @@ def test_plans_say_what_was_chosen(gl, tmp_path):
     settings = plan.settings["sun"]["meshes"]
     assert (settings.bias, settings.culling, settings.filter) == ("polygon_offset", "front", 2)
     said = {reason.name: reason.reason for reason in plan.reasons}
-    assert said["bias polygon_offset"] == said["culling front"] == "asked for by the request"
+    assert said["bias polygon_offset"] == said["culling front"] == "set by the request"
 
 
 @pytest.mark.parametrize(("key", "value"), [("bias", "slope"), ("culling", "back"), ("filter", "moon")])

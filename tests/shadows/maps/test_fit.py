@@ -113,7 +113,7 @@ def test_auto_is_stable_and_says_why(jacksboro, ridge):
         explicit = plan_for(jacksboro, view, fit="tight")
         assert explicit.settings["sun"]["relief"].fit == "tight"
         said = [(reason.name, reason.reason) for reason in explicit.reasons if reason.name.startswith("fit")]
-        assert said == [("fit tight", "asked for by the request")]
+        assert said == [("fit tight", "set by the request")]
 
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:

@@ -82,7 +82,7 @@ def alpha_at(stand: TreeInstances, tree: np.ndarray, part: np.ndarray, uv: np.nd
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
 def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor, wooded, species):
-    """Each pixel's ray through the three quads of ``TreeInstances.corners``, in closed form: the nearest opaque one is what shows."""
+    """Each pixel's ray through the three quads of ``TreeInstances.corners``, in closed form: the nearest opaque one shows."""
     scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, species=species)
     view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
     visible = RasterisedView(scene, view, view.frame(scene.world))
