@@ -39,7 +39,7 @@ class StandaloneRequest:
 class Choice:
     """A choice for one light. What the level or the request asks for goes before it.
 
-    ``name`` tells it from other picks of the light; ``settings`` are fields of ``Shadows`` (``map_size``, ``cascades``), and
+    ``name`` tells it from other choices of the light; ``settings`` are fields of ``Shadows`` (``map_size``, ``cascades``), and
     ``why`` says for each kind of casters what speaks for its algorithm, for each setting what speaks for its value.
     """
 

@@ -31,7 +31,7 @@ from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN
 
 POLICY_CHOSEN = ("map_size",)
-"""Settings that policies other than the rules pick for each view, so that they are pinned even where the rules agree."""
+"""Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""
 
 PIN_COMMENT = "#: Pinned by skugga select"
 PINNED_KEYS_COMMENT = "#: Pinned keys: "

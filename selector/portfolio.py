@@ -1,4 +1,4 @@
-"""The picks that policies choose among: every capable algorithm by itself and in useful company, over settings."""
+"""The choices that policies choose among: every capable algorithm by itself and in useful company, over settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_CHOICES = 40
 """Picks of a light, at most; the last of ``companies`` is cut off first."""
 
 SHORT = {"map_size": "{}", "cascades": "x{}"}
-"""How settings are written in a pick's name; others with their key."""
+"""How settings are written in a choice's name; others with their key."""
 
 
 def companies() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
@@ -30,7 +30,7 @@ def companies() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
 
 
 def tuned_settings() -> tuple[str, ...]:
-    """The fields of ``Shadows`` that picks set."""
+    """The fields of ``Shadows`` that choices set."""
     return tuple(dict.fromkeys(key for each in chosen_from() for key in each.search.tuned))
 
 

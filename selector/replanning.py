@@ -6,9 +6,8 @@ present view. Algorithms, map sizes and numbers of cascades are kept as long as 
 - at once, where the old one cannot serve: a kind of casters throws shadows that nothing was picked for, the view or what is asked
   is of another kind, an algorithm refuses the view; and where the target is missed by more than ``IMMEDIATE_SWITCH``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
-target. What is then
-  left must be worse by as much again before there is a way back, so that a camera at a border does not flip; and as what is
-  expected is uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
+  target. The way back takes as large a margin, so that a camera at a border does not flip; and because expectations are
+  uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
 
 Two plans that both keep to an error of a few per cent of the cast shadow differ in up to some per cent of the pixels: most of
 them lie on edges, where errors do not count. So the old plan is drawn, too, as long as it takes to keep each frame below
@@ -72,8 +71,8 @@ class PlanTransition:
 
 @dataclass(frozen=True)
 class PlanState:
-    """What stands after a plan: the plan, its picks by light, what was asked; how many better plans in a row a switch takes, and
-    how many there were; the picks that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
+    """What stands after a plan: the plan, its choices by light, what was asked; how many better plans in a row a switch takes, and
+    how many there were; the choices that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
     how much it grows with the next.
     """
 
@@ -245,7 +244,7 @@ def casting(plan: Plan) -> dict[str, frozenset[str]]:
 def choices_of(plan: Plan) -> dict[str, Choice]:
     """What a plan chose for each light: algorithms, map size and number of cascades, as far as one number holds for all.
 
-    What else a plan resolves from a view may come out otherwise by its picks: where cascades end, if their number was not given.
+    What else a plan resolves from a view may come out otherwise by its choices: where cascades end, if their number was not given.
     """
     choices = {}
     for light, per_kind in plan.algorithm.items():
@@ -262,7 +261,7 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
 def _judged(
     kept: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
 ) -> Plan:
-    """A plan of picks with what the policy expects of it."""
+    """A plan of choices with what the policy expects of it."""
     judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_of(kept))})
     reasons = [*kept.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
@@ -283,7 +282,7 @@ def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[s
 
 
 def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
-    """The overrides that lead to picks; a setting that lights differ in is left to the policy."""
+    """The overrides that lead to choices; a setting that lights differ in is left to the policy."""
     out: dict[str, Any] = {"algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}}
     for key in tuned_settings():
         values = {choice.settings[key] for choice in choices.values() if key in choice.settings}

@@ -1,4 +1,4 @@
-"""How well the selector chooses: every pick of many views measured, and what each policy takes held against the best of them.
+"""How well the selector chooses: every choice of many views measured, and what each policy takes held against the best of them.
 
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
     python -m benchmarks.selection choose DATA [--folder build/selection]     what the policy `measure` takes; as long again

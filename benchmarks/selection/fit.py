@@ -92,7 +92,7 @@ def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> Standalo
 
 
 def cases_of(view: Figures) -> list[FitCase]:
-    """The rows of a view's picks, each once; none where nothing lies in cast shadow, of which the errors would be a share."""
+    """The rows of a view's choices, each once; none where nothing lies in cast shadow, of which the errors would be a share."""
     if view["error"] == "wrong":
         return []
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]

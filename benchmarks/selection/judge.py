@@ -22,7 +22,7 @@ WITHIN = 0.10
 """Where the single best lies this near to the virtual best, there is no gap to speak of."""
 
 WORST = 5
-"""So many of the worst picks are told."""
+"""So many of the worst choices are told."""
 
 Figures = dict[str, Any]
 
@@ -109,7 +109,7 @@ class PolicyScore:
     regret_p95: float
     regret_met: float
     regret_met_p95: float
-    """The same of the picks that met their target."""
+    """The same of the choices that met their target."""
     unclean: float
     """Share in which its row has interior error above ``MOST_INTERIOR`` though a clean row met the target."""
     loss: float
@@ -119,7 +119,7 @@ class PolicyScore:
     gap_closed: float | None
     """``None`` where single best and virtual best lie within ``WITHIN``."""
     worst: list[tuple[str, str, str, float]]
-    """View, goal, row taken and regret of the worst picks."""
+    """View, goal, row taken and regret of the worst choices."""
 
 
 def judged(
@@ -156,7 +156,7 @@ def _mean(values: np.ndarray) -> float:
 
 
 def stand_in(choice: str, view: Figures) -> str | None:
-    """The row that a pick comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
+    """The row that a choice comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
     company, *settings = choice.split()
     swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
     if company.startswith("sweep") and choice not in view["picks"] and swept is not None:
@@ -171,7 +171,8 @@ def stand_in(choice: str, view: Figures) -> str | None:
 
 
 def single_best(training: Sequence[GoalInstance]) -> str:
-    """The one pick with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed."""
+    """The one choice with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed.
+    """
     names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 

@@ -1,4 +1,4 @@
-"""Measuring an instance: every pick of the portfolio drawn on the real view, timed, and held against ray-traced truth."""
+"""Measuring an instance: every choice of the portfolio drawn on the real view, timed, and held against ray-traced truth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Figures = dict[str, Any]
 
 
 def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan]:
-    """By name the plans of all picks of a light, and those that the rules lead to at each error that is asked for."""
+    """By name the plans of all choices of a light, and those that the rules lead to at each error that is asked for."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
     choices = portfolio(descriptor, light, planner.casting(light))
@@ -44,9 +44,9 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
 
 
 def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
-    """By pick the name of its row: those that come to the same steps share one, and no others do.
+    """By choice the name of its row: those that come to the same steps share one, and no others do.
 
-    The rules may split cascades where no pick does, under the same name: what comes second is told by who takes it.
+    The rules may split cascades where no choice does, under the same name: what comes second is told by who takes it.
     """
     names: dict[str, str] = {}
     known: dict[str, list[tuple[list[Step], str]]] = {}
@@ -60,7 +60,7 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
 
 
 def measured(instance: ViewInstance, data: Path) -> Figures:
-    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by pick the row.
+    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by choice the row.
 
     ``error`` is the figure that targets go by: ``wrong`` where nothing lies in cast shadow, since of nothing there is no share.
     """

@@ -98,7 +98,7 @@ def _policies(views: Sequence[Figures], made: Split) -> str:
         row("gap closed", "gap", _gap),
         row("relative regret, mean", "mean", lambda its: ratio(its.regret), ratio(first.single - 1.0)),
         row("relative regret, p95", "p95", lambda its: ratio(its.regret_p95)),
-        row("of the picks that met their target: mean", "", lambda its: ratio(its.regret_met)),
+        row("of the choices that met their target: mean", "", lambda its: ratio(its.regret_met)),
         row("p95", "", lambda its: ratio(its.regret_met_p95)),
         row("interior error though a clean row met the target", "unclean", lambda its: format_percent(its.unclean)),
     ]
@@ -136,7 +136,7 @@ def _worst(views: Sequence[Figures], made: Sequence[Split]) -> str:
         for policy in made[0].taken
         for view, goal, row_name, regret in policy_score(views, made[0], policy).worst
     ]
-    return "\nThe worst picks (held-out views):\n\n" + _table(["policy", "view", "target", "taken", "relative regret"], rows)
+    return "\nThe worst choices (held-out views):\n\n" + _table(["policy", "view", "target", "taken", "relative regret"], rows)
 
 
 def _marginal(views: Sequence[Figures]) -> str:

@@ -33,7 +33,7 @@ class Split:
     taken: Mapping[str, Taken]
     single: Taken
     best: Mapping[str, int]
-    """The single best picks, and in how many parts each was it."""
+    """The single best choices, and in how many parts each was it."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:

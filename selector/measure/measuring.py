@@ -271,7 +271,7 @@ def _trial_of(rows: LightTrials, name: str) -> Trial:
 
 
 def _reasoned(rows: LightTrials, trial: Trial, met: bool, bounds: TargetBounds) -> Choice:
-    """The winner's pick, with what was measured of it as the reason."""
+    """The winner's choice, with what was measured of it as the reason."""
     choice, limit = trial.candidate.choice, format_percent(bounds.max_error)
     limit += "" if bounds.max_ms is None else f" within {bounds.max_ms:g} ms"
     verdict = f"the cheapest that keeps to {limit}" if met else f"the nearest to {limit}"

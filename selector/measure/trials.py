@@ -29,7 +29,7 @@ made once, only ever adds to it.
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pick for a light, and the plan that it leads to."""
+    """A choice for a light, and the plan that it leads to."""
 
     light: str
     choice: Choice

@@ -1,4 +1,4 @@
-"""Descriptor, wishes and picks -> Plan, for every policy: what runs for each light and kind of casters, with what settings, and
+"""Descriptor, wishes and choices -> Plan, for every policy: what runs for each light and kind of casters, with what settings, and
 why.
 """
 
@@ -81,7 +81,7 @@ class Planner:
         return [assignment.kind for assignment in self._taken(light, None) if assignment.name != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
-        """What a pick comes to under its light. Raises as ``make_plan`` does."""
+        """What a choice comes to under its light. Raises as ``make_plan`` does."""
         combination = (light, *choice.algorithm.items())
         if combination not in self._companies:
             self._companies[combination] = {
@@ -95,7 +95,7 @@ class Planner:
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """The plan that comes of picks by light. Raises as ``make_plan`` does."""
+        """The plan that comes of choices by light. Raises as ``make_plan`` does."""
         descriptor, shadows, requester = self.descriptor, self.asked, _who(self.overrides, "algorithm")
         assignments = [assignment for light in descriptor.light_kinds for assignment in self._taken(light, choices.get(light))]
         reasons = [
@@ -146,11 +146,11 @@ class Planner:
         return assignments
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
-        """The settings of a pick that the level and the request leave open."""
+        """The settings of a choice that the level and the request leave open."""
         return {key: value for key, value in (choice.settings if choice else {}).items() if getattr(self.asked, key) == "auto"}
 
     def _resolved(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
-        """The settings of an algorithm, if it has any, and what spoke for those that the pick left open; each worked out once."""
+        """The settings of an algorithm, if it has any, and what spoke for those that the choice left open; each worked out once."""
         open_settings = self._picked(choice)
         key = (light, name, *open_settings.items())
         if key not in self._kept:
