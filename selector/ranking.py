@@ -95,9 +95,7 @@ def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None
         )
     if figures.interior > MOST_INTERIOR:
         more = format_percent(figures.interior - MOST_INTERIOR)
-        over.append(
-            f"{format_percent(figures.interior)} wrong inside shadows or lights, {more} more than {format_percent(MOST_INTERIOR)}"
-        )
+        over.append(f"an interior error of {format_percent(figures.interior)}, {more} more than {format_percent(MOST_INTERIOR)}")
     if max_ms is not None and figures.ms > max_ms:
         over.append(f"{format_duration(figures.ms)}, {format_duration(figures.ms - max_ms)} more than {format_duration(max_ms)}")
     return "; ".join(over)

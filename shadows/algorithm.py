@@ -70,8 +70,9 @@ class AlgorithmSettings(BaseModel):
 
     @property
     def label(self) -> list[str]:
-        """What tells these settings from those that an algorithm has by itself, a word each: part of a candidate's name."""
-        return self.changed()
+        """What tells these settings from others, a word each: part of a candidate's name."""
+        required = [str(getattr(self, name)) for name, field in type(self).model_fields.items() if field.is_required()]
+        return [*required, *self.changed()]
 
     def changed(self, *but: str) -> list[str]:
         """The values that are not the defaults, of what a level can ask for; but for some fields."""

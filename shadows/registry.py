@@ -18,7 +18,7 @@ from terrain.level.level import CasterKind
 MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
 """Those that come with Skugga."""
 
-ALGORITHMS: dict[AlgorithmName, Algorithm] = {}
+ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in MODULES}
 
 
 def register_algorithm(algorithm: Algorithm) -> None:
@@ -27,9 +27,6 @@ def register_algorithm(algorithm: Algorithm) -> None:
     if algorithm.name not in ALGORITHM_NAMES:
         ALGORITHM_NAMES.append(algorithm.name)
 
-
-for _module in MODULES:
-    register_algorithm(_module.ALGORITHM)
 
 FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
 """What serves every view, light and kind of casters, and is taken where nothing speaks for another."""

@@ -162,7 +162,7 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
     available = {layer for step in plan.steps for layer in ALGORITHMS[step.algorithm].layers}
     for layer in sorted(layers - available):
         capable = ", ".join(name for name, algorithm in ALGORITHMS.items() if layer in algorithm.layers) or "nothing"
-        raise UnsupportedError("layer", layer, f"{plan.headline} available no such layer; algorithms that have it: {capable}")
+        raise UnsupportedError("layer", layer, f"{plan.headline} has no such layer; algorithms that have it: {capable}")
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:

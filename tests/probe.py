@@ -46,8 +46,8 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
         if isinstance(job, DescriptorJob):
             pipe.send(run_job(job, WorkerState("told")))
             continue
-        sun = job.asked.seen(build_scene(load_level(job.level.path))).sun
-        said = json.dumps([job.asked.overrides.for_selector(), None if sun is None else sun.altitude_deg])
+        sun = job.request.seen(build_scene(load_level(job.level.path))).sun
+        said = json.dumps([job.request.overrides.for_selector(), None if sun is None else sun.altitude_deg])
         if isinstance(job, PlanJob):
             pipe.send(PlanAnswer(said))
             continue

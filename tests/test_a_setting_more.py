@@ -40,15 +40,17 @@ A_LAYER: Edits = {
 A_PARAMETER: Edits = {
     "api/http/parameters.py": (
         (
-            "    **asked: Any,\n) -> Wishes:",
-            '    raised: Annotated[float | None, Query(description="Degrees more.")] = None,\n    **asked: Any,\n) -> Wishes:',
+            "    **asked: Any,\n) -> PictureRequest:",
+            '    raised: Annotated[float | None, Query(description="Degrees more.")] = None,\n'
+            "    **asked: Any,\n) -> PictureRequest:",
         ),
-        ("    return Wishes(sun=", "    return Wishes(raised=raised, sun="),
+        ("    return PictureRequest(sun=", "    return PictureRequest(raised=raised, sun="),
     ),
     "api/workers/jobs.py": (
         (
-            "    sun: SunSpec | None = None\n    overrides: Overrides = Overrides()\n",
-            "    sun: SunSpec | None = None\n    raised: float | None = None\n    overrides: Overrides = Overrides()\n",
+            "    sun: SunSpec | None = None\n    overrides: RequestedSettings = RequestedSettings()\n",
+            "    sun: SunSpec | None = None\n    raised: float | None = None\n"
+            "    overrides: RequestedSettings = RequestedSettings()\n",
         ),
         (
             "        return scene.with_sun(self.sun)\n",

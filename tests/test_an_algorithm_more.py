@@ -225,7 +225,7 @@ def test_it_is_calibrated(gl, coarse_rays, monkeypatch):
     monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
     monkeypatch.setattr(
         calibration,
-        "stages",
+        "calibration_views",
         lambda folder: (replace(each, grid="few") for each in calibration_views(folder) if each.name == "few_balls_small"),
     )
     found = calibrate()

@@ -53,7 +53,7 @@ async def plan(
     served = await service.level(level)
     view_or_tiles = _seen(served, view, zoom, tms)
     job = PlanJob(
-        level=served.key, view=view_or_tiles, policy=wanted.policy, asked=PictureRequest(sun=sun, overrides=wanted.overrides)
+        level=served.key, view=view_or_tiles, policy=wanted.policy, request=PictureRequest(sun=sun, overrides=wanted.overrides)
     )
     answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, PlanAnswer)
@@ -77,7 +77,7 @@ async def descriptor(
 ) -> Any:
     """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
     served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), asked=PictureRequest(sun=sun))
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json))

@@ -52,7 +52,7 @@ async def snapshot(
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
         level=served.key, view=name, layer=layer, format=format, size=given_size,
-        light=None if LAYERS[layer].to_look_at else light, seconds=seconds, asked=wanted,
+        light=None if LAYERS[layer].to_look_at else light, seconds=seconds, request=wanted,
     )  # fmt: skip
 
     tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))

@@ -112,7 +112,7 @@ async def _answer(
 
     zoom, x, y = zxy[0] + scale - 1, zxy[1] * scale, zxy[2] * scale
     block_x, block_y = block_of_tile(x, y)
-    job = BlockJob(level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y, asked=wanted)
+    job = BlockJob(level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y, request=wanted)
     kept = service.pool.finished(job) is not None
     block = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(block, RenderedBlock)

@@ -94,7 +94,7 @@ class BlockJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    asked: PictureRequest = PictureRequest()
+    request: PictureRequest = PictureRequest()
 
 
 class Tiles(_Value):
@@ -110,7 +110,7 @@ class PlanJob(_Value):
     level: LevelKey
     view: str | Tiles
     policy: ServedPolicy = "predict"
-    asked: PictureRequest = PictureRequest()
+    request: PictureRequest = PictureRequest()
 
 
 class DescriptorJob(_Value):
@@ -118,7 +118,7 @@ class DescriptorJob(_Value):
 
     level: LevelKey
     view: str | Tiles
-    asked: PictureRequest = PictureRequest()
+    request: PictureRequest = PictureRequest()
 
 
 class SnapshotJob(_Value):
@@ -135,7 +135,7 @@ class SnapshotJob(_Value):
     size: tuple[int, int] | None = None
     light: str | None = None
     seconds: float | None = None
-    asked: PictureRequest = PictureRequest()
+    request: PictureRequest = PictureRequest()
 
 
 Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob

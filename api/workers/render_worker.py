@@ -160,8 +160,8 @@ def _block(grid: Grid, x: int, y: int) -> MapView:
 
 def run_job(job: Job, state: WorkerState) -> Result:
     """Do a job. Raises ``SkuggaError``."""
-    scene = job.asked.seen(state.scenes.get(job.level))
-    overrides = job.asked.overrides.for_selector()
+    scene = job.request.seen(state.scenes.get(job.level))
+    overrides = job.request.overrides.for_selector()
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
@@ -192,9 +192,9 @@ def _plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
-        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.asked.overrides.for_selector(), device=state.device)
+        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.request.overrides.for_selector(), device=state.device)
 
-    return state.plans.get((job.level, tiles, job.asked), make)
+    return state.plans.get((job.level, tiles, job.request), make)
 
 
 def _facts(frame: Frame, state: WorkerState) -> dict[str, Any]:

@@ -171,8 +171,7 @@ def stand_in(choice: str, view: Figures) -> str | None:
 
 
 def single_best(training: Sequence[GoalInstance]) -> str:
-    """The one choice with the least mean loss over the training instances; where it cannot be drawn at all, the target is missed.
-    """
+    """The one choice with the least mean loss over the training instances; one that cannot be drawn misses the target."""
     names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 

@@ -74,4 +74,4 @@ def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
     words = {word for record in frame.passes for label in record.programs for word in label.split()}
     assert "shadows/maps/sun_disc.frag" in words and "soft_edges" in frame.effects
     reason = next(item.reason for item in frame.plan.effects if item.name == "soft_edges")
-    assert "filter sun is asked for" in reason
+    assert "filter sun is set" in reason

@@ -190,10 +190,10 @@ def test_what_is_asked_for_goes_before_what_is_expected(who):
 
     volumes = plan(algorithm="shadow_volume")
     assert name_of(volumes) == "shadow_volume"
-    assert next(one.reason for one in volumes.reasons if one.name == "sun/meshes: shadow_volume") == f"asked for by {who}"
+    assert next(one.reason for one in volumes.reasons if one.name == "sun/meshes: shadow_volume") == f"set by {who}"
     sized = plan(algorithm="shadow_map", map_size=777, filter=5)
     assert (sized.settings[SUN]["meshes"].map_size, sized.settings[SUN]["meshes"].filter) == (777, 5)
-    assert next(one.reason for one in sized.reasons if one.name == "map_size 777") == f"asked for by {who}"
+    assert next(one.reason for one in sized.reasons if one.name == "map_size 777") == f"set by {who}"
     free = plan(map_size=777)  # the size alone: what has it, and what it costs, is still weighed
     assert name_of(free) == "shadow_map 777"
     exact = plan(max_error=0.001, map_size=64)
@@ -207,7 +207,7 @@ def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
     said = {one.name: one.reason for one in plan.reasons}
     assert said["sun/meshes: shadow_volume"] == "set by the request"
     assert "expected" in said[f"sun/relief: {plan.algorithm[SUN]['relief']}"]
-    with pytest.raises(UnsupportedError, match="a volume is made of edges"):
+    with pytest.raises(UnsupportedError, match="a shadow volume knows no texture"):
         planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
 
 

@@ -297,5 +297,5 @@ def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
 def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):
     view = scene.view(bounds=(9000, 9000, 9050, 9050), size=(48, 48))
     frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
-    with pytest.raises(InputError, match="shows nothing"):
+    with pytest.raises(InputError, match="no light has any"):
         write_layer(scene, frame, "shadow-map", tmp_path / "map.png")

@@ -223,7 +223,7 @@ def test_the_installed_command_runs():
 
 
 def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypatch):
-    monkeypatch.setattr("selector.measure.compare.REPEATS", 1)
+    monkeypatch.setattr("selector.measure.compare.ROW_REPEATS", 1)
     rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
     status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")

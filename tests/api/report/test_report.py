@@ -245,7 +245,7 @@ def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk(monkeypatch: py
     rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, [])
     ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
     assert "pixels of the view" in report_html(rows, ground, ABOUT)
-    monkeypatch.setattr("api.report.report.MOST_BYTES", 200_000)
+    monkeypatch.setattr("api.report.report.MAX_PAGE_BYTES", 200_000)
     text = report_html(rows, ground, ABOUT)
     assert len(text.encode()) < 200_000 < MAX_PAGE_BYTES
     assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500

@@ -95,7 +95,7 @@ WOODED = {
 
 
 @pytest.mark.parametrize(
-    ("pick", "found"),
+    ("choice", "found"),
     [
         ("shadow_map 1024 x2", "two"),
         ("shadow_map 1024", "one"),  # maps without cascades, as in a map view, are one map

@@ -113,7 +113,7 @@ def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
     def smallest(folder):
         yield replace(next(each for each in calibration_views(folder) if each.name == "few_balls_small"), grid="few")
 
-    monkeypatch.setattr(calibration, "stages", smallest)
+    monkeypatch.setattr(calibration, "calibration_views", smallest)
     monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
     steps = []
     found = calibrate(lambda done, total: steps.append((done, total)))

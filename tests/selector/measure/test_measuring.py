@@ -110,7 +110,7 @@ def test_what_is_asked_for_is_kept(gl, scene):
 
 
 def test_night_needs_no_measurement(gl, scene, monkeypatch):
-    monkeypatch.setattr(measuring, "probe_of", None)
+    monkeypatch.setattr(measuring, "trial_view_of", None)
     night = scene.with_sun(SunSpec(azimuth=200, altitude=-20))
     plan = measured_plan(night, night.view("eye"), "eye")
     assert plan.headline == "none" and plan.target.met and plan.predicted.ms == 0.0

@@ -91,13 +91,13 @@ def test_overrides_win_and_are_named(scene):
 
     plan = plan_of(scene, view, algorithm="none")
     assert plan.headline == "none" and "set by the request" in plan.reasons[0].reason
-    assert "the algorithm is none" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
-    assert reasons_of(plan)["sweep"] == "the request asks for none"
+    assert "no caster has a shadow algorithm" in next(item.reason for item in plan.left_out if item.name == "cast_shadows")
+    assert reasons_of(plan)["sweep"] == "the request sets none"
     assert "set by the level" in of_level(shadows={"algorithm": "none"}).reasons[0].reason
     plan = of_level(effects={"cast_shadows": "off"})
     left_out = {item.name: item.reason for item in plan.left_out}
     assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
-    assert "without cast_shadows there is nothing to do" in left_out["soft_edges"]
+    assert "needs cast_shadows, which does not run" in left_out["soft_edges"]
 
 
 def test_settings_that_are_asked_for_are_named(scene):
@@ -119,7 +119,7 @@ def test_settings_that_are_asked_for_are_named(scene):
 
 @pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
 def test_an_override_that_the_scene_forbids_is_refused_with_the_reason(wooded, name):
-    with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refuses['forest']}.*what can: shadow_map"):
+    with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refuses['forest']}.*algorithms that can: shadow_map"):
         plan_of(wooded, wooded.view(), algorithm={"forest": name})
 
 

@@ -220,10 +220,10 @@ def test_plans_say_what_was_chosen_and_what_is_left_out(tmp_path):
     assert plan.settings["sun"]["meshes"].map_size == 1024 and plan.settings["sun"]["meshes"].filter == 3
     assert {"map_size 1024", "depth_bits 24", "filter 3", "lamp: depth_bits 32"} <= {reason.name for reason in plan.reasons}
     plan = plan_of(scene, view, algorithm=NAME, cascades=4, fit="stable", culling="front", bias="normal_offset", map_size=700)
-    left_out = {reason.name for reason in plan.reasons if reason.reason.startswith("left out")}
+    left_out = {reason.name for reason in plan.reasons if reason.reason.startswith("no effect")}
     assert {"cascades 4", "fit stable", "culling front", "bias normal_offset"} <= left_out
     assert plan.settings["lamp"]["meshes"].map_size == 700
     with pytest.raises(UnsupportedError, match="filter.*sun"):
         plan_of(scene, view, algorithm=NAME, filter="sun")
-    with pytest.raises(UnsupportedError, match="a map has no perspective"):
+    with pytest.raises(UnsupportedError, match="a map view has no perspective"):
         plan_of(scene, scene.view(), algorithm=NAME)

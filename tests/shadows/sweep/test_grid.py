@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from shadows.sweep import grid as sweep_grid
 from shadows.sweep.grid import (
-    LOWEST,
+    NO_GROUND_LEVEL,
     NO_LEVELS,
     NO_MASK,
     LineState,
@@ -137,7 +137,7 @@ def test_windows_of_rows_hand_their_state_over():
     n, columns = sheet.level.shape
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
-        held, lit = np.full((4, 300), LOWEST, np.float32), np.ones((n, columns), np.bool_)
+        held, lit = np.full((4, 300), NO_GROUND_LEVEL, np.float32), np.ones((n, columns), np.bool_)
         strip = Strip(4, -60, held, no_peaks(4, 300))
         for first, last in zip(borders, borders[1:], strict=False):
             sweep_rows(sheet, strip, first, last, NO_LEVELS, lit, no_points(n))
@@ -154,7 +154,7 @@ def test_ground_before_a_window_shades_it_through_the_state_alone():
     before, behind = sheet_of(heights[:61], 3.0, 20.0), sheet_of(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
     state = state_after(before, 4, (-30.0, 120.0))
-    held = np.where(state.held > LOWEST / 2, state.held - np.float32(shift), LOWEST)
+    held = np.where(state.held > NO_GROUND_LEVEL / 2, state.held - np.float32(shift), NO_GROUND_LEVEL)
     moved = LineState(state.first_cell, held.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
     later = TurnedGrid(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.mirrored)

@@ -152,7 +152,7 @@ def comparison(scene) -> Iterator[Comparison]:
     """Every row measured once: times are no matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("selector.measure.compare.REPEATS", 0)
+        patch.setattr("selector.measure.compare.ROW_REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 4000, y - 4000, x + 4000, y + 4000), size=(250, 250)))
 
 

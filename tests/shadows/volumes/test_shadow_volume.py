@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from selector.planner.volume_settings import hybrid_settings
 
+from shadows.algorithm import SettingsRequest
 from shadows.attached import attached
 from shadows.hybrid import hybrid
+from shadows.hybrid.settings import resolve_hybrid
 from shadows.passes import PassLog
 from shadows.sweep import sweep
 from shadows.sweep.settings import SweepSettings
@@ -67,7 +68,7 @@ class Look:
             found = shadow_volume.fill(buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log)
         else:
             asked = self.scene.loaded.level.shadows.model_copy(update={"mask": mask, **settings})
-            ways, _ = hybrid_settings(describe(self.scene, buffer.view), self.light, asked)
+            ways, _ = resolve_hybrid(SettingsRequest(describe(self.scene, buffer.view), self.light, asked))
             found = hybrid.fill(buffer, self.scene, self.light, kinds, self.casters, ways, log)
         assert set(np.unique(found)) <= {0.0, 1.0}
         return self.finished(found)

@@ -42,7 +42,7 @@ def tower(floor, make_scene, tmp_path) -> Scene:
 def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
     """The frame with one point a pixel."""
     with monkeypatch.context() as patch:
-        patch.setattr(render_module, "picture_of", lambda scene, part: MultisampledBuffer(geometry_of(scene, part), part.rows))
+        patch.setattr(render_module, "picture_buffer", lambda scene, part: MultisampledBuffer(geometry_of(scene, part), part.rows))
         return render(scene, scene.view("eye"))
 
 

@@ -190,14 +190,14 @@ def test_the_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
         assert np.ptp(np.flatnonzero(shown.any(axis=1))) + 1 >= 0.9 * 256
 
 
-@pytest.mark.parametrize("look", WHORLED)
+@pytest.mark.parametrize("variant", WHORLED)
 def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, variant: int) -> None:
     width = opaque(pictures.levels[0][2 * variant]).sum(axis=1)
     thirds = [band.mean() for band in np.array_split(width[1:230], 3)]
     assert 1.5 * thirds[0] < thirds[1] and 1.15 * thirds[1] < thirds[2]
 
 
-@pytest.mark.parametrize("look", range(len(TREE_VARIANTS)))
+@pytest.mark.parametrize("variant", range(len(TREE_VARIANTS)))
 def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, variant: int) -> None:
     shown = opaque(pictures.levels[0][2 * variant + 1])
     y, x = np.indices(shown.shape) - 127.5
