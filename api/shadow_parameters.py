@@ -12,7 +12,9 @@ from terrain.level.setting import FrontEnd, Setting, settings_of
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
-def taking(front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None) -> Callable[[FunctionT], FunctionT]:
+def takes_settings(
+    front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None
+) -> Callable[[FunctionT], FunctionT]:
     """Decorate a function that takes ``**asked``: it shows the settings that a front end takes in their place, each ``None``
     where it is not given. They come last, or ``after`` a parameter of that name.
     """

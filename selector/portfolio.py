@@ -9,29 +9,30 @@ from typing import Any, get_args
 from selector.choices import Choice
 from selector.mixes import MIXES
 from shadows.algorithm import Algorithm
-from shadows.registry import ALGORITHMS, FALLBACK, can_serve, chosen_from
+from shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind
 
 MAX_CHOICES = 40
-"""Picks of a light, at most; the last of ``companies`` is cut off first."""
+"""Picks of a light, at most; the last of ``combinations`` is cut off first."""
 
 SHORT = {"map_size": "{}", "cascades": "x{}"}
 """How settings are written in a choice's name; others with their key."""
 
 
-def companies() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
+def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     """Algorithms by kind of casters, by name: each by itself, as far as it serves, then mixes. What is not named goes by maps."""
     by_themselves = [
-        (_alone(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses}) for each in chosen_from()
+        (_alone(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses})
+        for each in selectable_algorithms()
     ]
     return [*by_themselves, *((mix.name, mix.algorithm) for mix in MIXES if mix.in_portfolio)]
 
 
 def tuned_settings() -> tuple[str, ...]:
     """The fields of ``Shadows`` that choices set."""
-    return tuple(dict.fromkeys(key for each in chosen_from() for key in each.search.tuned))
+    return tuple(dict.fromkeys(key for each in selectable_algorithms() for key in each.search.tuned))
 
 
 def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Choice]:
@@ -46,7 +47,7 @@ def _alone(algorithm: Algorithm) -> str:
 
 def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Choice]:
     yielded = set()
-    for combination, named in companies():
+    for combination, named in combinations():
         algorithm = {kind: named.get(kind, FALLBACK) for kind in kinds}
         if not all(can_serve(name, descriptor, light, kind) for kind, name in algorithm.items()):
             continue

@@ -13,7 +13,7 @@ from selector.cost.error_model import ErrorModel, ExpectedErrors, errors_togethe
 from selector.cost.unmeasured import UnmeasuredError
 from selector.expected_loss import LIKELY_MISS_CHANCE, Forecast, least_expected_loss
 from selector.formatting import format_duration, format_percent
-from selector.planner.advice import advised
+from selector.planner.advice import choices_by_rules
 from selector.planner.planner import Planner, planner_of
 from selector.portfolio import portfolio
 from selector.ranking import CandidateFigures, RankingResult
@@ -106,7 +106,7 @@ def predicted_plan(
 
 def _by_rules(planner: Planner, unmeasured: Mapping[AlgorithmName, str]) -> Plan:
     """The plan of the rules, where for some light nothing that can be taken has been measured."""
-    plan = planner.plan(advised(planner.descriptor, planner.asked), unmeasured)
+    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked), unmeasured)
     why = "; ".join(f"{name}: {why}" for name, why in unmeasured.items())
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
 

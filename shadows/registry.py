@@ -35,7 +35,7 @@ NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
 """What casts no shadows."""
 
 
-def chosen_from() -> list[Algorithm]:
+def selectable_algorithms() -> list[Algorithm]:
     """The algorithms among which the selector chooses: those that throw shadows, but for the reference."""
     return [each for each in ALGORITHMS.values() if each.passes and each.served]
 
@@ -48,7 +48,7 @@ def served_algorithms() -> tuple[AlgorithmName, ...]:
 def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     """The algorithms to choose from that can serve all of these together."""
     parts = tuple(parts)
-    return [algorithm.name for algorithm in chosen_from() if algorithm.refusal(parts) is None]
+    return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(parts) is None]
 
 
 def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind) -> bool:

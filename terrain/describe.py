@@ -16,7 +16,7 @@ from terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
 from terrain.facts.coarse_view import CoarseView, coarse_view_of
 from terrain.facts.descriptor import Descriptor, join_bands
 from terrain.facts.fact_types import Band, Fact, LampFacts
-from terrain.facts.light_facts import ViewProbes, facts_of_lights
+from terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
 from terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
@@ -24,9 +24,6 @@ from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import map_pixel_m, step_at_anchor_m
 from terrain.scene import Scene
-
-NEAREST_M = 1.0
-"""What is nearer than this counts as this far away."""
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
@@ -119,7 +116,7 @@ def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: flo
     """Bands of points at distances (n,) with light-space coordinates (n, 3); ``slack`` is how far apart they lie, as a share of
     their distance, and what stands on the ground may rise by ``tallest_m``.
     """
-    octave = np.ceil(np.log2(np.maximum(away_m, NEAREST_M))).astype(int)
+    octave = np.ceil(np.log2(np.maximum(away_m, MIN_DISTANCE_M))).astype(int)
     order = np.argsort(octave, kind="stable")
     first = np.flatnonzero(np.diff(octave[order], prepend=octave.min(initial=0) - 1))
     if not len(first):

@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from api.shadow_parameters import FunctionT, taking
+from api.shadow_parameters import FunctionT, takes_settings
 from terrain.level.level import Shadows, parse_algorithm
 from terrain.level.setting import FrontEnd, Setting, settings_of
 
 
 def with_shadow_options(command: FrontEnd) -> Callable[[FunctionT], FunctionT]:
     """Decorate a command that takes ``**asked``: it has an option for every setting that it takes."""
-    return taking(command, _option, after="crs")
+    return takes_settings(command, _option, after="crs")
 
 
 def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:

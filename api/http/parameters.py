@@ -12,7 +12,7 @@ from pydantic import BeforeValidator
 
 from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
-from api.shadow_parameters import taking
+from api.shadow_parameters import takes_settings
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import InputError
@@ -60,7 +60,7 @@ def _parameter(setting: Setting) -> Any:
     return Annotated[(asked | None, *numbers, Query(description=setting.about))]
 
 
-@taking("pictures", _parameter)
+@takes_settings("pictures", _parameter)
 async def picture_query(
     time: TimeQuery = None,
     azimuth: AzimuthQuery = None,
@@ -76,7 +76,7 @@ async def sun_query(time: TimeQuery = None, azimuth: AzimuthQuery = None, altitu
     return parse_sun(time, azimuth, altitude)
 
 
-@taking("plans", _parameter)
+@takes_settings("plans", _parameter)
 async def plan_query(
     policy: Annotated[
         str,

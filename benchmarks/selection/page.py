@@ -12,7 +12,7 @@ from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instanc
 from benchmarks.selection.policies import Split, errors_of_time, lateness, policy_score, splits
 from selector.cost.device_profile import DeviceProfile
 from selector.formatting import format_percent
-from shadows.registry import chosen_from
+from shadows.registry import selectable_algorithms
 
 Figures = dict[str, Any]
 
@@ -24,7 +24,7 @@ TARGETS = {
     "measure": {"met": "98 %", "gap": "0.90 / 0.90", "mean": "0.05", "p95": "0.15", "unclean": "none"},
 }  # fmt: skip
 
-ALGORITHM_TITLES = {each.name: each.plural for each in chosen_from()}
+ALGORITHM_TITLES = {each.name: each.plural for each in selectable_algorithms()}
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:

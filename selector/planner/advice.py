@@ -12,7 +12,7 @@ from terrain.level.level import Shadows
 NO_RULE = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
 
 
-def advised(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choice]:
+def choices_by_rules(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choice]:
     """What the rules take for each light, with the first rule that applies as the reason, and its source."""
     choices = {}
     for light in descriptor.light_kinds:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.maps.settings import ShadowMapSettings
-from shadows.sweep.extent import SWEPT_M, swept_m
+from shadows.sweep.extent import MAX_SWEEP_EXTENT_M, sweep_extent_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
 from terrain.level.algorithm_names import AlgorithmName
@@ -111,8 +111,8 @@ def _settings_of_maps(case: RuleInput) -> str | None:
 
 
 def _heightfield(case: RuleInput) -> str | None:
-    across_m = swept_m(case.descriptor)
-    if case.light != SUN or case.kind != "relief" or across_m is None or across_m > SWEPT_M:
+    across_m = sweep_extent_m(case.descriptor)
+    if case.light != SUN or case.kind != "relief" or across_m is None or across_m > MAX_SWEEP_EXTENT_M:
         return None
     return "heightfield: a line sweep along the sun's azimuth finds its shadows without texels"
 

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
-from selector.planner.advice import advised
+from selector.planner.advice import choices_by_rules
 from shadows.algorithm import AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step, Target, plan_steps
@@ -43,7 +43,7 @@ def make_plan(
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
     planner = planner_of(descriptor, plan_request, overrides)
-    return planner.plan(advised(descriptor, planner.asked) if choices is None else choices, rejected or {})
+    return planner.plan(choices_by_rules(descriptor, planner.asked) if choices is None else choices, rejected or {})
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:

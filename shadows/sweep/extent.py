@@ -9,13 +9,13 @@ from terrain.facts.descriptor import Descriptor
 from terrain.geo.grid import BLOCK_PX
 from terrain.level.level import SUN
 
-SWEPT_M = 200e3
+MAX_SWEEP_EXTENT_M = 200e3
 """As wide a piece of the round earth is swept at once: across a wider one the sun's rays bend too much for the lines. In Web
 Mercator windows of 300 km were swept up to 72 degrees of latitude and of 150 km up to 78, all that were tried.
 """
 
 
-def swept_m(descriptor: Descriptor) -> float | None:
+def sweep_extent_m(descriptor: Descriptor) -> float | None:
     """How far across the ground is that the sun's lines cross at once, if that is known: a map's block and the way of its longest
     shadow, in perspective all of the level, whose area follows from the share of it that is seen. A flat world bends nothing.
     """

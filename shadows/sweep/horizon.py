@@ -41,7 +41,7 @@ class Section(NamedTuple):
     mirrored: bool
 
 
-class Asked(NamedTuple):
+class HorizonQuery(NamedTuple):
     """Points (k,): in ``order`` (k,) by line and then row, where those of each line begin, the row ``base`` before each, and its
     ``own`` level and how far it lies towards the sun (k, 2).
 
@@ -101,7 +101,7 @@ def slopes(
     own_positions = np.stack([own_level, own_towards], axis=1)
     near, beside = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
     _look_near(level, towards, place, mirrored, base, row, t, own_positions, near)
-    asked = Asked(begins, order, base, own_positions, beside)
+    asked = HorizonQuery(begins, order, base, own_positions, beside)
 
     def strip(start: int) -> None:
         _walk(section, lines, first, start, min(start + STRIP_LINES, count), asked)

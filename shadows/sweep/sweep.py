@@ -29,7 +29,7 @@ import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from shadows.passes import PassLog
-from shadows.sweep.extent import SWEPT_M, swept_m
+from shadows.sweep.extent import MAX_SWEEP_EXTENT_M, sweep_extent_m
 from shadows.sweep.grid import NO_LEVELS, SweepPoints, state_after, sweep_nodes
 from shadows.sweep.lines import NO_GROUND_LEVEL
 from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
@@ -212,7 +212,7 @@ def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Algor
 
 
 def _too_wide(descriptor: Descriptor, kind: CasterKind) -> bool:
-    return (swept_m(descriptor) or 0.0) > SWEPT_M
+    return (sweep_extent_m(descriptor) or 0.0) > MAX_SWEEP_EXTENT_M
 
 
 ONE_AZIMUTH = "a lamp's rays spread: the lines of the sweep run along one azimuth"

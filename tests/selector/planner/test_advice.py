@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from selector.choices import StandaloneRequest
-from selector.planner.advice import NO_RULE, advised
+from selector.planner.advice import NO_RULE, choices_by_rules
 from selector.planner.advice_rules import (
     BEHIND_DEG,
     CLOSED_SHARE,
@@ -30,7 +30,7 @@ from selector.planner.advice_rules import (
 )
 from selector.planner.planner import make_plan
 from shadows.registry import can_serve
-from shadows.sweep.extent import SWEPT_M
+from shadows.sweep.extent import MAX_SWEEP_EXTENT_M
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CasterFacts, LightFacts
@@ -79,7 +79,7 @@ def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
 
 
 def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked: Any) -> str:
-    return advised(descriptor, Shadows(**asked))[of].algorithm[kind]
+    return choices_by_rules(descriptor, Shadows(**asked))[of].algorithm[kind]
 
 
 def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
@@ -92,11 +92,11 @@ def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> st
 def test_a_descriptor_of_which_little_is_known_breaks_nothing():
     """A rule whose facts are not known does not apply: what is left is a map."""
     for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
-        choice = advised(descriptor, Shadows())["sun"]
+        choice = choices_by_rules(descriptor, Shadows())["sun"]
         assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
     round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
     assert rule_of(round_earth, "relief") is None
-    assert advised(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None), Shadows())
+    assert choices_by_rules(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None), Shadows())
 
 
 @pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
@@ -111,12 +111,12 @@ def test_lamps_are_not_swept():
 
 def test_ground_is_swept_as_far_as_rays_are_straight():
     """A block of 1024 pixels and the way of its longest shadow, 50 m / tan 30 degrees and a trifle less on a round earth."""
-    fits = (SWEPT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
+    fits = (MAX_SWEEP_EXTENT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
     for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
         assert taken(map_over("relief", flat_world=False, pixel_m=pixel_m), "relief") == algorithm
     assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
     # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
-    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / SWEPT_M**2
+    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / MAX_SWEEP_EXTENT_M**2
     for share, algorithm in ((1.001 * seen, "sweep"), (0.999 * seen, "perspective_shadow_map")):
         assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
 
@@ -124,9 +124,9 @@ def test_ground_is_swept_as_far_as_rays_are_straight():
 def test_perfect_shadows_take_volumes_but_for_leaves():
     """Ground is swept all the same, which has no texels either."""
     descriptor = sun_over("relief", "meshes", "forest")
-    strict = advised(descriptor, Shadows(max_error=0.9 * MAPS_ERROR))["sun"]
+    strict = choices_by_rules(descriptor, Shadows(max_error=0.9 * MAPS_ERROR))["sun"]
     assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
-    assert advised(descriptor, Shadows(max_error=MAPS_ERROR))["sun"].algorithm["meshes"] == "shadow_map"
+    assert choices_by_rules(descriptor, Shadows(max_error=MAPS_ERROR))["sun"].algorithm["meshes"] == "shadow_map"
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
         stands=[stand(triangles=triangles, closed_share=closed)],
     )  # fmt: skip
     asked = Shadows(max_error=max_error)
-    choices = advised(descriptor, asked)
+    choices = choices_by_rules(descriptor, asked)
     assert list(choices) == ["sun", "lamp"]
     for of, choice in choices.items():
         assert set(choice.algorithm) == set(choice.why) == set(casters)
