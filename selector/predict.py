@@ -119,7 +119,7 @@ def predicted_choices(
     errors: ErrorModel | None = None,
     unmeasured: dict[AlgorithmName, str] | None = None,
 ) -> list[PredictedChoice]:
-    """What can be picked for a light, no two that come to the same steps, with what is expected of each.
+    """What can be chosen for a light, no two that come to the same steps, with what is expected of each.
 
     An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
     """

@@ -39,7 +39,8 @@ def best(
 ) -> RankingResult:
     """The candidate that a target asks for.
 
-    1. Of those that meet the error (and the interior) within the time, the cheapest; of times ``alike`` to the least, the most
+    1. Of those that meet the error (and the interior) within the time, the cheapest; of times within ``tie_ratio`` of the least,
+    the most
        accurate.
     2. Else, of those within the time that is asked for, one without interior failure before one with it, then the most accurate.
     3. Else the nearest: the least of the larger of the overshoots, each relative to what is allowed.

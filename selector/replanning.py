@@ -3,7 +3,7 @@
 Settings that follow from the view (the ranges of cascades, the sides of texels, depth steps, effects) are always those of the
 present view. Algorithms, map sizes and numbers of cascades are kept as long as they serve. A new choice is taken
 
-- at once, where the old one cannot serve: a kind of casters throws shadows that nothing was picked for, the view or what is asked
+- at once, where the old one cannot serve: a kind of casters throws shadows that nothing was chosen for, the view or what is asked
   is of another kind, an algorithm refuses the view; and where the target is missed by more than ``IMMEDIATE_SWITCH``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
   target. The way back takes as large a margin, so that a camera at a border does not flip; and because expectations are
@@ -269,7 +269,7 @@ def _judged(
 
 
 def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
-    """Picks that choose alike for what casts now as one, so that what has ceased to cast is still picked for when it is back."""
+    """Choices that agree on what casts now, joined: what has ceased to cast keeps its choice for when it is back."""
     before = {light: choices.get(light, choice) for light, choice in more.items()}
     return {
         light: replace(

@@ -1,4 +1,4 @@
-"""Policies behind one interface: a descriptor and wishes, or a scene and a view, -> ``Plan``."""
+"""Policies behind one interface: a descriptor and a request, or a scene and a view, -> ``Plan``."""
 
 from __future__ import annotations
 

@@ -209,8 +209,8 @@ def cached(
 
 
 def register_cache(cache: Any) -> None:
-    """List what keeps values in a way of its own: it has ``name``, ``lasts``, ``limit_bytes``, ``nbytes``, a length, ``clear`` and
-    ``clear_of`` as a ``Cache`` has.
+    """List what keeps values in a way of its own: it has ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, a length, ``clear``
+    and ``clear_of`` as a ``Cache`` has.
     """
     with _lock:
         _caches.add(cache)

@@ -51,7 +51,9 @@ def plan_level_view(
     seconds: float | None = None,
     ignore_pin: bool = False,
 ) -> PlannedView:
-    """Choose for a view of a level; ``anew`` as if no earlier choice had been pinned into its file. Raises ``SkuggaError``."""
+    """Choose for a view of a level; ``ignore_pin``: as if no earlier choice had been pinned into its file. Raises
+    ``SkuggaError``.
+    """
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     scene, view_value = scene_and_view(path, view, sun, size, bounds, crs, seconds)

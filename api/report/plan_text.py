@@ -33,7 +33,7 @@ ORDER = (*ALWAYS_LISTED, *(key for key in SETTING_NAMES if key not in ALWAYS_LIS
 
 _WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
 
-AS_CHOSEN = "as picked"
+AS_CHOSEN = "as chosen"
 """The reason for a setting that comes with the algorithm, whose reason is told already."""
 
 

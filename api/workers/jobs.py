@@ -70,7 +70,7 @@ class PictureRequest(_Value):
     overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **more: str) -> str:
-        """The same wishes as a query string, with others before them; empty where nothing is asked."""
+        """The same as a query string, with other parameters before it; empty where nothing is asked."""
         own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
         return urlencode({**more, **own.pop("sun", {}), **own, **dict(self.overrides.asked)})
 

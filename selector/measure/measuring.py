@@ -109,7 +109,7 @@ def measured_rows(
     on_step: Callable[[int, int], None] | None = None,
 ) -> dict[str, LightTrials]:
     """The candidates of each light that casts shadows, measured on the view with fewer pixels: all of them, or with a target
-    (``wanted``) those that could win. One measurement serves any number of targets (``winners``).
+    (``bounds``) those that could win. One measurement serves any number of targets (``winners``).
     """
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name)

@@ -1,5 +1,5 @@
-"""Descriptor, wishes and choices -> Plan, for every policy: what runs for each light and kind of casters, with what settings, and
-why.
+"""Descriptor, request and choices -> Plan, for every policy: what runs for each light and kind of casters, with what settings,
+and why.
 """
 
 from __future__ import annotations
@@ -36,9 +36,11 @@ def make_plan(
     choices: Mapping[str, Choice] | None = None,
     rejected: Mapping[AlgorithmName, str] | None = None,
 ) -> Plan:
-    """The plan of a view. ``overrides`` (fields of ``Shadows``) go before what is wished (a level's own ``shadows``), and that goes
-    before ``picks``, one a light; without any those of the rules are taken. ``rejected`` says of algorithms why they are not
-    picked; of others it is said what goes before them.
+    """The plan of a view.
+
+    ``overrides`` (fields of ``Shadows``) come before the request's own (a level's ``shadows``), and these before ``choices``, one
+    for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all others the plan
+    names what was preferred.
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
@@ -47,7 +49,7 @@ def make_plan(
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
-    """What plans of a descriptor go by whatever is picked. Raises as ``make_plan`` does."""
+    """What all plans of a descriptor share, whatever is chosen. Raises as ``make_plan`` does."""
     overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     shadows = override(plan_request.shadows, overrides)
     effects, left_out = _effects(descriptor, plan_request, shadows)
@@ -61,8 +63,8 @@ def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dic
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``choice`` the algorithms among it;
-    ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
+    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``algorithm_override`` the algorithms among
+    it; ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
     """
 
     descriptor: Descriptor
@@ -72,22 +74,22 @@ class Planner:
     left_out: list[Reasoned]
     algorithm_override: AlgorithmOverride
     forced: frozenset[EffectName]
-    _kept: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
-    _companies: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
-    _alike: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
+    _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
+    _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
+    _unique: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
-        return [assignment.kind for assignment in self._taken(light, None) if assignment.name != NO_SHADOWS]
+        return [assignment.kind for assignment in self._assignments(light, None) if assignment.name != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
         """What a choice comes to under its light. Raises as ``make_plan`` does."""
         combination = (light, *choice.algorithm.items())
-        if combination not in self._companies:
-            self._companies[combination] = {
-                assignment.kind: assignment.name for assignment in self._taken(light, choice) if assignment.name != NO_SHADOWS
+        if combination not in self._combinations:
+            self._combinations[combination] = {
+                assignment.kind: assignment.name for assignment in self._assignments(light, choice) if assignment.name != NO_SHADOWS
             }
-        algorithm = self._companies[combination]
+        algorithm = self._combinations[combination]
         of_name = {name: self._resolved(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {
             kind: algorithm_settings for kind, name in algorithm.items() if (algorithm_settings := of_name[name]) is not None
@@ -95,10 +97,10 @@ class Planner:
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """The plan that comes of choices by light. Raises as ``make_plan`` does."""
-        descriptor, shadows, requester = self.descriptor, self.asked, _who(self.overrides, "algorithm")
-        assignments = [assignment for light in descriptor.light_kinds for assignment in self._taken(light, choices.get(light))]
-        reasons = [
+        """The plan that comes of choices by light. Raises as ``make_plan`` does.""" descriptor, shadows, requester =
+        self.descriptor, self.asked, _who(self.overrides, "algorithm") assignments = [assignment for light in
+        descriptor.light_kinds for assignment in self._assignments(light, choices.get(light))] reasons
+        """
             Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
             for assignment in assignments
         ]
@@ -132,7 +134,7 @@ class Planner:
     def _missing(self) -> dict[str, str]:
         return {effect.name: effect.reason for effect in self.left_out}
 
-    def _taken(self, light: str, choice: Choice | None) -> list[_Taken]:
+    def _assignments(self, light: str, choice: Choice | None) -> list[_Assignment]:
         requester, kind_of_light, assignments = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
@@ -142,7 +144,7 @@ class Planner:
             )
             name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
             _check(name, light, caster, parts, requester)
-            assignments.append(_Taken(light, caster, name, why, is_free, parts))
+            assignments.append(_Assignment(light, caster, name, why, is_free, parts))
         return assignments
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
@@ -153,11 +155,11 @@ class Planner:
         """The settings of an algorithm, if it has any, and what spoke for those that the choice left open; each worked out once."""
         open_settings = self._picked(choice)
         key = (light, name, *open_settings.items())
-        if key not in self._kept:
+        if key not in self._resolved_settings:
             asked, sharp_because = self.asked.model_copy(update=open_settings), self._missing.get("soft_edges")
             settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, sharp_because))
-            self._kept[key] = self._alike.setdefault(settings, settings), reasons  # equal ones are one
-        return self._kept[key]
+            self._resolved_settings[key] = self._unique.setdefault(settings, settings), reasons  # equal ones are one
+        return self._resolved_settings[key]
 
     def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """The settings of an algorithm, if it has any, and the reasons for them."""
@@ -173,7 +175,7 @@ class Planner:
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _Assignment:
     """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice."""
 
     light: str
@@ -252,7 +254,7 @@ def _algorithm(
     forced: Collection[EffectName],
     choice: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
-    """The algorithm of a light for a kind of casters, the reason, and whether it was free to be picked; ``missing`` are the effects
+    """The algorithm of a light for a kind of casters, the reason, and whether it was free to be chosen; ``missing`` are the effects
     left out, with theirs, ``forced`` those that the level forces on.
     """
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
@@ -284,7 +286,7 @@ def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Req
         )
 
 
-def _rejected(name: AlgorithmName, assignments: list[_Taken], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
+def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
     """Why an algorithm is not taken: what it refuses, what its policy says of it, or what went before it."""
     free_assignments = [assignment for assignment in assignments if assignment.free]
     if not ALGORITHMS[name].served:
