@@ -63,8 +63,8 @@ def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dic
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``algorithm_override`` the algorithms among
-    it; ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
+    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``algorithm_override`` the algorithms in it;
+    ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
     """
 
     descriptor: Descriptor
@@ -97,10 +97,12 @@ class Planner:
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """The plan that comes of choices by light. Raises as ``make_plan`` does.""" descriptor, shadows, requester =
-        self.descriptor, self.asked, _who(self.overrides, "algorithm") assignments = [assignment for light in
-        descriptor.light_kinds for assignment in self._assignments(light, choices.get(light))] reasons
-        """
+        """The plan that comes of choices by light. Raises as ``make_plan`` does."""
+        descriptor, shadows, requester = self.descriptor, self.asked, _who(self.overrides, "algorithm")
+        assignments = [
+            assignment for light in descriptor.light_kinds for assignment in self._assignments(light, choices.get(light))
+        ]
+        reasons = [
             Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
             for assignment in assignments
         ]
