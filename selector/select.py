@@ -18,7 +18,7 @@ from terrain.scene import Scene
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
 
-UNCALIBRATED = "device not calibrated, so rules instead of predictions (skugga calibrate calibrates it)"
+UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 
 
 def select(

@@ -209,7 +209,7 @@ ALGORITHM = Algorithm(
     plural="planar",
     fill=fill,
     passes=PASSES,
-    refuses={"uneven": "ground not flat: casters are projected onto one plane"},
+    refuses={"uneven": "the ground is not flat: planar projects casters onto one plane"},
     layers=("stencil",),
     resolve=_resolve,
     search=Search(map_sizes_beside=FEW_MAP_SIZES),

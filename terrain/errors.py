@@ -19,6 +19,10 @@ class SkuggaError(Exception):
     """Base of all errors that Skugga raises on purpose; the message is one line for a person."""
 
 
+class Fault(str):
+    """What is wrong with an input, in words, where that is no value that was given: ``unknown key``."""
+
+
 class InputError(SkuggaError):
     """The caller's input is wrong.
 
@@ -27,7 +31,7 @@ class InputError(SkuggaError):
     name
         The file, key or parameter that is wrong.
     value
-        What was given.
+        What was given, or a ``Fault``.
     allowed
         What would be right, as a phrase.
     """
@@ -36,7 +40,8 @@ class InputError(SkuggaError):
         self.name = name
         self.value = value
         self.allowed = allowed
-        super().__init__(f"{name}: {_short(value)} is not allowed; allowed: {allowed}")
+        fault = value if isinstance(value, Fault) else f"{_short(value)} is not allowed"
+        super().__init__(f"{name}: {fault}; allowed: {allowed}")
 
 
 class LevelError(InputError):

@@ -41,9 +41,9 @@ LayerName = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 ViewOption = Annotated[str, typer.Option(help="A view of the level.")]
-TimeOption = Annotated[str | None, typer.Option(help="ISO 8601 with an offset.")]
+TimeOption = Annotated[str | None, typer.Option(help="Date and time, ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00.")]
 AzimuthOption = Annotated[float | None, typer.Option(help="Degrees clockwise from north.")]
-AltitudeOption = Annotated[float | None, typer.Option(help="Apparent degrees above the horizon.")]
+AltitudeOption = Annotated[float | None, typer.Option(help="Degrees above the horizon as seen, refraction included.")]
 SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
 BoundsOption = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
 CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
@@ -84,7 +84,7 @@ def render(
     size: SizeOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
-    light: Annotated[str | None, typer.Option(help="Light of the layer.")] = None,
+    light: Annotated[str | None, typer.Option(help="The light to show, for layers of one light.")] = None,
     seconds: SecondsOption = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
@@ -113,14 +113,14 @@ def select(
     policy: Annotated[
         str,
         typer.Option(
-            help="rules: fixed rules; predict: cost and error models of this device; measure: candidates against ray-traced "
-            "truth (minutes)."
+            help="rules: fixed rules; predict: cost and error models of this device; measure: tries candidates and compares them "
+            "with ray-traced truth (minutes)."
         ),
     ] = "predict",
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
     descriptor: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view, as POST /plan takes them.")
+        Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view to a file; POST /plan accepts it.")
     ] = None,
     time: TimeOption = None,
     azimuth: AzimuthOption = None,

@@ -15,7 +15,7 @@ from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
-from terrain.errors import InputError
+from terrain.errors import Fault, InputError
 from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
 from terrain.level.setting import Setting
@@ -37,9 +37,10 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
         items = request.query_params.multi_items()
         for name, value in items:
             if name not in names:
-                raise InputError(name, value, f"the parameters {', '.join(names)}" if names else "no parameters")
+                fault = Fault(f"unknown parameter (given: '{value[:80]}')")
+                raise InputError(name, fault, ", ".join(names) or "no parameters")
             if sum(name == other for other, _ in items) > 1:
-                raise InputError(name, "given more than once", "one value")
+                raise InputError(name, Fault("given more than once"), "one value")
 
     return refuse
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 
 from api.errors import outcome_of
-from terrain.errors import InputError, SkuggaError
+from terrain.errors import Fault, InputError, SkuggaError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -93,5 +93,7 @@ def _first_wrong(error: RequestValidationError) -> InputError:
     if where != "body":
         return InputError(str(detail["loc"][-1]), detail.get("input"), allowed)
     if detail["type"] == "json_invalid":
-        return InputError("body", f"broken at character {path[0]}", f"JSON ({detail['ctx']['error']})")
+        return InputError("body", Fault(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
+    if detail["type"] == "missing":
+        return InputError(".".join(str(part) for part in path) or "body", Fault("missing"), "a value: the field is required")
     return InputError(".".join(str(part) for part in path) or "body", detail.get("input"), allowed)

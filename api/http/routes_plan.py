@@ -116,7 +116,9 @@ def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | Non
     if zoom is None and tms is None:
         return level.view_named(view)
     if view is not None or zoom is None:
-        raise InputError("view" if zoom is not None else "zoom", view or "", "either view, or zoom (with tms)")
+        raise InputError(
+            "view" if zoom is not None else "zoom", view or "", "only one of view and zoom in a request (tms goes with zoom)"
+        )
     matrix_set = tms or DEFAULT_MATRIX_SET
     matrix_set_of(matrix_set)
     zooms = level.zooms_in(matrix_set)

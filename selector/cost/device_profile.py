@@ -97,7 +97,7 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return f"{renderer} is not calibrated: run skugga calibrate"
+        return f"{renderer} is not calibrated, so fixed rules choose; skugga calibrate adds predictions"
     except (OSError, ValueError) as error:  # ValueError: not JSON, or not UTF-8
         return f"{path} cannot be read ({' '.join(str(error).split())}): run skugga calibrate again"
     if isinstance(data, dict) and data.get("schema_version") != SCHEMA:

@@ -114,7 +114,7 @@ def _heightfield(case: RuleInput) -> str | None:
     across_m = sweep_extent_m(case.descriptor)
     if case.light != SUN or case.kind != "relief" or across_m is None or across_m > MAX_SWEEP_EXTENT_M:
         return None
-    return "heightfield: a line sweep along the sun's azimuth finds its shadows without texels"
+    return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 
 
 def _perfect(case: RuleInput) -> str | None:

@@ -206,7 +206,7 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
             runs, reason = shadows.filter != 1, f"filter {shadows.filter} is set ({verdict.reason})"
         missing_needs = [other for other in left_out if other.name in effect.needs]
         if runs and missing_needs:
-            runs, reason = False, f"needs {missing_needs[0].name}, which does not run: {missing_needs[0].reason}"
+            runs, reason = False, f"needs {missing_needs[0].name}, left out here: {missing_needs[0].reason}"
         (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
     return effects, left_out
 
@@ -296,7 +296,7 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
     if not free_assignments:
         return f"{requester} sets {', '.join(sorted({assignment.name for assignment in assignments}))}"
     if name == NO_SHADOWS:
-        return "casters and light are present"
+        return "there are casters and light, so there are shadows to draw"
     if name in rejected:
         return rejected[name]
     if len(free_assignments) == 1:

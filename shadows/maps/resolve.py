@@ -95,7 +95,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
         size = _power(max(footprints_px) / wished_px, LARGEST_MAP)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
-        more = f", more than the {wished_px} aimed at: largest automatic size" if covers_px > wished_px else ""
+        more = f", above the target of {wished_px}: this is the largest automatic size" if covers_px > wished_px else ""
         reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
     texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
     ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
@@ -107,11 +107,11 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     elif bits == "auto":
         worst = int(np.argmax(shifts_px))
         bits = 16 if shifts_px[worst] <= DEPTH_PX else 24
-        verdict = "at most" if bits == 16 else "more than"
+        verdict = "within the" if bits == 16 else "more than the"
         reasons.append(Reasoned(
             name=f"depth_bits {bits}",
             reason=f"a 16-bit step of {ranges_m[worst] / (2**16 - 1):.3g} m shifts a shadow by {shifts_px[worst]:.2g} pixels, "
-            f"{verdict} {DEPTH_PX}",
+            f"{verdict} {DEPTH_PX} allowed",
         ))  # fmt: skip
     if taps == "auto":
         taps = 3
@@ -127,10 +127,10 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
         why += ", and neighbouring blocks match" if descriptor.view_kind == "map" else ""
         reasons.append(Reasoned(name="fit stable", reason=why))
     if shadows.bias == "auto":
-        why = "comparison on the receiver's own triangle needs no depth bias at any slope"
+        why = "depths are compared on the receiver's own triangle, so nothing has to be shifted at any slope"
         reasons.append(Reasoned(name="bias receiver_plane", reason=why))
     if shadows.culling == "auto" and "meshes" in descriptor.casters:
-        why = "no bias, so front-face culling gains nothing"
+        why = "depths are not shifted, so front-face culling gains nothing"
         reasons.append(Reasoned(name="culling none", reason=why))
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
@@ -150,7 +150,7 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows)
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
     taps = 3 if shadows.filter == "auto" else shadows.filter
     if taps == "sun" and descriptor.highest_sun_deg is None:
-        reason = f"filter sun is for the sun only; for the lamp {lamp.name}: 1, 2, 3 or 5 taps a side"
+        reason = f"filter sun is for the sun only; the lamp '{lamp.name}' takes 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
         taps = 3
@@ -226,7 +226,7 @@ def _cascades(
         )
     _, _, inner, worst, first, last = min(options, key=lambda option: option[:2])
     if shadows.cascades == "auto":
-        why = f"a texel covers at most {worst / inner:.2g} pixels ({wished_px:g} aimed at), with the fewest texels"
+        why = f"a texel covers at most {worst / inner:.2g} pixels (target: {wished_px:g}), with as few texels in total as possible"
         reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
     far_m = [*(bands[j].far_m for j in last[:-1]), None]
     return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]

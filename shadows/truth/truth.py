@@ -352,7 +352,7 @@ def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Algor
 
 ALGORITHM = Algorithm(
     name="truth",
-    about="ray tracing: the reference, not for real time",
+    about="ray tracing, the reference for comparisons; too slow for pictures",
     plural="truth",
     fill=fill,
     passes=PASSES,

@@ -62,7 +62,7 @@ def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
 
 
 NO_VOLUME: dict[Requirement, str] = {
-    "forest": "a shadow volume knows no texture: alpha-tested leaves would cast their whole quads",
+    "forest": "a shadow volume knows no texture: every picture of leaves would cast a full rectangle",
     "bent map": DRAWS_IN_THE_VIEW,
 }
 """What no volume can serve, and why."""

@@ -91,10 +91,14 @@ def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
     if least == np.inf:
         return Verdict(False, "no ground between the view and the sun")
     if least is not None and least > grazing:
-        return Verdict(False, f"no slope is steeper than the sun's rays: the steepest is {least:.2g} (rise over run) flatter")
+        return Verdict(
+            False, f"no slope is steeper than the sun's rays: the steepest rises {least:.2g} less per metre than they do"
+        )
     bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
     if most is not None and most < -grazing and bare:
-        return Verdict(False, f"all ground faces away from the sun, by a slope of at least {-most:.2g} (rise over run)")
+        return Verdict(
+            False, f"all ground faces away from the sun: it falls at least {-most:.2g} per metre more steeply than the rays"
+        )
     return Verdict(True, f"some slopes are steeper than the sun's rays ({descriptor.relief_m:.0f} m of relief)")
 
 

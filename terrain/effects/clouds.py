@@ -224,7 +224,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     facts = descriptor.facts["clouds"]
     cover = facts["cover"]
     if cover == 0.0:
-        return Verdict(False, "no clouds")
+        return Verdict(False, "the level sets no clouds")
     if cover == 1.0:
         return Verdict(False, "overcast: no direct sunlight for single clouds to block")
     if descriptor.highest_sun_deg is None:

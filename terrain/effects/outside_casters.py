@@ -23,7 +23,7 @@ from terrain.scene import Scene
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where no ground is high enough, or none is outside."""
     if descriptor.view_kind == "perspective":
-        return Verdict(False, "a perspective view includes all ground, also behind the camera")
+        return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):
         return Verdict(False, "one block shows all of the ground")
     relief = cast_shadows.sun_kind_verdict(descriptor, "relief")

@@ -30,7 +30,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     facts = descriptor.facts["refraction"]
     lift_deg, moves_m = float(facts["lift_deg"] or 0.0), float(facts["moves_m"] or 0.0)
     if lift_deg == 0.0:
-        return Verdict(False, "the sun's angles are apparent: refraction is in them")
+        return Verdict(False, "the sun is given by angles, which already include refraction")
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:
         pixel_m = descriptor.bands[0].near_m * descriptor.pixel

@@ -40,7 +40,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     hidden, steps = descriptor.facts["sky_view"]["hidden"], descriptor.facts["sky_view"]["steps"]
     assert isinstance(hidden, float) and isinstance(steps, float)
     if hidden == 0.0:
-        return Verdict(False, "open sky: no ground rises above any that is seen")
+        return Verdict(False, "open sky: no ground rises above the ground in view")
     text = f"ground hides up to {100.0 * hidden:.2g} % of the sky and darkens surfaces lit by the sky alone by "
     return Verdict(True, f"{text}{steps:.0f} steps of 255") if steps > 1 else Verdict(False, f"{text}at most one step of 255")
 

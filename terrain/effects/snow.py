@@ -107,7 +107,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     """Left out without snow, and where there is nothing that it could lie on."""
     facts = descriptor.facts["snow"]
     if not facts["lies"]:
-        return Verdict(False, "no snow")
+        return Verdict(False, "the level sets no snow")
     if not facts["on"]:
         return Verdict(False, str(facts["why"]))
     return Verdict(True, f"snow lies on slopes below {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")

@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import InputError, LevelError
+from terrain.errors import Fault, InputError, LevelError
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from terrain.level.parts import (
     TIME_WORDS,
@@ -67,13 +67,15 @@ class Shadows(Model):
         default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong."
     )
     max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
-        default=None, gt=0, description="Time limit: milliseconds for the shadows of a block."
+        default=None,
+        gt=0,
+        description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
     )
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
         default="auto", description="Size of a shadow map: texels a side."
     )
     cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
-        default="auto", description="Number of cascades: shadow maps of a perspective view, one behind the other."
+        default="auto", description="Number of cascades: shadow maps of a perspective view, each for a range of distances."
     )
     depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
     filter: Literal["auto", 1, 2, 3, 5, "sun"] = Field(
@@ -327,7 +329,7 @@ def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError
         if error["type"] == "unknown_key":
             context = error["ctx"]
             where = ".".join([*_keys(data, error["loc"]), context["key"]])
-            return LevelError(f"{path}: {where}", "unknown key", context["known"])
+            return LevelError(f"{path}: {where}", Fault("unknown key"), context["known"])
     if [(error["type"], error["loc"]) for error in errors] == [("algorithm", ())]:  # only the whole level knows its lights
         errors = [{**errors[0], "loc": ("shadows", "algorithm"), "input": data["shadows"]["algorithm"]}]
     paths = [_keys(data, error["loc"]) for error in errors]

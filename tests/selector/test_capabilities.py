@@ -161,7 +161,7 @@ def test_what_fills_is_what_has_passes():
         ("perspective_shadow_map", {"map": "perspective", "bent map": "perspective", "omni": "does not fit one"}),
         ("shadow_volume", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
         ("hybrid", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
-        ("planar", {"uneven": "ground not flat: casters are projected onto one plane"}),
+        ("planar", {"uneven": "the ground is not flat: planar projects casters onto one plane"}),
         ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per place", "forest": "heightfield"}),
     ],
 )
@@ -179,7 +179,7 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
-    for ground, words in (("uneven", "ground not flat"), ("level", "was preferred")):
+    for ground, words in (("uneven", "the ground is not flat"), ("level", "was preferred")):
         plan = plan_of(scene_on(ground), scene_on(ground).view("map"))
         (reason,) = [item.reason for item in plan.rejected if item.name == "planar"]
         assert words in reason
@@ -249,7 +249,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=name)
         said = str(caught.value)
-        assert f"'{name} for forest under sun'" in said and "alpha-tested leaves would cast their whole quads" in said
+        assert f"'{name} for forest under sun'" in said and "every picture of leaves would cast a full rectangle" in said
         assert said.endswith("; algorithms that can: shadow_map, perspective_shadow_map")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
@@ -277,7 +277,7 @@ def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl):
 
 
 REFUSED = [
-    ("planar", "uneven", "ground not flat"), ("sweep", "level", "trees are no heightfield"),
+    ("planar", "uneven", "the ground is not flat"), ("sweep", "level", "trees are no heightfield"),
     ("shadow_volume", "level", "knows no texture"), ("hybrid", "uneven", "knows no texture"),
     ("perspective_shadow_map", "level", "a map view has no perspective"),
 ]  # fmt: skip

@@ -87,7 +87,7 @@ def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
         ("map_size=63", "map_size", "64"),
         ("algorithm=truth", "algorithm", "shadow_map"),
         ("algorithm=moon%3Dhybrid", "algorithm", "moon"),
-        ("fit=tight", "fit", "the parameters"),
+        ("fit=tight", "fit", "unknown parameter"),
         ("max_ms=1&max_ms=2", "max_ms", "more than once"),
     ],
 )

@@ -166,7 +166,7 @@ def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
-        ({"weather": {"cloud_cover": 0.0}}, "no clouds"),
+        ({"weather": {"cloud_cover": 0.0}}, "the level sets no clouds"),
         ({"weather": {"cloud_cover": 1.0}}, "overcast"),
         ({"weather": {"cloud_cover": 0.4}, "sun": "none"}, "no sun"),
         ({"weather": {"cloud_cover": 0.4}, "sun": {"azimuth": 90.0, "altitude": -3.0}}, "night"),

@@ -129,7 +129,7 @@ def test_same_ground_same_snow_in_every_part(slope) -> None:
     ("keys", "called", "reason"),
     [
         ({}, True, "38 to 52 degrees"),
-        ({"weather": {"snow": False}}, False, "no snow"),
+        ({"weather": {"snow": False}}, False, "the level sets no snow"),
         ({"water": {"level": 500.0}}, False, "all ground lies below the water level"),
         ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
