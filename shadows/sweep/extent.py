@@ -30,5 +30,5 @@ def sweep_extent_m(descriptor: Descriptor) -> float | None:
         return None
     right_m, up_m, _ = descriptor.receivers_light_m
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
-    with np.errstate(over="ignore"):  # wider than can be said is too wide
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # wider than can be said is too wide
         return float(np.sqrt(right_m * up_m / (seen.area_share * sine)))

@@ -138,7 +138,7 @@ def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_s
     deep_scene = make_scene(write_raster(deep, ENGINEERING, 0, 64, 1.0, name="deep.tif"), 200, 30)
     plan = plan_of(deep_scene, deep_scene.view(), algorithm="shadow_map")
     assert plan.settings["sun"]["relief"].depth_bits == 24
-    assert any("more than 0.25" in reason.reason for reason in plan.reasons)
+    assert any("more than the 0.25 allowed" in reason.reason for reason in plan.reasons)
 
 
 def test_nothing_is_decided_per_tile(scene):
