@@ -54,7 +54,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PASSES = ("coarse rays",)
 TOO_NEAR = "coarse rays are for what is far away, as the sun is"
 
-answers: Cache[np.ndarray] = Cache("tests.coarse_rays", "light", 2**26)
+answers: dict[str, Cache[np.ndarray]] = {}
+"""The cache, while the algorithm is registered: caches that are there belong to all tests of a process."""
+
 cast: list[int] = []
 """How many rays each call cast."""
 
@@ -69,7 +71,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
     """Visibility by rays from one pixel of each square, which speaks for all of it."""
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
-        found = answers.get(scene, buffer.view, light, kinds, settings)
+        found = answers["kept"].get(scene, buffer.view, light, kinds, settings)
         if isinstance(found, Missing):
             lit = lit_from(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
             side = settings.square_px
@@ -77,7 +79,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
             rows, cols = (np.minimum(np.arange(size) // side, most - 1) for size, most in zip(lit.shape, chosen.shape, strict=True))
             found = chosen[np.ix_(rows, cols)].astype(np.float32)
             cast.append(chosen.size)
-            answers.put(scene, buffer.view, light, kinds, settings, value=found)
+            answers["kept"].put(scene, buffer.view, light, kinds, settings, value=found)
         return found.copy()
 
 
@@ -121,10 +123,12 @@ def registered() -> Iterator[Callable[[Algorithm], None]]:
 
 
 @pytest.fixture
-def coarse_rays(registered) -> None:
+def coarse_rays(registered) -> Iterator[None]:
     registered(ALGORITHM)
-    answers.clear()
+    answers["kept"] = Cache("tests.coarse_rays", "light", 2**26)
     cast.clear()
+    yield
+    answers.clear()
 
 
 LEVEL = {
