@@ -20,6 +20,27 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False}
     try:
-        return numba.njit(cache=True, **options)(function)
+        loop = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba finds no writable place for its cache, as in a read-only installation
         return numba.njit(cache=False, **options)(function)
+    _survive_renames(loop)
+    return loop
+
+
+def _survive_renames(loop: Any) -> None:
+    """Let a cache of an older version count as empty. Numba reads its index before it compares versions, and cannot if the index
+    names a tuple or a module that is no longer there.
+    """
+    cache = getattr(loop, "_cache", None)
+    if cache is None:  # a plain function, where numba is told not to compile
+        return
+    index = cache._cache_file
+    load = index._load_index
+
+    def load_or_begin_anew() -> dict[Any, Any]:
+        try:
+            return load()
+        except (AttributeError, ImportError):
+            return {}
+
+    index._load_index = load_or_begin_anew
