@@ -158,6 +158,7 @@ def plan_by(scene: Scene, view, **asked) -> Plan:
 def test_a_level_may_name_it(coarse_rays, tmp_path):
     loaded = load_level(level_file(tmp_path, shadows={"algorithm": {"relief": "coarse_rays"}}))
     assert loaded.level.shadows.algorithm == {"relief": "coarse_rays"}
+    assert load_level(level_file(tmp_path, shadows={"algorithm": "coarse_rays"})).level.shadows.algorithm == "coarse_rays"
     assert served_algorithms()[-1] == "coarse_rays"
     with pytest.raises(LevelError, match="coarse_rays"):  # taken: no light may be called so
         load_level(level_file(tmp_path, lights={"coarse_rays": LEVEL["lights"]["lamp"]}))
