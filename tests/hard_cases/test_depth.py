@@ -149,7 +149,7 @@ def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, fl
         assert facts.receivers_light_m is not None
         least_px = facts.receivers_light_m[2] / depth_steps(16) * np.cos(np.radians(altitude)) / facts.pixel_m
         reason = next((each.reason for each in seen.plan.reasons if each.name == f"depth_bits {bits}"), "")
-        said = "a 16-bit step" in reason and ("at most" if bits == 16 else "more than") in reason
+        said = "a 16-bit step" in reason and ("within the" if bits == 16 else "more than the") in reason
         unsaid += not said or (bits == 16 and least_px > DEPTH_PX) or (bits > 16 and 1.5 * least_px < DEPTH_PX)
         chosen.add(bits)
     assert chosen == {16, 24}, "cliffs on both sides of the choice"
