@@ -92,7 +92,7 @@ def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
         return Verdict(False, "no ground between the view and the sun")
     if least is not None and least > grazing:
         return Verdict(
-            False, f"no slope is steeper than the sun's rays: the steepest rises {least:.2g} less per metre than they do"
+            False, f"no slope is steeper than the sun's rays: per metre, the steepest rises {least:.2g} m less than the rays"
         )
     bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
     if most is not None and most < -grazing and bare:
