@@ -57,7 +57,7 @@ def predicted_plan(
     ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are
     other constants than those fitted.
 
-    Raises ``InputError`` and ``UnsupportedError`` as ``choose`` does.
+    Raises ``InputError`` and ``UnsupportedError`` as ``make_plan`` does.
     """
     planner = planner_of(descriptor, plan_request, overrides)
     shadows = planner.asked

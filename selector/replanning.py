@@ -92,14 +92,14 @@ class Replanner:
 
     ``policy`` and ``device`` are those of ``selector.select.select``; ``plans`` stands in for it.
 
-    >>> director = Director(device=load_profile(renderer, version))             # doctest: +SKIP
+    >>> replanner = Replanner(device=load_profile(renderer, version))           # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
-    ...     plan = director.plan(describe(scene, view, "flight"), level)
+    ...     plan = replanner.plan(describe(scene, view, "flight"), level)
     ...     frame = render_frame(scene, view, plan)
     ...     color = frame.color
-    ...     if director.handover is not None:
-    ...         before = render_frame(scene, view, director.handover.plan)
-    ...         color = handed_over(before.color, color, director.share(before.visibilities, frame.visibilities))
+    ...     if replanner.handover is not None:
+    ...         before = render_frame(scene, view, replanner.handover.plan)
+    ...         color = mixed_pictures(before.color, color, replanner.share(before.visibilities, frame.visibilities))
     """
 
     def __init__(

@@ -1,7 +1,9 @@
-"""Pages that scripts write of what they measured: every number in them is the script's."""
+"""Pages: every number that a script wrote is the script's, and examples import what is there."""
 
 from __future__ import annotations
 
+import ast
+import importlib
 import json
 import re
 from pathlib import Path
@@ -48,3 +50,20 @@ def test_what_pages_point_to_is_there(page):
         target, _, anchor = link.partition("#")
         if not re.match(r"[a-z]+:", link) and target:
             assert (page.parent / target).exists(), link
+
+
+def names_imported(page: str) -> list[tuple[str, str]]:
+    """Module and name of everything that the Python examples of a page import from a module."""
+    examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    nodes = [node for example in examples for node in ast.walk(ast.parse(example)) if isinstance(node, ast.ImportFrom)]
+    return [(node.module or "", alias.name) for node in nodes for alias in node.names]
+
+
+@pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
+def test_examples_import_what_is_there(path: Path) -> None:
+    gone = [f"{m}.{name}" for m, name in names_imported(path.read_text("utf-8")) if not hasattr(importlib.import_module(m), name)]
+    assert not gone
+
+
+def test_some_example_imports_something() -> None:
+    assert names_imported((DOCS / "effects.md").read_text("utf-8"))

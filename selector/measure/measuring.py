@@ -1,7 +1,7 @@
 """The policy ``measure``: a short list of candidates, drawn on the view with fewer pixels, held against truth; the winner is taken.
 
 Errors are those of the full view's pixels (``selector.measure.subsampled``), but for chance, and times are drawn out from two
-thinned views. So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
+subsampled views. So whoever leads is drawn on all pixels, and leads on only if that confirms it: no candidate wins on few pixels.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from terrain.level.level import CasterKind, Shadows, override
 from terrain.scene import Scene
 
 EXTRAPOLATION_FACTOR = 1.5
-"""Times that are drawn out from thinned views are right to this factor, mostly, and so is the share that is wrong inside."""
+"""Times that are drawn out from subsampled views are right to this factor, mostly, and so is the share that is wrong inside."""
 
 RETIME_RATIO = 1.25
 """Who comes as close as this to the winner's time is timed again."""
@@ -75,7 +75,7 @@ def measured_plan(
     work goes on. What the level or the request asks for is kept: only the rest is chosen.
 
     Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
-    ``UnsupportedError`` as ``selector.planner.planner.choose`` does, ``RenderError`` where a candidate fails.
+    ``UnsupportedError`` as ``selector.planner.planner.make_plan`` does, ``RenderError`` where a candidate fails.
     """
     plan_request = plan_request or scene.loaded.level
     bounds = TargetBounds.of(override(plan_request.shadows, overrides or {}))

@@ -1,9 +1,9 @@
 """Views with fewer pixels, and their truth: every n-th pixel of a view as it is in the full one, nothing in between.
 
-A pixel of a thinned view is a pixel of the full view: as wide, and as far from the edges of shadows. So the shares of pixels that
-are wrong are the full view's but for chance. Were the pixels n times as wide instead, truth would not tell their class anywhere
-near an edge, which is where algorithms err: with every fourth pixel, a shadow map of a thousand boxes would have 0.6 % wrong for
-2.7 %.
+A pixel of a subsampled view is a pixel of the full view: as wide, and as far from the edges of shadows. So the shares of pixels
+that are wrong are the full view's but for chance. Were the pixels n times as wide instead, truth would not tell their class
+anywhere near an edge, which is where algorithms err: with every fourth pixel, a shadow map of a thousand boxes would have 0.6 %
+wrong for 2.7 %.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SubsampledTruth:
     edge_px: np.ndarray
 
     def errors(self, visibility: np.ndarray, steps: Sequence[Step], pixel_m: float) -> EstimatedErrors:
-        """The full view's figures, estimated from a thinned view's visibility (rows, cols) that a plan's steps filled.
+        """The full view's figures, estimated from a subsampled view's visibility (rows, cols) that a plan's steps filled.
 
         ``pixel_m`` is a pixel's side in the full view.
         """

@@ -88,7 +88,7 @@ def shadow_ms(frame: Frame, light: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TrialView:
-    """What a light's candidates are drawn on and held against: a view with its truth, and thinned where it has many pixels."""
+    """What a light's candidates are drawn on and held against: a view with its truth, and subsampled where it has many pixels."""
 
     scene: Scene
     truth: ViewTruth
@@ -106,7 +106,9 @@ class TrialView:
         return int((self.truth.whole if self.subsampled is None else self.subsampled.truth).lit.size)
 
     def trial(self, candidate: Candidate) -> Trial:
-        """A candidate on few pixels. Time on all of them goes by two thinned views: what pixels do not change is alike in both."""
+        """A candidate on few pixels. Time on all of them goes by two subsampled views: what pixels do not change is alike in
+        both.
+        """
         if self.subsampled is None:
             return self.full_resolution_trial(candidate)
         view = self.truth.view

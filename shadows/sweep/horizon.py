@@ -32,7 +32,7 @@ STRIP_NODES = 2**21
 
 class Section(NamedTuple):
     """A turned grid (n, m) with borders: ``level`` and ``towards`` float32, metres, of its nodes, its lines' places (n, 4) and how
-    its quads are cut, as a ``shadows.sweep.lines.Sheet`` has these.
+    its quads are cut, as a ``shadows.sweep.lines.TurnedGrid`` has these.
     """
 
     level: np.ndarray

@@ -34,7 +34,7 @@ def no_points(rows: int) -> StripPoints:
 
 @compiled
 def see_points(sheet, strip, i, points):
-    """Points of rows (i, i + 1] of a ``Sheet``, while the lines of a ``Strip`` stand before row ``i``."""
+    """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
     level, place, _, mirrored = sheet
     lines, first_cell, held, _ = strip
     begins, row, t, own, rounding, lit, above_m = points

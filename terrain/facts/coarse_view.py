@@ -70,7 +70,7 @@ class CoarseView:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """What ``terrain.gbuffer.picture`` resolves to points: as its ``Visible``, without trees."""
+    """What ``terrain.gbuffer.picture`` resolves to points: as its ``RasterisedView``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh
