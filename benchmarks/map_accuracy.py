@@ -58,7 +58,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         frame = lit.world.frame_near(view.grid.crs, *view.centre)
         buffer = map_geometry(lit.surface(view.grid), view, frame)
         casters = casters_of(lit, buffer)
-        truth = truth_of(buffer, lit, casters, either_diagonal=algorithm == "sweep")
+        truth = truth_of(buffer, lit, casters)
         descriptor = describe(lit, view)
         plan = make_plan(descriptor, lit.loaded.level, {"algorithm": algorithm, "map_size": map_size, "filter": taps})
         step = next((step for step in plan.steps if step.algorithm == algorithm), None)

@@ -7,6 +7,7 @@ import numpy as np
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST
+from terrain.gbuffer.shared_points import facing_normals
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
@@ -19,19 +20,21 @@ say which side it is on, and what it would give is a millionth of its light.
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
     """Where a light cannot reach, bool (rows, cols); True off the surface too.
 
-    That is where the geometric normal does not face it (n.l is not over ``GRAZING``; leaves are lit from either side), outside
-    of a spot's cone, and everywhere while the sun is nowhere above the horizon or where there is none.
+    That is where the geometric normal does not face it (n.l is not over ``GRAZING``; leaves are lit from either side; of a point
+    that several facets share, none of theirs does), outside of a spot's cone, and everywhere while the sun is nowhere above the
+    horizon or where there is none.
     """
     leaves = buffer.kind == FOREST
     if light == SUN:
         if not scene.sun_is_up or scene.sun is None:
             return np.ones(buffer.there.shape, bool)
-        return turned_away(buffer.normal_frame, leaves, scene.sun.in_frame(buffer.frame))
+    source = scene.light_position(light, buffer.frame)
+    normal = facing_normals(buffer, source).normal_frame
+    if light == SUN:
+        return turned_away(normal, leaves, np.array(source[:3]))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
-    return _beside_lamp(
-        buffer.position_frame_m, buffer.normal_frame, leaves, position, axis, float(np.cos(np.radians(lamp.cutoff_deg)))
-    )
+    return _beside_lamp(buffer.position_frame_m, normal, leaves, position, axis, float(np.cos(np.radians(lamp.cutoff_deg))))
 
 
 @compiled

@@ -16,6 +16,21 @@ CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
 
 
+class LightPosition(NamedTuple):
+    """A light in a frame, homogeneous: a lamp's place and 1, or a unit direction to the sun and 0."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+def light_position(place_or_direction: np.ndarray, w: float) -> LightPosition:
+    """The position of a light of a place (3,) and 1, or of a direction (3,) and 0."""
+    x, y, z = (float(v) for v in place_or_direction)
+    return LightPosition(x, y, z, w)
+
+
 class LampInFrame(NamedTuple):
     """A lamp in a frame: its place (3,), metres, its unit axis (3,), and the rotation (3, 3) from the frame to the lamp."""
 

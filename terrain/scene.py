@@ -17,14 +17,14 @@ from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
 from terrain.geo.light_space import LightSpace, light_space
 from terrain.geo.sun import Sun, position_at, sun_of
-from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.generated_ground import generated_ground
 from terrain.ground.geolocate import Geolocator
 from terrain.ground.surface import Surface
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
-from terrain.lights import Lamp, lamp_of
+from terrain.lights import Lamp, LightPosition, lamp_of, light_position
 from terrain.scene_objects import SceneObjects
 
 DEFAULT_VIEW_PX = 1024
@@ -62,6 +62,13 @@ class Scene:
     def light_names(self) -> tuple[str, ...]:
         """The lights there are: the sun first, if the level has one."""
         return (*((SUN,) if self.sun is not None else ()), *self.loaded.level.lights)
+
+    def light_position(self, light: str, frame: LocalFrame) -> LightPosition:
+        """Where a light of the level is in a frame, homogeneous. Of the sun, which the level must have, the direction to it."""
+        if light != SUN:
+            return light_position(self.lamps[light].in_frame(frame).position_frame_m, 1.0)
+        assert self.sun is not None
+        return light_position(self.sun.in_frame(frame), 0.0)
 
     @property
     def sun_is_up(self) -> bool:

@@ -31,7 +31,7 @@ from shadows.volumes.edges import Edges, closed_parts, edges_of
 from shadows.volumes.layers import batches
 from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, silhouette, turns_of
-from shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, light_in_frame, volumes_of
+from shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, volumes_of
 from terrain.casters.casting import caster_solids
 from terrain.compiled import compiled
 from terrain.level.level import SUN
@@ -61,7 +61,7 @@ def _volumes_of(level: str) -> dict[str, float]:
     side an edge; and those of the engine, counted by z-fail, as it does by itself, and so without their caps.
     """
     look = view_with_truth(bundled(level), "main", SIZE)
-    light = light_in_frame(look.buffer, look.scene, SUN)
+    light = np.array(look.scene.light_position(SUN, look.buffer.frame))
     vertices, triangles = caster_solids(look.scene.objects, look.buffer.frame)
     shared, apart = edges_of(vertices, triangles), unshared(triangles)
     rule = np.where(closed_parts(shared), np.int8(FACING_CODE), np.int8(ALL_CODE))
@@ -155,7 +155,7 @@ def _inside() -> dict[str, float]:
     """With the eye in the shadow: wrong shares of the cast shadow for z-pass alone, for z-fail, and as casters ask for it."""
     level, name = INSIDE
     look = view_with_truth(bundled(level), name, SIZE)
-    light = light_in_frame(look.buffer, look.scene, SUN)
+    light = np.array(look.scene.light_position(SUN, look.buffer.frame))
     own = _engines(look, light)
     beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: all is counted by z-pass
     by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]

@@ -29,7 +29,7 @@ from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before
 from shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
 from shadows.volumes.tiles import marked_tiles
-from shadows.volumes.volumes import light_in_frame, volumes_of
+from shadows.volumes.volumes import volumes_of
 from terrain.casters.reach import Casters
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -54,7 +54,7 @@ def fill(
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
     passes = log.named(light, kinds, PASSES)
-    light_frame = light_in_frame(buffer, scene, light)
+    light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     wanted = buffer.there & ~attached(buffer, scene, light)
@@ -98,7 +98,7 @@ def _compared(
     with log.run(passes[2]) as record:
         for drawn, target in zip(maps, targets, strict=True):
             log.keep("shadow-map", light, depths, gl, drawn, target)
-            look_up(gl, drawn, target, buffer, map_settings, visibility, record)
+            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), map_settings, visibility, record)
     verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED

@@ -18,7 +18,7 @@ from shadows.hybrid.conservative_map import (
 from shadows.layer_collector import tiled_pictures
 from shadows.maps.windows import CUBE, POSITION_ERROR
 from shadows.passes import PassLog
-from shadows.volumes.volumes import Volumes, light_in_frame
+from shadows.volumes.volumes import Volumes
 from terrain.cache import MIB, Cache, Missing
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -103,7 +103,7 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
     pixels = np.flatnonzero(wanted & (buffer.kind == MESHES))
     if len(pixels) and buffer.corners_frame_m is not None:
         a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[pixels].astype(np.float64).transpose(1, 0, 2)
-        source = light_in_frame(buffer, scene, light)
+        source = np.array(scene.light_position(light, buffer.frame))
         out[pixels] = (np.cross(b - a, c - a) * (source[:3] - source[3] * a)).sum(axis=1) > 0.0
     return out
 

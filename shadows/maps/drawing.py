@@ -19,7 +19,6 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.gl.device import Device
-from terrain.ground.surface import sheet_triangles
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
@@ -73,8 +72,8 @@ def draw_map(
                 if trees is not None:
                     set_uniforms(leaves, turned)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
-                record.triangles += gl.draw_sheet(solid, sheet)
-                largest = max(largest, sheet[..., 0].size * 12 + sheet_triangles(*sheet.shape[:2]).nbytes)
+                record.triangles += gl.draw_sheet(solid, sheet.position_frame_m, sheet.triangles)
+                largest = max(largest, sheet.position_frame_m.size * 4 + sheet.triangles.nbytes)
             for (vertices, triangles), culled in _culled(meshes, scene, kinds, settings.culling):
                 with gl.front_culled(_is_mirrored(drawn)) if culled else nullcontext():
                     record.triangles += gl.draw_triangles(solid, vertices, triangles)

@@ -15,8 +15,11 @@ from shadows.passes import PassRecord
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
+from terrain.gbuffer.shared_points import facing_normals
 from terrain.geo.grid import MapView
 from terrain.gl.device import Device
+from terrain.ground.sheet import Sheet
+from terrain.lights import LightPosition
 
 LOOK_COLS, LOOK_ROWS = 2048, 384
 """Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
@@ -33,17 +36,19 @@ def look_up(
     drawn: DepthMap,
     target: Framebuffer,
     buffer: GeometryBuffer,
+    light_frame: LightPosition,
     settings: MapSettings,
     visibility: np.ndarray,
     record: PassRecord,
 ) -> None:
-    """Fill in the visibility (rows, cols) of the points that are a map's."""
+    """Fill in the visibility (rows, cols) of the points that are a map's; ``light_frame`` is whose map it is."""
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _least_depths(gl, drawn, target, settings):
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.there.shape
-            facing = np.concatenate([buffer.normal_frame, buffer.crease[..., None]], axis=-1)
-            arrays = [buffer.position_frame_m, facing, window.position_frame_m]
+            facets = facing_normals(buffer, light_frame)
+            facing = np.concatenate([facets.normal_frame, facets.crease[..., None]], axis=-1)
+            arrays = [buffer.position_frame_m, facing, _nodes(window.sheet)]
             if corners is not None:
                 arrays.append(corners.reshape(rows, cols * 3, 3))
             program = _program(gl, drawn, settings, settings.filter, {"on_nodes": True, "has_corners": corners is not None})
@@ -142,6 +147,14 @@ def _drawn_pixels(
     for texture in textures:
         texture.release()
     return lit
+
+
+def _nodes(sheet: Sheet) -> np.ndarray:
+    """A sheet's nodes (rows, cols, 4) float32 with the cut of the quad south-east of each: 1 where it falls to the south-east."""
+    out = np.zeros((*sheet.position_frame_m.shape[:2], 4), np.float32)
+    out[..., :3] = sheet.position_frame_m
+    out[:-1, :-1, 3] = sheet.falls
+    return out
 
 
 @compiled

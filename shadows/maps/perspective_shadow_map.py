@@ -88,7 +88,7 @@ def fill(
             log.keep("shadow-map", light, depths, gl, drawn, target)
     with log.run(visibility_pass) as record:
         if shaded:
-            look_up(gl, drawn, target, buffer, settings, visibility, record)
+            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility
 
 

@@ -68,7 +68,7 @@ def fill(
             target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
         log.keep("shadow-map", light, depths, gl, drawn, target)
         with log.run(visibility_pass) as record:
-            look_up(gl, drawn, target, buffer, settings, visibility, record)
+            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility
 
 

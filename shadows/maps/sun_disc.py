@@ -55,7 +55,7 @@ def nearest_caster_m(
     """The smallest light-space depth of what casts, metres; infinite where nothing does."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
-    points = [sheet.reshape(-1, 3) for sheet in caster_sheets(scene, buffer, casters, kinds)]
+    points = [sheet.position_frame_m.reshape(-1, 3) for sheet in caster_sheets(scene, buffer, casters, kinds)]
     points += [vertices for vertices, _ in caster_meshes(scene, buffer, kinds)]
     if trees is not None:
         points.append(trees.corners().reshape(-1, 3))

@@ -34,6 +34,9 @@ CellSize = float | tuple[float, float]
 NO_LEVELS = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 
+HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
+"""The cuts of a ``TurnedGrid`` each of whose quads is cut along its higher diagonal."""
+
 
 @dataclass(frozen=True)
 class GridOrientation:
@@ -43,10 +46,9 @@ class GridOrientation:
     rows_reversed: bool
     cols_reversed: bool
 
-    @property
-    def mirrored(self) -> bool:
-        """Whether quads, cut from SW to NE, are cut from (i, j) to (i + 1, j + 1) in the turned grid."""
-        return self.rows_reversed != self.cols_reversed
+    def turned_cuts(self, falls: np.ndarray) -> np.ndarray:
+        """Which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), for those (rows - 1, cols - 1) that fall."""
+        return self.turned(falls) != (self.rows_reversed != self.cols_reversed)
 
     def onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the turned grid for those of a grid (rows, cols); any numbers."""
@@ -233,15 +235,14 @@ def sunlit(
     """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
 
     ``height_m`` (rows, cols), row 0 north, NaN where there is no ground; ``cell_m`` is the side of a cell, or its (row, column)
-    sides; the azimuth is clockwise from north. Quads are cut from SW to NE.
+    sides; the azimuth is clockwise from north. Quads are cut along their higher diagonals.
     """
     turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
-    lit, _, _ = sweep_nodes(
-        TurnedGrid(level, t_cubics, column_cubics, turn.mirrored), lines, (column_cubics[:, 0].min(), m), rows=(0, n), cores=cores
-    )
+    sheet = TurnedGrid(level, t_cubics, column_cubics, HIGHER_DIAGONALS)
+    lit, _, _ = sweep_nodes(sheet, lines, (column_cubics[:, 0].min(), m), rows=(0, n), cores=cores)
     return turn.back(lit)
 
 

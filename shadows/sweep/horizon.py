@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.grid import CellSize, flat_grid, turned_levels
-from shadows.sweep.points import cubic, ground_at
+from shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
+from shadows.sweep.points import cubic, ground_at, is_cut
 from terrain.compiled import compiled
 
 NO_HORIZON_SLOPE = -1e30
@@ -38,7 +38,7 @@ class Section(NamedTuple):
     level: np.ndarray
     towards: np.ndarray
     place: np.ndarray
-    mirrored: bool
+    falls: np.ndarray
 
 
 class HorizonQuery(NamedTuple):
@@ -64,7 +64,7 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     azimuth = np.radians(azimuth_deg)
     level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = Section(level, towards, t_cubics, turn.mirrored)
+    section = Section(level, towards, t_cubics, HIGHER_DIAGONALS)
     n, m = level.shape
     out = np.full((n, m), NO_HORIZON_SLOPE)
     low, high = float(column_cubics[:, 0].min()) + 1.0, float(column_cubics[:, 0].max()) + m
@@ -89,7 +89,7 @@ def slopes(
     ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are the ground's
     there.
     """
-    level, towards, place, mirrored = section
+    level, towards, place, falls = section
     if not len(row) or len(level) < 2:
         return np.full(len(row), NO_HORIZON_SLOPE)  # a single row has nothing before it
     base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
@@ -100,7 +100,7 @@ def slopes(
     order = by_row[order]
     own_positions = np.stack([own_level, own_towards], axis=1)
     near, beside = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
-    _look_near(level, towards, place, mirrored, base, row, t, own_positions, near)
+    _look_near(level, towards, place, falls, base, row, t, own_positions, near)
     asked = HorizonQuery(begins, order, base, own_positions, beside)
 
     def strip(start: int) -> None:
@@ -155,10 +155,10 @@ def _nodes_between(place, at, low, high, cols):
 @compiled
 def _walk(section, lines, first, start, stop, asked):
     """Walk the lines from the sun on, and answer the points to the right of each and, up to the next line, to its left."""
-    level, towards, place, mirrored = section
+    level, towards, place, falls = section
     begins, order, base, own, beside = asked
     rows, cols = level.shape
-    hull = np.empty((4 * rows, 2))
+    hull = np.empty((4 * rows, 2))  # four kinks a row at most
     for number in range(start, stop + 1):
         t = (first + number) / lines
         size = 0
@@ -181,15 +181,17 @@ def _walk(section, lines, first, start, stop, asked):
             if c < 0 or c + 1 >= cols:
                 continue
             size = _put(hull, size, level, towards, i, c, i, c + 1, f)
-            if mirrored:
-                if f <= 1.0 - s:
-                    size = _put(hull, size, level, towards, i, c, i + 1, c + 1, f / max(1.0 - s, 1e-9))
-                else:
-                    size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-            else:
-                size = _put(hull, size, level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
-                if f + s > 1.0 and c + 2 < cols:
-                    size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            rising = (1.0 - f) / (1.0 + s)
+            falling = f / (1.0 - s) if f + s <= 1.0 and s < 1.0 else np.inf
+            if falling < rising and is_cut(falls, i, c, True):  # in the order in which they are passed
+                size = _put(hull, size, level, towards, i, c, i + 1, c + 1, falling)
+            if is_cut(falls, i, c, False):
+                size = _put(hull, size, level, towards, i, c + 1, i + 1, c, rising)
+            if rising <= falling <= 1.0 and is_cut(falls, i, c, True):
+                size = _put(hull, size, level, towards, i, c, i + 1, c + 1, falling)
+            if f + s > 1.0:
+                size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                if c + 2 < cols and is_cut(falls, i, c + 1, False):
                     size = _put(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
 
 
@@ -229,7 +231,7 @@ def _tangent(hull, size, own):
 
 
 @compiled
-def _look_near(level, towards, place, mirrored, base, row, t, own, near):
+def _look_near(level, towards, place, falls, base, row, t, own, near):
     """The slopes up to what lies before points, from the row before them on; puts points without a level on the ground."""
     cols = level.shape[1]
     for n in range(len(row)):
@@ -239,26 +241,21 @@ def _look_near(level, towards, place, mirrored, base, row, t, own, near):
         c = int(np.floor(x))
         f, end = x - c, row[n] - i
         if np.isnan(own[n, 0]):
-            own[n, 0] = ground_at(level[i], level[i + 1], c, f + s * end, end, mirrored, cols)
-            own[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, mirrored, cols)
+            own[n, 0] = ground_at(level[i], level[i + 1], c, f + s * end, end, falls, i)
+            own[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, falls, i)
         if c < 0 or c + 1 >= cols:
             continue
         end -= 1e-6  # nearer than a millionth of a cell is the point itself
         best = _steeper(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
-        if mirrored:
-            if f <= 1.0 - s:
-                if f / max(1.0 - s, 1e-9) < end:
-                    best = _steeper(best, own[n], level, towards, i, c, i + 1, c + 1, f / max(1.0 - s, 1e-9))
-            elif (1.0 - f) / s < end:
-                best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-        else:
-            if (1.0 - f) / (1.0 + s) < end:
-                best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
-            if f + s > 1.0 and c + 2 < cols:
-                if (1.0 - f) / s < end:
-                    best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
-                if (2.0 - f) / (1.0 + s) < end:
-                    best = _steeper(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+        if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+            best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+        if f + s <= 1.0:
+            if is_cut(falls, i, c, True) and f < end * (1.0 - s):
+                best = _steeper(best, own[n], level, towards, i, c, i + 1, c + 1, f / (1.0 - s))
+        elif (1.0 - f) / s < end:
+            best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                best = _steeper(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
         near[n] = best
 
 

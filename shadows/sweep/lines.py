@@ -9,7 +9,8 @@ exactly if nothing on the way to it has a higher level: no slopes, no distances,
 and crosses row i at a column that is a cubic in t: t and a shift, were it not that meridians converge. Each line carries the
 highest level that it has met. Between two rows it crosses the sides and the diagonals of the quads; there, and on the rows, the
 surface's level along the line has its kinks, and between them it is linear, so that a line's maximum over the very triangles
-that are drawn is exact.
+that are drawn is exact. A quad is cut along the higher of its diagonals (``terrain.ground.sheet``): so both count, for the other
+one lies below the surface. Only where a camera's ground was decimated are cuts told quad by quad.
 
 **Nodes.** A node lies between two lines. What shades it from beyond the row before it is interpolated between their maxima: the
 maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. But for
@@ -27,11 +28,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.points import cubic, see_points
+from shadows.sweep.points import cubic, on_column, see_points
 from terrain.compiled import compiled
 
 NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
+
+NO_CUTS = np.zeros(0, np.bool_)
 
 RUN = 512
 """Lines of a run, at most."""
@@ -44,14 +47,14 @@ class TurnedGrid(NamedTuple):
     """A turned grid (n, m) between two columns of border (``shadows.sweep.grid.bordered``), with its lines' places.
 
     ``level`` float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take t to a
-    row's columns, ``at`` (n, 4) those that take columns to t. ``mirrored``: quads are cut from (i, j) to (i + 1, j + 1), else from
-    (i, j + 1) to (i + 1, j).
+    row's columns, ``at`` (n, 4) those that take columns to t. ``falls`` bool (n - 1, m - 1): whether a quad is cut from (i, j) to
+    (i + 1, j + 1), else from (i, j + 1) to (i + 1, j); empty where each is cut along its higher diagonal.
     """
 
     level: np.ndarray
     place: np.ndarray
     at: np.ndarray
-    mirrored: bool
+    falls: np.ndarray
 
 
 class Strip(NamedTuple):
@@ -75,18 +78,19 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
     Of the nodes of rows (first, last] are written, where these are not empty, ``shade`` (n, m) float32, the level that a node must
     reach to see the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
     """
-    level, place, at, mirrored = sheet
+    level, place, at, falls = sheet
     lines, first_cell, held, peaks = strip
     begins = points.begins
     nodes = shade.size > 0 or lit.size > 0
     for i in range(first, last):
+        cuts = falls[i] if falls.size else NO_CUTS
         if nodes:
-            _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i)
+            _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i)
             _remember(level, place, at, lines, first_cell, peaks, i)
         if begins[i] < begins[i + 1]:
             see_points(sheet, strip, i, points)
         for k in range(lines):
-            _advance(level, place, lines, mirrored, first_cell, held[k], k, i)
+            _advance(level, place, lines, cuts, first_cell, held[k], k, i)
 
 
 @compiled
@@ -99,13 +103,13 @@ def _run_along(p, low, high, times):
 @compiled
 def _class_of(place, i, t, j):
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
-    x = cubic(place[i], t)
+    x = on_column(cubic(place[i], t))
     c = int(np.floor(x))
-    return 2 * (c - j) + (1 if cubic(place[i + 1], t) > c + 1 else 0)
+    return 2 * (c - j) + (1 if on_column(cubic(place[i + 1], t)) > c + 1 else 0)
 
 
 @compiled
-def _advance(level, place, lines, mirrored, first_cell, held, k, i):
+def _advance(level, place, lines, cuts, first_cell, held, k, i):
     """Take the lines of number ``k`` from before row ``i`` to before row ``i + 1``."""
     cells, cols = held.size, level.shape[1]
     share = k / lines
@@ -129,54 +133,147 @@ def _advance(level, place, lines, mirrored, first_cell, held, k, i):
         last = min(end, cols - (2 if crosses else 1) - shift)
         if begin < last:
             t0, t1 = first_cell + begin + share, first_cell + last - 1 + share
-            f0, f1 = cubic(place[i], t0) - (begin + shift), cubic(place[i], t1) - (last - 1 + shift)
-            s0, s1 = cubic(place[i + 1], t0) - (begin + shift) - f0, cubic(place[i + 1], t1) - (last - 1 + shift) - f1
+            f0, f1 = on_column(cubic(place[i], t0)) - (begin + shift), on_column(cubic(place[i], t1)) - (last - 1 + shift)
+            s0, s1 = (
+                on_column(cubic(place[i + 1], t0)) - (begin + shift) - f0,
+                on_column(cubic(place[i + 1], t1)) - (last - 1 + shift) - f1,
+            )
             above, below = level[i, begin + shift :], level[i + 1, begin + shift :]
-            _meet(above, below, held[begin:last], f0, f1, s0, s1, crosses, mirrored)
+            _meet(above, below, cuts[begin + shift :] if cuts.size else cuts, held[begin:last], f0, f1, s0, s1, crosses)
         start = end
 
 
 @compiled
-def _meet(above, below, held, f0, f1, s0, s1, crosses, mirrored):
+def _meet(above, below, cuts, held, f0, f1, s0, s1, crosses):
     """What a run of lines meets from a row on and before the next one.
 
     Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
     """
-    count = held.size
-    nw, ne, sw, se = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1]
-    if mirrored and not crosses:
-        v0, v1 = f0 / max(1.0 - s0, 1e-9), f1 / max(1.0 - s1, 1e-9)
-        _two(nw, ne, nw, se, held, f0, f1, min(v0, 1.0), min(v1, 1.0))
-    elif mirrored:
-        _two(nw, ne, ne, se, held, f0, f1, (1.0 - f0) / s0, (1.0 - f1) / s1)
+    if f0 == 0.0 and f1 == 0.0:  # on nodes: what may be missing to the right plays no part
+        nodes = above[: held.size]
+        _two(nodes, nodes, nodes, nodes, held, (0.0, 0.0), (0.0, 0.0))
+    row, rising = (f0, f1), (min((1.0 - f0) / (1.0 + s0), 1.0), min((1.0 - f1) / (1.0 + s1), 1.0))
+    if crosses:
+        side, far = ((1.0 - f0) / s0, (1.0 - f1) / s1), ((2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1))
+        if cuts.size:
+            _cross_cut(above, below, cuts, held, row, rising, side, far)
+        else:
+            _cross(above, below, held, row, rising, side, far)
     else:
-        d0, d1 = (1.0 - f0) / (1.0 + s0), (1.0 - f1) / (1.0 + s1)
-        _two(nw, ne, ne, sw, held, f0, f1, min(d0, 1.0), min(d1, 1.0))
-        if crosses:
-            far0, far1 = (2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1)
-            _two(se, ne, se, above[2 : count + 2], held, 1.0 - (1.0 - f0) / s0, 1.0 - (1.0 - f1) / s1, 1.0 - far0, 1.0 - far1)
+        falling = min(f0 / max(1.0 - s0, 1e-9), 1.0), min(f1 / max(1.0 - s1, 1e-9), 1.0)
+        if cuts.size:
+            _pass_cut(above, below, cuts, held, row, rising, falling)
+        else:
+            _pass(above, below, held, row, rising, falling)
 
 
 @compiled
-def _two(a, b, c, d, held, p0, p1, q0, q1):
-    """Raise a run of lines to what lies between two pairs of nodes: at shares from ``p0`` to ``p1`` of the way from a to b, and
-    from ``q0`` to ``q1`` from c to d. Written so that it compiles to vector instructions (32-bit counts convert to float32).
-    """
+def _steps(ends, count):
+    """The first of ``count`` even steps between two ends, and how far each is from the one before, float32."""
+    return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
+
+
+# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, slices have their
+# lengths, and what is missing (NaN) compares as lower.
+
+
+@compiled
+def _pass(above, below, held, row, rising, falling):
+    """Raise a run of lines to what they meet of one quad each: on its first row and on both of its diagonals."""
     count = held.size
-    per = 1.0 / max(count - 1, 1)
-    p, dp = np.float32(p0), np.float32((p1 - p0) * per)
-    q, dq = np.float32(q0), np.float32((q1 - q0) * per)
+    nw, ne, sw, se = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1]
+    p, dp = _steps(row, count)
+    q, dq = _steps(rising, count)
+    r, dr = _steps(falling, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = a[n] + (p + dp * x) * (b[n] - a[n])
-        other = c[n] + (q + dq * x) * (d[n] - c[n])
+        one = nw[n] + (p + dp * x) * (ne[n] - nw[n])
+        two = ne[n] + (q + dq * x) * (sw[n] - ne[n])
+        three = nw[n] + (r + dr * x) * (se[n] - nw[n])
+        highest = held[n]
+        highest = one if one > highest else highest
+        highest = two if two > highest else highest
+        held[n] = three if three > highest else highest
+
+
+@compiled
+def _cross(above, below, held, row, rising, side, far):
+    """Raise a run of lines to what they meet of two quads each: on the first row, on the rising diagonals of both, and between."""
+    count = held.size
+    nw, ne, sw, se, beyond = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1], above[2 : count + 2]
+    p, dp = _steps(row, count)
+    q, dq = _steps(rising, count)
+    r, dr = _steps(side, count)
+    s, ds = _steps(far, count)
+    for n in range(count):
+        x = np.float32(np.int32(n))
+        one = nw[n] + (p + dp * x) * (ne[n] - nw[n])
+        two = ne[n] + (q + dq * x) * (sw[n] - ne[n])
+        three = ne[n] + (r + dr * x) * (se[n] - ne[n])
+        four = beyond[n] + (s + ds * x) * (se[n] - beyond[n])
+        highest = held[n]
+        highest = one if one > highest else highest
+        highest = two if two > highest else highest
+        highest = three if three > highest else highest
+        held[n] = four if four > highest else highest
+
+
+@compiled
+def _pass_cut(above, below, cuts, held, row, rising, falling):
+    """As ``_pass``, on the diagonals that the quads are cut along."""
+    count = held.size
+    p, dp = _steps(row, count)
+    q, dq = _steps(rising, count)
+    r, dr = _steps(falling, count)
+    for n in range(count):
+        x = np.float32(np.int32(n))
+        one = above[n] + (p + dp * x) * (above[n + 1] - above[n])
+        falls = above[n] + (r + dr * x) * (below[n + 1] - above[n])
+        rises = above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
+        other = falls if cuts[n] else rises
         highest = held[n]
         highest = one if one > highest else highest
         held[n] = other if other > highest else highest
 
 
 @compiled
-def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, lit, i):
+def _cross_cut(above, below, cuts, held, row, rising, side, far):
+    """As ``_cross``, on the diagonals that the quads are cut along."""
+    count = held.size
+    p, dp = _steps(row, count)
+    q, dq = _steps(rising, count)
+    r, dr = _steps(side, count)
+    s, ds = _steps(far, count)
+    for n in range(count):
+        x = np.float32(np.int32(n))
+        one = above[n] + (p + dp * x) * (above[n + 1] - above[n])
+        two = NO_GROUND_LEVEL if cuts[n] else above[n + 1] + (q + dq * x) * (below[n] - above[n + 1])
+        three = above[n + 1] + (r + dr * x) * (below[n + 1] - above[n + 1])
+        four = NO_GROUND_LEVEL if cuts[n + 1] else above[n + 2] + (s + ds * x) * (below[n + 1] - above[n + 2])
+        highest = held[n]
+        highest = one if one > highest else highest
+        highest = two if two > highest else highest
+        highest = three if three > highest else highest
+        held[n] = four if four > highest else highest
+
+
+@compiled
+def _two(a, b, c, d, held, p, q):
+    """Raise a run of lines to what lies between two pairs of nodes: at shares ``p`` of the way from a to b, ``q`` from c to d."""
+    count = held.size
+    p0, dp = _steps(p, count)
+    q0, dq = _steps(q, count)
+    for n in range(count):
+        x = np.float32(np.int32(n))
+        one = a[n] + (p0 + dp * x) * (b[n] - a[n])
+        other = c[n] + (q0 + dq * x) * (d[n] - c[n])
+        highest = held[n]
+        highest = one if one > highest else highest
+        held[n] = other if other > highest else highest
+
+
+@compiled
+def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i):
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
     here = at[i + 1]
@@ -190,9 +287,9 @@ def _nodes(level, place, at, lines, mirrored, first_cell, held, peaks, shade, li
         left = held[k, cell : cell + count]
         right = held[k + 1, cell : cell + count] if k + 1 < lines else held[0, cell + 1 : cell + 1 + count]
         peak, peak_at = peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count]
-        e0, e1 = cubic(here, first) * lines - number, cubic(here, end - 1) * lines - number - lines * (count - 1)
-        s0, s1 = first - cubic(place[i], cubic(here, first)), end - 1 - cubic(place[i], cubic(here, end - 1))
-        seen = _see(level[i], level[i + 1], first, left, right, peak, peak_at, (e0, e1), (s0, s1), mirrored)
+        e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
+        s0, s1 = _aside(place[i], here, first), _aside(place[i], here, end - 1)
+        seen = _see(level[i], level[i + 1], cuts, first, left, right, peak, peak_at, (e0, e1), (s0, s1))
         if shade.size:
             shade[i + 1, first:end] = seen
         if lit.size:
@@ -212,7 +309,7 @@ def _remember(level, place, at, lines, first_cell, peaks, i):
         end, number = _run_of_nodes(here, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
-        e0, e1 = cubic(here, first) * lines - number, cubic(here, end - 1) * lines - number - lines * (count - 1)
+        e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
         _raise_peaks(level[i, first:end], (e0, e1), peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count])
         first = end
 
@@ -235,15 +332,27 @@ def _sees(seen, level, lit):
 
 
 @compiled
+def _line_of(at, column, lines):
+    """Where among the lines a row's node stands, a whole number on a line."""
+    return on_column(cubic(at, column) * lines)
+
+
+@compiled
+def _aside(place, at, column):
+    """How far from the left the ray over a node comes: columns from where it crosses the row before."""
+    return column - on_column(cubic(place, cubic(at, column)))
+
+
+@compiled
 def _run_of_nodes(at, first, last, lines):
     """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
-    number = int(np.floor(cubic(at, first) * lines))
-    if int(np.floor(cubic(at, last - 1) * lines)) - lines * (last - 1 - first) == number:
+    number = int(np.floor(_line_of(at, first, lines)))
+    if int(np.floor(_line_of(at, last - 1, lines))) - lines * (last - 1 - first) == number:
         return last, number
     low, high = first, last - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if int(np.floor(cubic(at, middle) * lines)) - lines * (middle - first) == number:
+        if int(np.floor(_line_of(at, middle, lines))) - lines * (middle - first) == number:
             low = middle
         else:
             high = middle
@@ -262,7 +371,7 @@ def _first_from(place, at, t, cols):
 
 
 @compiled
-def _see(above, here, first, left, right, peak, peak_at, between, aside, mirrored):
+def _see(above, here, cuts, first, left, right, peak, peak_at, between, aside):
     """The level of the rays over a run of nodes from column ``first`` on: float32 (count,).
 
     ``between``: how far they stand between their lines, ``aside``: how far their rays come from the left, from first to last.
@@ -282,12 +391,14 @@ def _see(above, here, first, left, right, peak, peak_at, between, aside, mirrore
         peaked = top > (np.float32(1.0) - a) * left[n] + a * right[n]
         out[n] = over if peaked and over > out[n] else out[n]
     behind, beside = above[first : first + count], above[first - 1 : first - 1 + count]
-    if max(aside[0], aside[1]) < 1e-9:  # straight down: what may be missing to the left plays no part
-        _two(behind, behind, behind, behind, out, 0.0, 0.0, 0.0, 0.0)
-    elif mirrored:
-        _two(behind, beside, behind, beside, out, aside[0], aside[1], aside[0], aside[1])
-    else:  # and the diagonal of the quad to the left
-        left_of = here[first - 1 : first - 1 + count]
-        d0, d1 = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
-        _two(behind, beside, behind, left_of, out, aside[0], aside[1], d0, d1)
+    left_of = here[first - 1 : first - 1 + count]
+    if max(aside[0], aside[1]) == 0.0:  # straight down: what may be missing to the left plays no part
+        _two(behind, behind, behind, behind, out, (0.0, 0.0), (0.0, 0.0))
+        return out
+    if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: nor does what may be missing behind
+        _two(beside, beside, beside, beside, out, (0.0, 0.0), (0.0, 0.0))
+    # And the rising diagonal of the quad to the left: the falling one ends in the node itself.
+    if cuts.size:
+        left_of = np.where(cuts[first - 1 : first - 1 + count], np.float32(np.nan), left_of)
+    _two(behind, beside, behind, left_of, out, aside, (aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])))
     return out

@@ -8,6 +8,11 @@ import numpy as np
 
 from terrain.compiled import compiled
 
+ON_COLUMN = 1e-9
+"""How far from a column, in cells, a line runs on it: under suns along the axes and diagonals all lines do, but for rounding, and
+must not meet what lies on either side by turns.
+"""
+
 
 class StripPoints(NamedTuple):
     """Points (n,) of a strip besides nodes: (rows + 1,) where those of each row interval (i, i + 1] begin, and in their order
@@ -35,44 +40,38 @@ def no_points(rows: int) -> StripPoints:
 @compiled
 def see_points(sheet, strip, i, points):
     """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
-    level, place, _, mirrored = sheet
+    level, place, _, falls = sheet
     lines, first_cell, held, _ = strip
     begins, row, t, own, rounding, lit, above_m = points
     first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
     for n in range(first, last):
-        x = cubic(place[i], t[n])
-        s = cubic(place[i + 1], t[n]) - x
+        x = on_column(cubic(place[i], t[n]))
+        s = on_column(cubic(place[i + 1], t[n])) - x
         c = int(np.floor(x))
         f, end = x - c, row[n] - i
-        number = int(np.floor(t[n] * lines))
+        among = on_column(t[n] * lines)
+        number = int(np.floor(among))
         cell, k = number // lines - first_cell, number % lines
         left = held[k, cell]
         right = held[k + 1, cell] if k + 1 < lines else held[0, cell + 1]
-        w = t[n] * lines - number
+        w = among - number
         highest = (1.0 - w) * left + w * right
         itself = own[n]
         if np.isnan(itself):
-            itself = ground_at(above, below, c, f + s * end, end, mirrored, cols)
+            itself = ground_at(above, below, c, f + s * end, end, falls, i)
         if 0 <= c and c + 1 < cols:
             highest = _higher(highest, above[c], above[c + 1], f)
-            if mirrored:
-                if f <= 1.0 - s:
-                    v = f / max(1.0 - s, 1e-9)
-                    if v < end:
-                        highest = _higher(highest, above[c], below[c + 1], v)
-                elif (1.0 - f) / s < end:
-                    highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
-            else:
-                v = (1.0 - f) / (1.0 + s)
-                if v < end:
-                    highest = _higher(highest, above[c + 1], below[c], v)
-                if f + s > 1.0 and c + 2 < cols:
-                    if (1.0 - f) / s < end:
-                        highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
-                    if (2.0 - f) / (1.0 + s) < end:
-                        highest = _higher(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
+            if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
+                highest = _higher(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
+            if f + s <= 1.0:
+                if is_cut(falls, i, c, True) and f < end * (1.0 - s):
+                    highest = _higher(highest, above[c], below[c + 1], f / (1.0 - s))
+            elif (1.0 - f) / s < end:
+                highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
+                if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
+                    highest = _higher(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
         above_m[n] = highest - itself
         lit[n] = not highest > itself + rounding
 
@@ -84,20 +83,37 @@ def cubic(p, x):
 
 
 @compiled
+def on_column(x):
+    """A place across the columns; the column itself where it lies on one but for rounding."""
+    column = np.rint(x)
+    return column if abs(x - column) < ON_COLUMN else x
+
+
+@compiled
 def _higher(highest, a, b, share):
     """The higher of a level and of the one at a share of the way from ``a`` to ``b``, if there is ground."""
-    value = np.float64(a) + share * (np.float64(b) - np.float64(a))
+    value = np.float64(a)
+    if share > 0.0:  # else b may be missing
+        value += share * (np.float64(b) - value)
     return value if value > highest else highest
 
 
 @compiled
-def ground_at(above, below, c, u, v, mirrored, cols):
-    """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below its row; NaN where there is none."""
+def is_cut(falls, i, c, falling):
+    """Whether the ground may bend on a diagonal of quad (i, c), by a ``TurnedGrid``'s cuts; on either where there are none."""
+    return falls.size == 0 or falls[i, c] == falling
+
+
+@compiled
+def ground_at(above, below, c, u, v, falls, i):
+    """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN where there is none."""
     c += int(np.floor(u))
     u -= np.floor(u)
-    if c < 0 or c + 1 >= cols:
+    if c < 0 or c + 1 >= len(above):
         return np.nan
     nw, ne, sw, se = np.float64(above[c]), np.float64(above[c + 1]), np.float64(below[c]), np.float64(below[c + 1])
-    if mirrored:
-        return nw + u * (ne - nw) + v * (se - ne) if u > v else nw + v * (sw - nw) + u * (se - sw)
-    return nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)
+    falling = nw + u * (ne - nw) + v * (se - ne) if u > v else nw + v * (sw - nw) + u * (se - sw)
+    rising = nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)
+    if falls.size:
+        return falling if falls[i, c] else rising
+    return falling if falling > rising or np.isnan(rising) else rising  # with a corner missing, the cut beside it

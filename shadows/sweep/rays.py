@@ -7,7 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.grid import NO_LEVELS, GridOrientation, bordered, close_border, orientation_towards, position_cubics
+from shadows.sweep.grid import (
+    HIGHER_DIAGONALS,
+    NO_LEVELS,
+    GridOrientation,
+    bordered,
+    close_border,
+    orientation_towards,
+    position_cubics,
+)
 from shadows.sweep.lines import TurnedGrid
 from terrain.cache import MIB, cached
 from terrain.casters.reach import PATCH_QUADS, Casters
@@ -165,17 +173,19 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[SunRay
     """The ground that a perspective view draws, as heights of its grid's nodes, and the rays over it; the last one is kept."""
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
-    height_m = nodes.height_m
-    if drawn.tolerance_px > 0.0:
+    height_m, falls = nodes.height_m, None
+    if nodes.errors is not None:  # decimated: quads are cut as the triangles are drawn
         row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
         corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-        height_m = _heights_of(corner, drawn.height_m, drawn.triangles, rows, cols)
-    rays = rays_over(scene, nodes.grid, nodes.row0 + rows / 2, nodes.col0 + cols / 2)
-    return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft)
+        height_m, falls = _drawn_heights(corner, drawn.height_m, drawn.triangles, rows, cols)
+    rays = rays_over(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
+    return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft, falls)
 
 
-def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> GroundWindow:
-    """One sheet over windows of heights; where there is none, there is no ground."""
+def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool, falls: np.ndarray | None = None) -> GroundWindow:
+    """One sheet over windows of heights; where there is none, there is no ground. ``falls`` (rows - 1, cols - 1) are its cuts, if
+    they are not those along the higher diagonals.
+    """
     row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
@@ -189,27 +199,35 @@ def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> Gr
         inside[:] = rays.turn.turned(values)
         return close_border(with_border)
 
-    turned_grid = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), rays.turn.mirrored)
+    cuts = HIGHER_DIAGONALS if falls is None else np.pad(rays.turn.turned_cuts(falls), ((0, 0), (1, 1)))
+    turned_grid = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), cuts)
     return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, sheet(rays.towards) if soft else NO_LEVELS)
 
 
 @compiled
-def _heights_of(corner, height, triangles, rows, cols):
-    """Heights (rows, cols) of the nodes on triangles whose corners (row, column) are nodes; NaN beside them."""
+def _drawn_heights(corner, height, triangles, rows, cols):
+    """Heights (rows, cols) of the nodes on triangles whose corners (row, column) are nodes, NaN beside them; and which quads
+    (rows - 1, cols - 1) the side of a triangle cuts from north-west to south-east. One that no side cuts is plane.
+    """
     out = np.full((rows, cols), np.nan, np.float32)
+    falls = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):
         a, b, c = corner[triangles[n, 0]], corner[triangles[n, 1]], corner[triangles[n, 2]]
         h0, h1, h2 = np.float64(height[triangles[n, 0]]), height[triangles[n, 1]], height[triangles[n, 2]]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area == 0:
             continue
+        for start, end in ((a, b), (b, c), (c, a)):
+            if end[0] - start[0] == end[1] - start[1]:
+                for step in range(abs(end[0] - start[0])):
+                    falls[min(start[0], end[0]) + step, min(start[1], end[1]) + step] = True
         for row in range(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]) + 1):
             for col in range(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]) + 1):
                 v = ((row - a[0]) * (c[1] - a[1]) - (col - a[1]) * (c[0] - a[0])) / area
                 w = ((b[0] - a[0]) * (col - a[1]) - (b[1] - a[1]) * (row - a[0])) / area
                 if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
                     out[row, col] = h0 + v * (h1 - h0) + w * (h2 - h0)
-    return out
+    return out, falls
 
 
 def _cubic_terms(p: np.ndarray) -> np.ndarray:

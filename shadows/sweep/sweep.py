@@ -117,7 +117,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     """The rays over a view, and the ground that they pass: the coarsest first."""
     view = buffer.view
     if isinstance(view, MapView):
-        rays = rays_over(scene, view.grid, view.row0 + view.rows * view.row_step / 2, view.col0 + view.cols * view.col_step / 2)
+        rays = rays_over(scene, view.grid, *view.centre_node)
         return rays, grounds_of_block(rays, buffer, casters, soft)
     assert buffer.ground is not None
     rays, ground = ground_of_level(scene, buffer.ground, soft)

@@ -28,6 +28,10 @@ TRUTH_CACHE_BYTES = 512 * 2**20
 _FIELDS = ("lit", "attached", "decidable", "there")
 
 
+DEFINITION = 2
+"""Counts what truth has meant so far: what was made by another definition is not taken."""
+
+
 def cache_folder() -> Path:
     """The user's cache folder for truth (``XDG_CACHE_HOME``, else ``~/.cache``)."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skugga" / "truth"
@@ -41,11 +45,10 @@ def cached_truth(
     light: str = SUN,
     folder: Path | None = None,
     make: Callable[..., Truth] = truth_of,
-    either_diagonal: bool = False,
 ) -> Truth:
     """``truth_of``, from disk where it has been made before. A folder that cannot be written is no error."""
     folder = folder or cache_folder()
-    path = folder / f"{content_key(buffer, scene, casters, samples, light, either_diagonal)}.npz"
+    path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
     try:
         with np.load(path) as stored:
@@ -54,7 +57,7 @@ def cached_truth(
         return Truth(*arrays)
     except (OSError, ValueError, KeyError, EOFError):  # absent or damaged
         pass
-    truth = make(buffer, scene, casters, samples, light=light, either_diagonal=either_diagonal)
+    truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.npz")
@@ -67,9 +70,7 @@ def cached_truth(
     return truth
 
 
-def content_key(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN, either_diagonal: bool = False
-) -> str:
+def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN) -> str:
     """A digest of all that truth depends on."""
     digest = hashlib.blake2b(digest_size=20)
     to_light = np.zeros(3)
@@ -78,13 +79,15 @@ def content_key(
         to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg])
     elif scene.sun is not None:
         to_light = scene.sun.in_frame(buffer.frame)
-    numbers = _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light, either_diagonal
+    numbers = DEFINITION, _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light
     digest.update(repr(numbers).encode())
     trees = caster_trees(buffer, ALL_KINDS)
     parts = [] if trees is None else [trees.base_frame_m, trees.shape, trees.turn, trees.variant, foliage().levels[0]]
     for vertices, triangles in caster_meshes(scene, buffer, ALL_KINDS):
         parts += [vertices, triangles]
-    for array in (to_light, buffer.there, buffer.position_frame_m, *parts, *caster_sheets(scene, buffer, casters, ALL_KINDS)):
+    for sheet in caster_sheets(scene, buffer, casters, ALL_KINDS):
+        parts += [sheet.position_frame_m, sheet.falls]
+    for array in (to_light, buffer.there, buffer.position_frame_m, *parts):
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 

@@ -2,16 +2,14 @@
 
 Class of a pixel: lit if its triangle's geometric normal faces the sun and a ray from its visible point, lifted off the
 triangle by the offset that ``terrain.casters.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one, two and
-four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there.
-
-A raster does not say along which diagonal its quads are cut. Where that is to be no matter of luck, a map's pixel whose class
-changes when the ground is cut from north-west to south-east, instead of as drawn, is boundary too.
+four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there. Of a
+point that several triangles share the one that faces the sun most counts (``terrain.gbuffer.shared_points``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
@@ -28,13 +26,14 @@ from terrain.casters.reach import Casters, casters_of
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.gbuffer.resolve import FOREST
+from terrain.gbuffer.shared_points import FacingNormals, facing_normals
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
 from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.ground.surface import Cut
 from terrain.level.level import SUN, CasterKind
+from terrain.lights import light_position
 from terrain.scene import Scene
 
 UNLIMITED_TRIANGLES = 2**31
@@ -98,13 +97,8 @@ def truth_of(
     samples: int = 4,
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
-    either_diagonal: bool = False,
 ) -> Truth:
-    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel.
-
-    With ``either_diagonal`` they must be the same along whichever diagonal the ground's quads are cut: in a map. A camera's
-    ground is a mesh, which knows its triangles.
-    """
+    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel."""
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
     if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
@@ -117,53 +111,7 @@ def truth_of(
     for view in sub_views(buffer.view, samples):
         sample = geometry_of(scene, view, buffer.frame)
         decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
-    if either_diagonal:
-        decidable &= ~changed_by_diagonal(buffer, scene, casters, lit, light, kinds)
     return Truth(lit, turned, decidable, buffer.there)
-
-
-def changed_by_diagonal(
-    buffer: GeometryBuffer,
-    scene: Scene,
-    casters: Casters,
-    lit: np.ndarray,
-    light: str = SUN,
-    kinds: tuple[CasterKind, ...] = ALL_KINDS,
-) -> np.ndarray:
-    """Where a map's classes ``lit`` (rows, cols) change when the ground's quads are cut NW to SE: bool, False off the surface.
-
-    Points of the ground move to the surface cut so, those on nodes stay. Where that has no triangle, at the rim of the data,
-    the class counts as changed. Nowhere True in perspective.
-    """
-    if buffer.surface is None:
-        return np.zeros(buffer.there.shape, bool)
-    other = _on_other_diagonal(buffer)
-    changed = lit_from(other, scene, light, _build_rays(buffer, scene, casters, kinds, "NW-SE")) != lit
-    return buffer.there & (changed | ~other.there)
-
-
-def _on_other_diagonal(buffer: GeometryBuffer) -> GeometryBuffer:
-    """A map's buffer whose ground's points and normals are those of quads cut NW to SE; not ``there`` without a triangle.
-
-    A point on the diagonal, and so one on a node, belongs to the NE triangle.
-    """
-    assert buffer.surface is not None and buffer.triangle is not None and isinstance(buffer.view, MapView)
-    view, surface = buffer.view, buffer.surface
-    i, j = np.nonzero(buffer.there & (buffer.kind == RELIEF))
-    quad = buffer.triangle[i, j]
-    row, col = quad[:, 0], quad[:, 1]
-    down, right = view.row0 - surface.row0 + i * view.row_step - row, view.col0 - surface.col0 + j * view.col_step - col
-    in_ne = right >= down
-    nw, se = surface.position_frame_m[row, col], surface.position_frame_m[row + 1, col + 1]
-    third = surface.position_frame_m[row + ~in_ne, col + in_ne]
-    a, b = nw - third, se - third
-    along_a, along_b = np.where(in_ne, (1.0 - right, down), (1.0 - down, right))
-    normal = np.where(in_ne[:, None], 1.0, -1.0) * np.cross(a, b)
-    position, normals, there = buffer.position_frame_m.copy(), buffer.normal_frame.copy(), buffer.there.copy()
-    position[i, j] = third + along_a[:, None] * a + along_b[:, None] * b
-    normals[i, j] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    there[i, j] = np.isfinite(normal[:, 2])
-    return replace(buffer, position_frame_m=position, normal_frame=normals, there=there)
 
 
 def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
@@ -260,12 +208,6 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 @cached("light", 2048 * MIB)
 def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
     """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
-    return _build_rays(buffer, scene, casters, kinds)
-
-
-def _build_rays(
-    buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], cut: Cut = "SW-NE"
-) -> RayScene:
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
         rotation, translation = scene.light.from_frame(buffer.frame)
@@ -273,7 +215,7 @@ def _build_rays(
         pixel_m = 2.0 * pixels_m(buffer)  # sub-samples lie beside the pixels' points
         trees = trees_in_the_way(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
-    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, cut)
+    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha)
 
 
 def pixels_m(buffer: GeometryBuffer) -> float:
@@ -292,27 +234,33 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
         assert scene.sun is not None
         return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets)
     facing = buffer.there & ~attached(buffer, scene, light)
-    to_light = scene.lamps[light].in_frame(buffer.frame).position_frame_m - buffer.position_frame_m[facing]
+    source = scene.light_position(light, buffer.frame)
+    to_light = np.array(source[:3]) - buffer.position_frame_m[facing]
     length = np.linalg.norm(to_light, axis=-1)
     to_light /= length[:, None]
+    start = _lifted(buffer, facing, facing_normals(buffer, source), to_light, offsets * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
-    out[facing] = ~rays.blocked(_lifted(buffer, facing, to_light, offsets * rays.offset_m), to_light, length)
+    out[facing] = ~rays.blocked(start, to_light, length)
     return out
 
 
 def lit_towards(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0) -> np.ndarray:
     """Where a buffer's points see a direction (3,) of its frame: bool (rows, cols), False off the surface."""
-    facing = buffer.there & ~turned_away(buffer.normal_frame, buffer.kind == FOREST, np.asarray(direction, np.float64))
+    direction = np.asarray(direction, np.float64)
+    normals = facing_normals(buffer, light_position(direction, 0.0))
+    facing = buffer.there & ~turned_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    start = _lifted(buffer, facing, normals, direction, offsets * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
-    out[facing] = ~rays.blocked(_lifted(buffer, facing, direction, offsets * rays.offset_m), direction)
+    out[facing] = ~rays.blocked(start, direction)
     return out
 
 
-def _lifted(buffer: GeometryBuffer, facing: np.ndarray, to_light: np.ndarray, offset_m: float) -> np.ndarray:
-    """Points lifted off their triangles to the side that a light comes from."""
-    normal = buffer.normal_frame[facing]
-    side = np.where((normal * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-    return buffer.position_frame_m[facing] + offset_m * side * normal
+def _lifted(
+    buffer: GeometryBuffer, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
+) -> np.ndarray:
+    """Those of a buffer's points that are ``facing`` a light, lifted off their triangles to the side that it comes from."""
+    side = np.where((normals.normal_frame[facing] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    return buffer.position_frame_m[facing] + offset_m * side * normals.lift_frame[facing]
 
 
 def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:

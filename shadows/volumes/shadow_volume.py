@@ -12,7 +12,7 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before, silhouettes_seen
 from shadows.volumes.settings import VolumeSettings, resolve_volumes
-from shadows.volumes.volumes import light_in_frame, volumes_of
+from shadows.volumes.volumes import volumes_of
 from shadows.volumes.work import volume_work
 from terrain.casters.reach import Casters
 from terrain.facts.descriptor import Descriptor
@@ -37,7 +37,7 @@ def fill(
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
     silhouettes_pass, stencil_pass = log.named(light, kinds, PASSES)
-    light_frame = light_in_frame(buffer, scene, light)
+    light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(silhouettes_pass) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
     log.keep("silhouettes", light, silhouettes_seen, buffer, scene, volumes)

@@ -34,7 +34,7 @@ import numpy as np
 from shadows.volumes.edges import Edges, signed_sums
 from terrain.compiled import compiled
 from terrain.errors import InputError
-from terrain.ground.surface import sheet_triangles
+from terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
 
@@ -103,29 +103,29 @@ def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhou
     return Silhouette(*_directed(edges.ends[drawn], times[drawn]), _caps(triangles, turns * unbalanced))
 
 
-def sheet_silhouette(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> Silhouette:
-    """The silhouette of a sheet of nodes (rows, cols, 3), cut into triangles as ``known_triangles`` cuts it.
+def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
+    """The silhouette of a sheet of nodes (rows, cols, 3).
 
     Vertices are numbered row by row. The same as by way of ``edges_of``, which finds nothing that the grid does not tell unless two
     nodes are in one place.
     """
+    position, falls = sheet.position_frame_m, sheet.falls
     rows, cols = position.shape[:2]
-    triangles = sheet_triangles(rows, cols)
-    there = np.isfinite(position[..., 2])
-    turns = turns_of(facing(position, triangles, light), rule).reshape(max(rows - 1, 0), max(cols - 1, 0), 2)
-    for half, corner in ((0, there[:-1, :-1]), (1, there[1:, 1:])):
-        turns[..., half] *= corner & there[:-1, 1:] & there[1:, :-1]
-    northwest, southeast = turns[..., 0], turns[..., 1]
-    sums = np.zeros((3, rows, cols), np.int8)
-    to_east, to_south, to_northeast = sums
-    to_east[1:, :-1] += southeast
-    to_east[:-1, :-1] -= northwest
-    to_south[:-1, :-1] += northwest
-    to_south[:-1, 1:] -= southeast
-    to_northeast[1:, :-1] = northwest - southeast
+    triangles = sheet_triangles(falls)
+    known = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
+    turns = (turns_of(facing(position, triangles, light), rule) * known).reshape(*falls.shape, 2)
+    north, south = turns[..., 0], turns[..., 1]
+    sums = np.zeros((4, rows, cols), np.int8)
+    to_east, to_south, to_northeast, to_southeast = sums
+    to_east[1:, :-1] += south
+    to_east[:-1, :-1] -= north
+    to_south[:-1, :-1] += np.where(falls, south, north)
+    to_south[:-1, 1:] -= np.where(falls, north, south)
+    to_northeast[1:, :-1] = np.where(falls, 0, north - south)
+    to_southeast[:-1, :-1] = np.where(falls, north - south, 0)
     drawn = np.flatnonzero(sums)
     kind, node = np.divmod(drawn, rows * cols)
-    ends = np.stack([node, node + np.array([1, cols, 1 - cols])[kind]], axis=-1).astype(np.int32)
+    ends = np.stack([node, node + np.array([1, cols, 1 - cols, 1 + cols])[kind]], axis=-1).astype(np.int32)
     return Silhouette(*_directed(ends, sums.ravel()[drawn].astype(np.int32)), _caps(triangles, turns.ravel()))
 
 

@@ -32,6 +32,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
 from terrain.gl.device import Device
+from terrain.ground.sheet import Sheet
 from terrain.scene import Scene
 
 
@@ -52,8 +53,8 @@ class SeenPoints:
     drawn
         bool (n,), where drawing what is seen gives the depth, if it covers the pixel: on meshes, on ground that bends in a map, and
         on ground with gaps.
-    nodes_frame_m
-        (rows, cols, 3), the nodes of such ground in a map.
+    ground
+        Such ground in a map.
     clip_from_frame, origin_frame_m
         Clip coordinates (4, 4) of homogeneous frame points, metres from an origin.
     near_frame_m
@@ -66,7 +67,7 @@ class SeenPoints:
     at: np.ndarray
     depth: np.ndarray
     drawn: np.ndarray
-    nodes_frame_m: np.ndarray | None
+    ground: Sheet | None
     clip_from_frame: np.ndarray
     origin_frame_m: np.ndarray
     near_frame_m: np.ndarray | None
@@ -115,8 +116,8 @@ def receiving(
         with gl.stencil.depth_pass(target):
             if buffer.solids_frame_m is not None and scene.objects.solids is not None:
                 gl.draw_triangles(program, _homogeneous(buffer.solids_frame_m), scene.objects.solids.triangles)
-            if points.nodes_frame_m is not None:
-                gl.draw_sheet(program, _homogeneous(points.nodes_frame_m))
+            if points.ground is not None:
+                gl.draw_sheet(program, _homogeneous(points.ground.position_frame_m), points.ground.triangles)
             elif buffer.ground is not None and ground_has_gaps(buffer, scene):
                 gl.draw_triangles(program, _homogeneous(buffer.ground.position_frame_m), buffer.ground.triangles)
         drawn = drawn & _covered(target)[points.row, points.col]
@@ -173,12 +174,12 @@ def _seen(
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
     draws_ground = ground_has_gaps(buffer, scene) or not (scene.world.flat or isinstance(view, PerspectiveView))
-    nodes = _nodes_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
+    ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
     drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
         drawn |= buffer.kind.ravel()[indices] == RELIEF
-    return SeenPoints((view.rows, view.cols), row, col, indices, depth, drawn, nodes, clip, origin, near)
+    return SeenPoints((view.rows, view.cols), row, col, indices, depth, drawn, ground, clip, origin, near)
 
 
 @compiled
@@ -207,8 +208,8 @@ def _picture(row, col, drawn, depth, parts, rows, cols):
     return out
 
 
-def _nodes_of(buffer: GeometryBuffer, part: MapView) -> np.ndarray:
-    """The nodes (rows, cols, 3) that the ground in a part of a map is made of."""
+def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
+    """The ground in a part of a map."""
     surface = buffer.surface
     assert surface is not None
     rows, cols = (
@@ -218,7 +219,8 @@ def _nodes_of(buffer: GeometryBuffer, part: MapView) -> np.ndarray:
             (part.col0, part.col_step, part.cols, surface.col0),
         )
     )
-    return surface.position_frame_m[rows, cols]
+    quads = slice(rows.start, rows.stop - 1), slice(cols.start, cols.stop - 1)
+    return Sheet(surface.position_frame_m[rows, cols], surface.sheet.falls[quads])
 
 
 def near_plane_m(buffer: GeometryBuffer) -> float:

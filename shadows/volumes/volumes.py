@@ -42,7 +42,8 @@ from terrain.casters.casting import Mesh, caster_sheets, caster_solids
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import ground_nodes
-from terrain.level.level import SUN, CasterKind
+from terrain.ground.sheet import Sheet
+from terrain.level.level import CasterKind
 from terrain.scene import Scene
 
 MAX_VOLUME_LAYERS = 127
@@ -89,14 +90,6 @@ class Volumes:
     @property
     def nbytes(self) -> int:
         return self.vertices.nbytes + self.faces.nbytes
-
-
-def light_in_frame(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
-    """A light (4,) homogeneous in a buffer's frame: the direction to the sun, or the place of a lamp."""
-    if light == SUN:
-        assert scene.sun is not None
-        return np.append(scene.sun.in_frame(buffer.frame), 0.0)
-    return np.append(scene.lamps[light].in_frame(buffer.frame).position_frame_m, 1.0)
 
 
 _kept: Cache[list[Volumes]] = Cache("shadows.volumes.volumes", "light", 1024 * MIB)
@@ -217,12 +210,13 @@ def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) ->
     return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
 
 
-def _of_sheet(position: np.ndarray, light: np.ndarray) -> list[Volumes]:
+def _of_sheet(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
+    position = sheet.position_frame_m
     there = np.isfinite(position[..., 2])
     if not there.any():
         return []
     known = position[there]
-    outline = sheet_silhouette(position, light, "all" if has_gaps(there) else "turned_away")
+    outline = sheet_silhouette(sheet, light, "all" if has_gaps(there) else "turned_away")
     if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))

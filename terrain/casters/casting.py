@@ -12,6 +12,7 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
+from terrain.ground.sheet import Sheet
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
 from terrain.scene_objects import SceneObjects
@@ -20,16 +21,16 @@ Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""
 
 
-def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[np.ndarray]:
-    """The ground that casts on a map's block: sheets of nodes (rows, cols, 3) in its frame, its own first."""
+def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[Sheet]:
+    """The ground that casts on a map's block, in its frame: its own first."""
     if buffer.surface is None or "relief" not in kinds:
         return
     assert isinstance(buffer.view, MapView)
-    yield buffer.surface.position_frame_m
+    yield buffer.surface.sheet
     side = PATCH_QUADS + 1
     for patch in casters.patches:
         surface = scene.surface(buffer.view.grid.coarser(patch.level))
-        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).position_frame_m
+        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
 
 
 def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:

@@ -24,7 +24,7 @@ import numpy as np
 from terrain.cache import bytes_of
 from terrain.errors import RenderError
 from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.ground.surface import Cut, known_triangles
+from terrain.ground.sheet import Sheet
 from terrain.trees.foliage import THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
@@ -53,20 +53,19 @@ class AlphaMesh:
 
 
 class RayScene:
-    """What rays can meet: sheets of nodes (rows, cols, 3), quads cut along a diagonal (as drawn: SW to NE); meshes of
-    vertices (n, 3) and triangles (m, 3); and alpha-tested meshes. All float64 in one frame, metres.
+    """What rays can meet: sheets of nodes; meshes of vertices (n, 3) and triangles (m, 3); and alpha-tested meshes. All float64
+    in one frame, metres.
 
     ``offset_m`` is the derived distance by which a start is lifted off its triangle.
     """
 
     def __init__(
         self,
-        sheets: Iterable[np.ndarray] = (),
+        sheets: Iterable[Sheet] = (),
         meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
         alpha: Iterable[AlphaMesh] = (),
-        cut: Cut = "SW-NE",
     ) -> None:
-        parts = [(sheet.reshape(-1, 3), known_triangles(sheet, cut)) for sheet in sheets if min(sheet.shape[:2]) >= 2]
+        parts = [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in sheets if sheet.falls.size]
         parts += list(meshes)
         self._alpha_meshes = tuple(alpha)
         known = [part[np.isfinite(part[:, 2])] for part, _ in parts] + [mesh.vertices_m for mesh in self._alpha_meshes]

@@ -12,7 +12,6 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.casters.reach import overview_on_grid
 from terrain.compiled import compiled
-from terrain.gbuffer.geometry import quad_normals
 from terrain.gbuffer.ground_mesh import GroundMesh
 from terrain.geo.grid import BLOCK_PX, Grid
 from terrain.geo.world import LocalFrame, World
@@ -65,7 +64,7 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
             rows, cols = min(BLOCK_PX, last_row - row) + 1, min(BLOCK_PX, last_col - col) + 1
             middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
             frame = world.frame_near(grid.crs, *middle)
-            normals = quad_normals(surface.window(row, col, rows, cols, frame).position_frame_m)
+            normals = surface.window(row, col, rows, cols, frame).sheet.normals_frame
             _take(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, reach)
             if _known(reach) is None and np.isposinf(reach).any():
                 return None

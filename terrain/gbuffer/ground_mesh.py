@@ -18,7 +18,8 @@ from terrain.geo.grid import Grid, map_grid
 from terrain.geo.world import World, transformer
 from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import Surface, known_triangles, step_at_anchor_m
+from terrain.ground.sheet import sheet_of
+from terrain.ground.surface import Surface, step_at_anchor_m
 from terrain.meshes.facets import creases, face_normals, smooth_normals
 from terrain.scene import Scene
 
@@ -156,4 +157,4 @@ def _whole(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     row, col = (v.ravel() for v in np.mgrid[:rows, :cols])
     if min(rows, cols) < 2:
         return row, col, np.zeros((0, 3), np.int32)
-    return row, col, known_triangles(np.repeat(height[..., None], 3, axis=2))
+    return row, col, sheet_of(np.repeat(height[..., None], 3, axis=2)).triangles

@@ -2,7 +2,7 @@
 
 A map view is no camera. Its surface is one world-fixed grid of samples (nodes) per level, CRS and zoom, so that the
 same ground is the same triangles in every view. Node (row, col) lies at ``x = x0 + col * step``,
-``y = y0 - row * step``; rows grow southwards. Each quad is cut from its south-west to its north-east corner.
+``y = y0 - row * step``; rows grow southwards. ``terrain.ground.sheet`` says how the quads between them are cut.
 
 For tiles the nodes are the centres of the tile matrix's pixels. Other map views take the power-of-two resolution at or
 below the asked one: counted from one tile's resolution in the two CRSs whose tile matrices are ladders of powers of
@@ -83,10 +83,14 @@ class MapView:
         return steps and float(self.row0).is_integer() and float(self.col0).is_integer()
 
     @property
+    def centre_node(self) -> tuple[float, float]:
+        """(Fractional) row and column of the middle."""
+        return self.row0 + (self.rows - 1) / 2 * self.row_step, self.col0 + (self.cols - 1) / 2 * self.col_step
+
+    @property
     def centre(self) -> tuple[float, float]:
         """x, y of the middle, in CRS units."""
-        row = self.row0 + (self.rows - 1) / 2 * self.row_step
-        col = self.col0 + (self.cols - 1) / 2 * self.col_step
+        row, col = self.centre_node
         return float(self.grid.x(col)), float(self.grid.y(row))
 
     @property

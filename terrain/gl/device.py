@@ -26,7 +26,6 @@ from terrain.errors import GraphicsError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
 from terrain.gl.stencil import Stencil  # noqa: E402
-from terrain.ground.surface import known_triangles, sheet_triangles  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
@@ -55,9 +54,6 @@ class Device:
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
         self._programs: Cache[moderngl.Program] = Cache(
             "terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
-        )
-        self._indices: Cache[moderngl.Buffer] = Cache(
-            "terrain.gl.device.indices", "process", 128 * MIB, lambda buffer: buffer.size, moderngl.Buffer.release
         )
         self.depth_targets = DepthTargets(
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
@@ -298,29 +294,9 @@ class Device:
             buffer.release()
         return count * vertices // 3
 
-    def draw_sheet(self, program: moderngl.Program, position: np.ndarray) -> int:
-        """Draw a sheet of nodes (rows, cols, k), quads cut SW to NE, leaving out triangles with a corner of NaN height.
-
-        Returns the number of triangles.
-        """
-        rows, cols = position.shape[:2]
-        if rows < 2 or cols < 2:
-            return 0
-        has_no_holes = bool(np.isfinite(position[..., 2]).all())
-        if has_no_holes:
-            indices = self._whole_indices(rows, cols)
-        else:
-            triangles = known_triangles(position)
-            if not len(triangles):
-                return 0
-            indices = self.ctx.buffer(triangles)
-        vertices = self.ctx.buffer(np.ascontiguousarray(position, np.float32))
-        array = self.ctx.vertex_array(program, [(vertices, f"{position.shape[2]}f", "position")], index_buffer=indices)
-        self.render(array)
-        count = indices.size // 12
-        for item in (array, vertices) if has_no_holes else (array, vertices, indices):
-            item.release()
-        return count
+    def draw_sheet(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
+        """Draw a sheet's triangles; ``position`` (rows, cols, k) are its nodes. Returns the number of triangles."""
+        return self.draw_triangles(program, position.reshape(-1, position.shape[-1]), triangles)
 
     def draw_pixels(self, program: moderngl.Program, target: moderngl.Framebuffer) -> None:
         """Run a fragment shader once for every pixel of a framebuffer."""
@@ -354,13 +330,6 @@ class Device:
         target.release()
         for texture in textures:
             texture.release()
-
-    def _whole_indices(self, rows: int, cols: int) -> moderngl.Buffer:
-        buffer = self._indices.get(rows, cols)
-        if isinstance(buffer, Missing):
-            buffer = self.ctx.buffer(sheet_triangles(rows, cols))
-            self._indices.put(rows, cols, value=buffer)
-        return buffer
 
 
 def _layers_bytes(texture: moderngl.TextureArray) -> int:

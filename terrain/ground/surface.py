@@ -9,18 +9,15 @@ window that shares its frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
 
-from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
-
-Cut = Literal["SW-NE", "NW-SE"]
-"""The diagonal that a sheet's quads are cut along. What is drawn is cut SW to NE; a raster itself does not say."""
+from terrain.ground.sheet import Sheet, sheet_of
 
 EXACT_SPACING_M = 16000.0
 """Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""
@@ -46,6 +43,11 @@ class SurfaceWindow:
     height_m: np.ndarray
     there: np.ndarray
     position_frame_m: np.ndarray
+
+    @cached_property
+    def sheet(self) -> Sheet:
+        """The nodes with their quads' cuts."""
+        return sheet_of(self.position_frame_m, self.height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,32 +153,6 @@ class Surface:
         return self.elevation.cell_of(x, y)
 
 
-def sheet_triangles(rows: int, cols: int, cut: Cut = "SW-NE") -> np.ndarray:
-    """Node indices (n, 3) int32 of a sheet's triangles: per quad NW, SW, NE and SE, NE, SW; read-only.
-
-    Cut the other way they are NE, NW, SE and SW, SE, NW.
-    """
-    return _sheet_triangles(rows, cols, cut)
-
-
-@cached("process", 256 * MIB)
-def _sheet_triangles(rows: int, cols: int, cut: Cut) -> np.ndarray:
-    node = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
-    nw, ne, sw, se = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
-    corners = [nw, sw, ne, se, ne, sw] if cut == "SW-NE" else [ne, nw, se, sw, se, nw]
-    triangles = np.stack(corners, axis=-1).reshape(-1, 3)
-    triangles.flags.writeable = False
-    return triangles
-
-
-def known_triangles(position: np.ndarray, cut: Cut = "SW-NE") -> np.ndarray:
-    """Node indices (n, 3) int32 of the triangles of a sheet (rows, cols, 3) that have no NaN corner."""
-    rows, cols = position.shape[:2]
-    triangles = sheet_triangles(rows, cols, cut)
-    known = np.isfinite(position[..., 2]).ravel()
-    return triangles if known.all() else _with_corners(triangles, known)
-
-
 def step_at_anchor_m(world: World, grid: Grid) -> float:
     """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
 
@@ -197,18 +173,6 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 def map_pixel_m(world: World, view: MapView) -> float:
     """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
     return step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
-
-
-@compiled
-def _with_corners(triangles, known):
-    """The triangles (n, 3) whose corners are all ``known``, in order."""
-    out = np.empty_like(triangles)
-    count = 0
-    for i in range(triangles.shape[0]):
-        if known[triangles[i, 0]] and known[triangles[i, 1]] and known[triangles[i, 2]]:
-            out[count] = triangles[i]
-            count += 1
-    return out[:count]
 
 
 @compiled

@@ -60,8 +60,8 @@ def _constant_bias() -> None:
 
     look_up = shadow_map.look_up
 
-    def without_slope(gl: Any, drawn: Any, target: Any, buffer: Any, settings: Any, *rest: Any) -> None:
-        look_up(gl, drawn, target, buffer, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest)
+    def without_slope(gl: Any, drawn: Any, target: Any, buffer: Any, light: Any, settings: Any, *rest: Any) -> None:
+        look_up(gl, drawn, target, buffer, light, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest)
 
     shadow_map.look_up = without_slope
 

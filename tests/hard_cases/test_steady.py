@@ -115,7 +115,16 @@ def _dark_by(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: Geomet
     gl, record, visibility = device(), PassRecord("map"), np.ones(points.there.shape, np.float32)
     target = draw_map(gl, drawn, drawn_for, scene, step.kinds, casters_of(scene, drawn_for), step.settings, record)
     asked = np.flatnonzero(points.there & ~turned_away[1])
-    look_up(gl, replace(drawn, pixels=asked), target, points, step.settings, visibility, record)
+    look_up(
+        gl,
+        replace(drawn, pixels=asked),
+        target,
+        points,
+        scene.light_position(step.light, points.frame),
+        step.settings,
+        visibility,
+        record,
+    )
     return (visibility < 0.5) | turned_away[1]
 
 

@@ -1,7 +1,7 @@
 // The visible point of a pixel, as a light sees it, held against the depth map. Derived in docs/shadow-maps.md.
 uniform sampler2D position_frame_m;  // rgb: the visible points
 uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease
-uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground
+uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground, a: 1 where the quad south-east of one is cut to its south-east
 uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle; zeros on a map's ground
 uniform sampler2D depth_map;
 uniform bool on_nodes;               // whether there is a map's ground
@@ -24,12 +24,17 @@ uniform float bias_scale;            // 1: as derived
 uniform float error_m;               // of a position in float32
 uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
 
-const ivec2 RING[6] = ivec2[](ivec2(1, 0), ivec2(1, -1), ivec2(0, -1), ivec2(-1, 0), ivec2(-1, 1), ivec2(0, 1));
+// Round a node, counter-clockwise from above: the nodes beside it, and the corners of its quads between them.
+const ivec2 RING[8] = ivec2[](
+    ivec2(1, 0), ivec2(1, -1), ivec2(0, -1), ivec2(-1, -1), ivec2(-1, 0), ivec2(-1, 1), ivec2(0, 1), ivec2(1, 1)
+);
+
+const float ON_EDGE = 1e-5;          // of a cell: so near to an edge a point is shared by what lies on either side
 
 vec3 point;                          // in light space, as are the following
 vec3 normal;                         // towards the light
 float crease;
-vec3 middle, ring[7];                // a corner of the known triangles, and from there the others
+vec3 middle, ring[9];                // a corner of the known triangles, and from there the others
 int triangles = 0;
 bool own = false;                    // whether there is one, the point's own
 vec3 e, g;                           // its sides over its area as the sun sees it, its slope, and what is taken off its depth
@@ -108,8 +113,8 @@ bool receive(ivec2 pixel) {
     if (dot(normal, lamp ? point : vec3(0.0, 0.0, 1.0)) > 0.0) normal = -normal;  // foliage is lit from either side
     if (!by_triangles) return true;
 
-    // The triangles that the map may hold where the point is looked up: the six round the nearest node of a map's ground, else
-    // the point's own.
+    // The triangles that the map may hold where the point is looked up: those round the nearest node of a map's ground, else the
+    // point's own.
     if (has_corners) {
         ivec2 first = ivec2(pixel.x * 3, pixel.y);
         vec3 a = texelFetch(corner_frame_m, first, 0).xyz, b = texelFetch(corner_frame_m, first + ivec2(1, 0), 0).xyz;
@@ -124,14 +129,36 @@ bool receive(ivec2 pixel) {
     }
     if (on_nodes && !own) {
         vec2 at = first_node + node_step * vec2(pixel), nearest = floor(at + 0.5), aside = at - nearest;
-        bool in_se = aside.x + aside.y > 0.0;  // of the quads that the node is a corner of the cut in
-        int mine = aside.x >= 0.0 ? aside.y >= 0.0 ? 5 : in_se ? 0 : 1 : aside.y < 0.0 ? 2 : in_se ? 4 : 3;
         ivec2 node = ivec2(nearest);
-        middle = turned * in_light(texelFetch(node_frame_m, node, 0).xyz);
-        for (int k = 0; k < 6; k++)
-            ring[k] = turned * in_light(texelFetch(node_frame_m, node + RING[(mine + k) % 6], 0).xyz) - middle;
-        ring[6] = ring[0];
-        triangles = 6;
+        vec3 centre = texelFetch(node_frame_m, node, 0).xyz;
+        middle = turned * in_light(centre);
+        // The ring's nodes without the corners of quads whose cut runs beside the node.
+        vec3 around[9];
+        ivec2 beside[9];
+        for (int k = 0; k < 8; k++) {
+            if (k % 2 == 1) {
+                bool falls = texelFetch(node_frame_m, node + min(RING[k], ivec2(0)), 0).w > 0.5;
+                if (falls != (RING[k].x == RING[k].y)) continue;
+            }
+            around[triangles] = texelFetch(node_frame_m, node + RING[k], 0).xyz;
+            beside[triangles++] = RING[k];
+        }
+        around[triangles] = around[0];
+        beside[triangles] = beside[0];
+        // The point's own comes first: where several share it, the one that faces the light most.
+        vec3 to_light = transpose(turned * light_from_frame) * (lamp ? -point : vec3(0.0, 0.0, -1.0));
+        int mine = 0;
+        float most = -1e30;
+        for (int k = 0; k < triangles; k++) {
+            vec2 a = vec2(beside[k]), b = vec2(beside[k + 1]);
+            if (cross2(a, aside) > ON_EDGE || cross2(aside, b) > ON_EDGE) continue;  // rows run down: counter-clockwise is negative
+            vec3 face = cross(around[k] - centre, around[k + 1] - centre);
+            float facing = dot(face, to_light) / length(face);
+            if (facing > most) { most = facing; mine = k; }
+        }
+        for (int k = 0; k < triangles; k++)
+            ring[k] = turned * in_light(around[(mine + k) % triangles]) - middle;
+        ring[triangles] = ring[0];
     }
     if (own && !lamp) {  // as ``meets`` says, with all that the taps share taken out
         e = ring[0];
@@ -154,17 +181,21 @@ bool is_on_own(vec2 at, out float z) {
     return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
 }
 
-// ... in general the first of them, its own before all others: where the ring is folded, as the light sees it, a centre may fall
-// into several, one behind the other. Apart, since a test in each tap's loop would cost more than the taps.
+// ... in general its own before all others, and of these the one that is there nearest to the point in depth: where the ring is
+// folded, as the light sees it, a centre may fall into several. Apart, since a test in each tap's loop would cost more than the
+// taps.
 bool is_on_any(vec2 at, out float z) {
+    float least = 1e30;
     for (int k = 0; k < triangles; k++) {
-        float slack;
-        if (meets(middle, ring[k], ring[k + 1], at + 0.5, z, slack)) {
-            z = mix(point.z, z, bias_scale) - slack - error_m;
-            return true;
-        }
+        float there, slack;
+        if (!meets(middle, ring[k], ring[k + 1], at + 0.5, there, slack)) continue;
+        float apart = k == 0 ? -1.0 : abs(there - point.z);
+        if (apart >= least) continue;
+        least = apart;
+        z = mix(point.z, there, bias_scale) - slack - error_m;
+        if (k == 0) return true;
     }
-    return false;
+    return least < 1e30;
 }
 
 // The point moved clear, for ``taps`` taps a side, of every surface that passes through it.

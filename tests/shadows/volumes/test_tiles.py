@@ -17,7 +17,7 @@ from shadows.volumes import drawing as volume_drawing
 from shadows.volumes.drawing import count
 from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.tiles import CULLING_TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
-from shadows.volumes.volumes import light_in_frame, volumes_of
+from shadows.volumes.volumes import volumes_of
 from tests.shadows.boxes import box, level_of
 from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
 
@@ -134,7 +134,7 @@ def everything(
 
 
 def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") -> np.ndarray:
-    light = light_in_frame(at.buffer, at.scene, at.light)
+    light = np.array(at.scene.light_position(at.light, at.buffer.frame))
     volumes = volumes_of(at.buffer, at.scene, light, at.scene.objects.kinds, at.casters, PassRecord("volumes"))
     return count(at.buffer, at.scene, light, volumes, VolumeSettings(counting=counting), wanted, marked, PassRecord("stencil"))
 

@@ -1,0 +1,147 @@
+"""The points that a map's pixels show, by arithmetic: pixel centre -> quad and triangle of the sheet -> float64 point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+ON_EDGE = 1e-6
+"""How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""
+
+
+@compiled
+def map_points(position, height, shown, falls, faces, smooth, row, col):
+    """The points of pixel centres at (fractional) rows and columns of a sheet of nodes, and what a geometry buffer has of them.
+
+    A pixel shows a surface where the nearest node does (one of them, half-way between), and where it lies on a triangle.
+    """
+    rows, cols = row.size, col.size
+    there = np.zeros((rows, cols), np.bool_)
+    point = np.full((rows, cols, 3), np.nan)
+    level = np.full((rows, cols), np.nan, np.float32)
+    normal = np.full((rows, cols, 3), np.nan, np.float32)
+    shading = np.full((rows, cols, 3), np.nan, np.float32)
+    crease = np.zeros((rows, cols), np.float32)
+    triangle = np.full((rows, cols, 3), -1, np.int32)
+    found = np.empty((8, 3), np.int64)
+    for i in range(rows):
+        for j in range(cols):
+            if not _nearest_shown(shown, row[i], col[j]):
+                continue
+            count = facets_at(faces, falls, row[i], col[j], found)
+            if count == 0:
+                continue
+            there[i, j] = True
+            r, c, half = found[0]
+            triangle[i, j, 0], triangle[i, j, 1], triangle[i, j, 2] = r, c, half
+            (o0, o1), (a0, a1), (b0, b1) = facet_corners(falls[r, c], half)
+            u, v = _shares(falls[r, c], half, row[i] - r, col[j] - c)
+            for k in range(3):
+                o = position[r + o0, c + o1, k]
+                point[i, j, k] = o + u * (position[r + a0, c + a1, k] - o) + v * (position[r + b0, c + b1, k] - o)
+            h = np.float64(height[r + o0, c + o1])
+            level[i, j] = h + u * (height[r + a0, c + a1] - h) + v * (height[r + b0, c + b1] - h)
+            _mean_normal(faces, found, count, normal[i, j])
+            crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
+            _smooth_at(smooth, row[i], col[j], normal[i, j], shading[i, j])
+    return there, point, level, normal, shading, crease, triangle
+
+
+@compiled
+def facets_at(faces, falls, row, col, found):
+    """The facets with three corners that a place of a sheet lies on: how many, and in ``found`` (8, 3) row and column of their
+    quads and 0 or 1, as ``faces`` (rows, cols, 2, 3) has their normals. First those of the quad south-east of the place.
+    """
+    r0, c0 = int(np.floor(row + ON_EDGE)), int(np.floor(col + ON_EDGE))
+    fr0, fc0 = row - r0, col - c0
+    count = 0
+    for k in range(4):
+        up, left = k // 2, k % 2
+        if (up == 1 and fr0 > ON_EDGE) or (left == 1 and fc0 > ON_EDGE):
+            continue
+        r, c, fr, fc = r0 - up, c0 - left, fr0 + up, fc0 + left
+        for half in range(2):
+            beyond = fc - fr if falls[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
+            if (beyond >= -ON_EDGE if half == 0 else beyond <= ON_EDGE) and np.isfinite(faces[r, c, half, 2]):
+                found[count, 0], found[count, 1], found[count, 2] = r, c, half
+                count += 1
+    return count
+
+
+@compiled
+def crease_at(faces, falls, row, col, normal):
+    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet."""
+    near_r, near_c = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
+    widest = 0.0
+    for k in range(8):
+        down, right, half = k // 4, k // 2 % 2, k % 2
+        r, c = near_r - 1 + down, near_c - 1 + right
+        # The corner that the node is of the quad; where the cut ends in another one, a single facet reaches it.
+        ends_here = (down == right) == falls[r, c]
+        if not ends_here and half != 1 - down:
+            continue
+        apart = 0.0
+        for m in range(3):
+            apart += (faces[r, c, half, m] - normal[m]) ** 2
+        if apart > widest:  # False for a missing facet, whose normal is NaN
+            widest = apart
+    return np.sqrt(widest)
+
+
+@compiled
+def _nearest_shown(shown, row, col):
+    low_r, high_r = int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE))
+    low_c, high_c = int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE))
+    return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
+
+
+@compiled
+def facet_corners(falls, half):
+    """Rows and columns, from a quad's north-west corner, of a facet's corner off the diagonal, and of those before and after it."""
+    if falls:
+        return ((0, 1), (0, 0), (1, 1)) if half == 0 else ((1, 0), (1, 1), (0, 0))
+    return ((0, 0), (1, 0), (0, 1)) if half == 0 else ((1, 1), (0, 1), (1, 0))
+
+
+@compiled
+def _shares(falls, half, fr, fc):
+    """How far a place in a quad lies from the first of ``facet_corners`` towards the other two."""
+    if falls:
+        return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
+    return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
+
+
+@compiled
+def _mean_normal(faces, found, count, out):
+    """The mean direction of some facets' normals, unit length."""
+    if count == 1:
+        for k in range(3):
+            out[k] = faces[found[0, 0], found[0, 1], found[0, 2], k]
+        return
+    x, y, z = 0.0, 0.0, 0.0
+    for n in range(count):
+        face = faces[found[n, 0], found[n, 1], found[n, 2]]
+        x, y, z = x + face[0], y + face[1], z + face[2]
+    length = np.sqrt(x * x + y * y + z * z)
+    out[0], out[1], out[2] = x / length, y / length, z / length
+
+
+@compiled
+def _smooth_at(smooth, row, col, normal, out):
+    """The smooth normal between the nodes' ones that exist, bilinear; the facets' own without any."""
+    r0, c0 = int(np.floor(row)), int(np.floor(col))
+    fr, fc = row - r0, col - c0
+    x, y, z = 0.0, 0.0, 0.0
+    for m in range(4):
+        w = (fr if m // 2 else 1.0 - fr) * (fc if m % 2 else 1.0 - fc)
+        if w > 0.0:
+            s = smooth[r0 + m // 2, c0 + m % 2]
+            if np.isfinite(s[2]):
+                x, y, z = x + w * s[0], y + w * s[1], z + w * s[2]
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        out[0], out[1], out[2] = x / length, y / length, z / length
+    else:
+        for k in range(3):
+            out[k] = normal[k]

@@ -1,0 +1,119 @@
+"""Points that several facets of a map's ground share: on its nodes, between two of them, and on the diagonals of its quads.
+
+Such a point has no normal of its own. Whether light reaches it is up to all of its facets: it is turned away from a light only if
+all of them are, for else it can be seen from there. So a light goes by the facet that faces it most; what has no direction, by the
+mean of all. Neither prefers a side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from terrain.cache import MIB, cached
+from terrain.compiled import compiled
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.grid import MapView
+from terrain.lights import LightPosition
+
+STEEPEST = 1.0 / 32.0
+"""Least upward part of a facet's unit normal by which a ray's start is lifted: walls may be steeper, but start no ray higher."""
+
+
+class FacingNormals(NamedTuple):
+    """Of each point of a buffer (rows, cols), for one light.
+
+    Attributes
+    ----------
+    normal_frame
+        float32 (rows, cols, 3), the unit normal of the facet that faces the light most.
+    crease
+        float32 (rows, cols), as a ``GeometryBuffer`` has it, from that facet.
+    lift_frame
+        float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
+        facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. On the rim of
+        the ground it goes inwards, too: a ray along the rim meets it.
+    """
+
+    normal_frame: np.ndarray
+    crease: np.ndarray
+    lift_frame: np.ndarray
+
+
+def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
+    """Of each point the facet that faces a light most; of one that lies on a single facet, that one. The last ones are kept."""
+    if buffer.surface is None:
+        return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame)
+    return _facing_normals(buffer, light)
+
+
+@cached("light", 512 * MIB)
+def _facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
+    view, surface = buffer.view, buffer.surface
+    assert surface is not None and isinstance(view, MapView)
+    row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
+    col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
+    facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), buffer.normal_frame.copy())
+    ground = buffer.there & (buffer.kind == RELIEF)
+    sheet = surface.sheet
+    _turn_to(sheet.position_frame_m, sheet.normals_frame, sheet.falls, row, col, ground, buffer.position_frame_m, light, facing)
+    return facing
+
+
+@compiled
+def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
+    """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
+    normal, crease, lift = facing
+    found = np.empty((8, 3), np.int64)
+    for i in range(row.size):
+        for j in range(col.size):
+            if not ground[i, j]:
+                continue
+            count = facets_at(faces, falls, row[i], col[j], found)
+            p = position[i, j]
+            if count > 1:
+                x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
+                most, best, flattest = -np.inf, 0, 1.0
+                for k in range(count):
+                    n = faces[found[k, 0], found[k, 1], found[k, 2]]
+                    towards = n[0] * x + n[1] * y + n[2] * z
+                    if towards > most:
+                        most, best = towards, k
+                    flattest = min(flattest, n[2])
+                for k in range(3):
+                    normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
+                    lift[i, j, k] = 0.0
+                crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
+                lift[i, j, 2] = 1.0 / max(flattest, STEEPEST)
+            if _on_rim(found, count, row[i], col[j]):
+                east, north = _inwards(nodes, falls, found, count, p)
+                lift[i, j, 0] += east
+                lift[i, j, 1] += north
+                lift[i, j, 2] += 1.0 / max(normal[i, j, 2], STEEPEST)
+
+
+@compiled
+def _on_rim(found, count, row, col):
+    """Whether quads are missing round a place on a node or between two."""
+    quads = 1
+    for k in range(1, count):
+        if found[k, 0] != found[k - 1, 0] or found[k, 1] != found[k - 1, 1]:
+            quads += 1
+    beside = (2 if abs(row - np.rint(row)) <= ON_EDGE else 1) * (2 if abs(col - np.rint(col)) <= ON_EDGE else 1)
+    return quads < beside
+
+
+@compiled
+def _inwards(nodes, falls, found, count, p):
+    """The horizontal direction, of unit length, from a point to the middle of its facets."""
+    east, north = 0.0, 0.0
+    for k in range(count):
+        r, c, half = found[k]
+        for down, right in facet_corners(falls[r, c], half):
+            east += nodes[r + down, c + right, 0] - p[0]
+            north += nodes[r + down, c + right, 1] - p[1]
+    length = np.sqrt(east * east + north * north)
+    return east / length, north / length

@@ -1,0 +1,123 @@
+"""Sheets: nodes in rows and columns, whose quads are cut into triangles.
+
+A quad is cut along the diagonal whose ends stand higher in sum. That makes it the upper hull of its four corners: at every point
+the higher of the two surfaces that there are to choose from. The rule has no side that it prefers, as a fixed diagonal has: turned
+or mirrored ground is cut into turned or mirrored triangles. Ridges and walls that are one node wide stay whole, whichever way they
+run. Where both sums are equal the quad is plane, and the cut is without meaning.
+
+Heights are compared as they are stored, in float64, before the earth bends them: the cut does not hang on a frame. Of a quad that
+misses one corner the other three are a triangle; one that misses more has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from terrain.compiled import compiled
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """Nodes and how their quads are cut.
+
+    Attributes
+    ----------
+    position_frame_m
+        float64 (rows, cols, 3); NaN where there is no node.
+    falls
+        bool (rows - 1, cols - 1): whether a quad is cut from its north-west to its south-east corner (rows run south, columns
+        east), else from its south-west to its north-east one.
+    """
+
+    position_frame_m: np.ndarray
+    falls: np.ndarray
+
+    @cached_property
+    def triangles(self) -> np.ndarray:
+        """Node indices (n, 3) int32, row by row, of the triangles whose corners are all there; counter-clockwise from above."""
+        triangles = sheet_triangles(self.falls)
+        known = np.isfinite(self.position_frame_m[..., 2]).ravel()
+        return triangles if known.all() else _with_corners(triangles, known)
+
+    @cached_property
+    def normals_frame(self) -> np.ndarray:
+        """Unit normals (rows - 1, cols - 1, 2, 3) float32 of each quad's triangles; NaN where a corner is missing."""
+        return _normals(self.position_frame_m, self.falls)
+
+
+def sheet_of(position_frame_m: np.ndarray, height_m: np.ndarray | None = None) -> Sheet:
+    """The sheet of nodes (rows, cols, 3), cut by heights (rows, cols); without these, by the nodes' own third coordinate."""
+    return Sheet(position_frame_m, cuts_of(position_frame_m[..., 2] if height_m is None else height_m))
+
+
+@compiled
+def cuts_of(height):
+    """Which quads (rows - 1, cols - 1) of nodes with heights (rows, cols) are cut from north-west to south-east, bool.
+
+    NaN is a missing corner: the cut then runs beside it.
+    """
+    rows, cols = max(height.shape[0] - 1, 0), max(height.shape[1] - 1, 0)
+    out = np.empty((rows, cols), np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            falling = np.float64(height[r, c]) + np.float64(height[r + 1, c + 1])
+            rising = np.float64(height[r, c + 1]) + np.float64(height[r + 1, c])
+            out[r, c] = falling > rising or np.isnan(rising)
+    return out
+
+
+@compiled
+def sheet_triangles(falls):
+    """Node indices (2 quads, 3) int32 of a sheet's triangles by its cuts: of each quad the one on its north side, then the other.
+
+    Cut from south-west to north-east they are NW, SW, NE and SE, NE, SW; cut the other way NE, NW, SE and SW, SE, NW.
+    """
+    rows, cols = falls.shape
+    out = np.empty((2 * rows * cols, 3), np.int32)
+    for r in range(rows):
+        for c in range(cols):
+            n = 2 * (r * cols + c)
+            nw = r * (cols + 1) + c
+            ne, sw, se = nw + 1, nw + cols + 1, nw + cols + 2
+            if falls[r, c]:
+                out[n, 0], out[n, 1], out[n, 2] = ne, nw, se
+                out[n + 1, 0], out[n + 1, 1], out[n + 1, 2] = sw, se, nw
+            else:
+                out[n, 0], out[n, 1], out[n, 2] = nw, sw, ne
+                out[n + 1, 0], out[n + 1, 1], out[n + 1, 2] = se, ne, sw
+    return out
+
+
+@compiled
+def _normals(position, falls):
+    rows, cols = falls.shape
+    out = np.empty((rows, cols, 2, 3), np.float32)
+    for r in range(rows):
+        for c in range(cols):
+            nw, ne, sw, se = position[r, c], position[r, c + 1], position[r + 1, c], position[r + 1, c + 1]
+            for half in range(2):
+                if falls[r, c]:
+                    o, a, b = (ne, nw, se) if half == 0 else (sw, se, nw)
+                else:
+                    o, a, b = (nw, sw, ne) if half == 0 else (se, ne, sw)
+                ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
+                bx, by, bz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
+                x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+                length = np.sqrt(x * x + y * y + z * z)
+                out[r, c, half, 0], out[r, c, half, 1], out[r, c, half, 2] = x / length, y / length, z / length
+    return out
+
+
+@compiled
+def _with_corners(triangles, known):
+    """The triangles (n, 3) whose corners are all ``known``, in order."""
+    out = np.empty_like(triangles)
+    count = 0
+    for i in range(triangles.shape[0]):
+        if known[triangles[i, 0]] and known[triangles[i, 1]] and known[triangles[i, 2]]:
+            out[count] = triangles[i]
+            count += 1
+    return out[:count]
