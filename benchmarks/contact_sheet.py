@@ -57,10 +57,10 @@ VIEWS = {
 }
 """Columns: level and view."""
 
-FAULT = (740_000.0, 4_052_800.0, 748_000.0, 4_059_200.0)
+FAULT = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""
 
-RIDGES = (-84.16, 36.50, 120.0), (-84.20, 36.54, 0.0), 45.0
+RIDGES = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
 """Eye, target and field of view, degrees, of a look over the ridges and valleys of the Jacksboro fault."""
 
 FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")

@@ -63,9 +63,9 @@ MOST_PLAIN = 1.15
 
 SIZE = [800, 500]
 
-RIDGE = {"kind": "perspective", "eye": [-84.12, 36.47, 900], "target": [-84.22, 36.56, 0], "fov": 34, "size": SIZE}
-LAKE = {"kind": "perspective", "eye": [-84.093, 36.478, 320], "target": [-84.17, 36.492, 0], "fov": 34, "size": SIZE}
-WINDOW = {"kind": "map", "crs": "EPSG:32616", "bounds": [735_000, 4_040_000, 755_000, 4_052_500], "size": SIZE}
+RIDGE = {"kind": "perspective", "eye": [-84.12, 36.18333, 900], "target": [-84.22, 36.27333, 0], "fov": 34, "size": SIZE}
+LAKE = {"kind": "perspective", "eye": [-84.093, 36.19133, 320], "target": [-84.17, 36.20533, 0], "fov": 34, "size": SIZE}
+WINDOW = {"kind": "map", "crs": "EPSG:32616", "bounds": [735_900, 4_008_200, 755_900, 4_020_700], "size": SIZE}
 """Views of the Jacksboro fault: over its ridges, over what a lake would fill, and from above."""
 
 EVENING = {"azimuth": 250, "altitude": 15}
@@ -77,7 +77,7 @@ JACKSBORO: dict[EffectName, dict[str, Any]] = {
     "snow": {"weather": {"snow": True}},
     "clouds": {"weather": {"cloud_cover": 0.4}},
     "sky_view": {"weather": {"cloud_cover": 1.0}},
-    "lamps": {"sun": "none", "lights": {"mast": {"kind": "omni", "position": [-84.17, 36.50, 300]}}},
+    "lamps": {"sun": "none", "lights": {"mast": {"kind": "omni", "position": [-84.17, 36.21333, 300]}}},
     "water": {"water": {"level": 311}},
     "haze": {"weather": {"visibility": 45_000}},
 }

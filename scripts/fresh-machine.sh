@@ -133,7 +133,7 @@ run_and_look() {
         sleep 1
     done
     # The map itself: a tile of the bundled level, once a render process is ready.
-    local tile="http://127.0.0.1:$port/levels/jacksboro/tiles/WebMercatorQuad/12/1089/1602.png"
+    local tile="http://127.0.0.1:$port/levels/jacksboro/tiles/WebMercatorQuad/12/1089/1604.png"
     curl --silent --fail --noproxy '*' --max-time 60 --retry 20 --retry-delay 2 --retry-all-errors --output "$folder/tile.png" "$tile" ||
         { echo "fresh-machine: no tile came" >&2; status=1; }
     # SIGTERM first, as a service manager would. unshare itself ignores it; it ends when what it started has ended.

@@ -21,9 +21,9 @@ PERSPECTIVE_PX, MAP_PX = (640, 512), (512, 512)
 
 SunAngles = tuple[float, float]
 
-FAULT = (740_000.0, 4_052_800.0, 746_400.0, 4_059_200.0)
+FAULT = (740_900.0, 4_021_000.0, 747_300.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16: the ridge of the Jacksboro fault and the hills west of it."""
-VILLAGE = (753_400.0, 4_044_200.0, 754_600.0, 4_045_400.0)
+VILLAGE = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
 """The same of houses, hedges and woods in its valley."""
 
 CITY = "urban/goteborg_1m"

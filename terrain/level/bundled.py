@@ -31,8 +31,10 @@ def _jacksboro() -> MemoryFile:
     from matplotlib.cbook import get_sample_data
 
     with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
-        # Row 0 is the north edge although matplotlib calls its latitude "ymin".
-        transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymin"]))
+        # "ymax" is the raster's north edge. Row 0 is the northernmost, and with it there the highest cell is Cross Mountain
+        # (36.1983 N). "ymin" is no edge: it lies as far north of "ymax" as the raster reaches south of it. "xmin" and "ymax" are
+        # edges of cells, not centres: cells are centred on multiples of 3 arc seconds then, where SRTM has its heights.
+        transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymax"]))
         return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
 
 

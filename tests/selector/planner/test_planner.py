@@ -143,7 +143,7 @@ def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_s
 
 def test_nothing_is_decided_per_tile(scene):
     """The plan is a function of (level, zoom, sun): the same for every block of a zoom."""
-    plans = {plan_of(scene, block_at(lon, lat, 13)).model_dump_json() for lon in (-84.4, -84.1) for lat in (36.46, 36.7)}
+    plans = {plan_of(scene, block_at(lon, lat, 13)).model_dump_json() for lon in (-84.4, -84.1) for lat in (36.17, 36.41)}
     assert len(plans) == 1
 
 

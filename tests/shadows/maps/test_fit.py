@@ -38,8 +38,8 @@ def jacksboro() -> Scene:
 @pytest.fixture(scope="module")
 def ridge(jacksboro) -> PerspectiveView:
     """From above a ridge along the mountains."""
-    eye, up = jacksboro.place.above_ground((-84.30, 36.52, 150.0), "eye")
-    target, _ = jacksboro.place.above_ground((-84.22, 36.60, 0.0), "target")
+    eye, up = jacksboro.place.above_ground((-84.30, 36.2333, 150.0), "eye")
+    target, _ = jacksboro.place.above_ground((-84.22, 36.3133, 0.0), "target")
     return look_at(eye, target, up, 40.0, 150, 200)
 
 
@@ -127,8 +127,8 @@ def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:
 )  # fmt: skip
 def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azimuth, altitude, heading, cascades, map_size, bits):
     scene = jacksboro.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-    eye, up = scene.place.above_ground((-84.25, 36.58, 120.0), "eye")
-    target, _ = scene.place.above_ground((-84.25 + heading[0], 36.58 + heading[1], 0.0), "target")
+    eye, up = scene.place.above_ground((-84.25, 36.2933, 120.0), "eye")
+    target, _ = scene.place.above_ground((-84.25 + heading[0], 36.2933 + heading[1], 0.0), "target")
     view = look_at(eye, target, up, 40.0, 60, 80)
     buffer = geometry_of(scene, view)
     asked = {"map_size": map_size, "cascades": cascades, "depth_bits": bits}

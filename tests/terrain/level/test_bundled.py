@@ -1,0 +1,65 @@
+"""Bundled rasters: real ground lies where it is on the earth, and is as high as there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import rasterio.warp
+
+from api.catalogue import bundled_levels
+from terrain.geo.world import LONGITUDE_LATITUDE
+from terrain.level.bundled import BUNDLED
+from terrain.level.level import load_level
+
+
+@dataclass(frozen=True)
+class Summit:
+    """The highest place of a raster's ground, as it is published: degrees, and metres above the sea."""
+
+    longitude: float
+    latitude: float
+    height_m: float
+
+
+CROSS_MOUNTAIN = Summit(-84.23056, 36.19833, 1077.0)
+"""Cross Mountain in Tennessee: 36°11'54" N, 84°13'50" W, 3,534 feet (https://en.wikipedia.org/wiki/Cross_Mountain_(Tennessee))."""
+
+SUMMITS = {"jacksboro": CROSS_MOUNTAIN, "jacksboro_utm": CROSS_MOUNTAIN}
+
+SRTM_CELL_DEG = 3.0 / 3600.0
+"""Heights that are warped to finer cells know a summit's place no better."""
+
+MOST_CELLS = 1.0
+"""How far the highest cell may lie from the summit, in either direction: half a cell to the cell's centre, a sixth for a place that
+is published in whole seconds, a fifth for the 20 m within which 90 % of SRTM's heights lie (its specification)."""
+
+MOST_M = 16.0
+"""Within which 90 % of SRTM's heights are right (its specification)."""
+
+
+def test_the_summit_of_every_bundled_raster_is_known():
+    assert set(SUMMITS) == set(BUNDLED)
+    of_levels = {load_level(path).source for path in bundled_levels()} - {""}
+    assert of_levels and of_levels <= set(SUMMITS), "a level over another real raster needs a summit too"
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_the_highest_cell_is_the_published_summit(name):
+    summit = SUMMITS[name]
+    with BUNDLED[name]().open() as dataset:
+        heights_m = dataset.read(1)
+        row, col = np.unravel_index(np.nanargmax(heights_m), heights_m.shape)
+        (longitude,), (latitude,) = rasterio.warp.transform(dataset.crs, LONGITUDE_LATITUDE, *([v] for v in dataset.xy(row, col)))
+    off_deg = longitude - summit.longitude, latitude - summit.latitude
+    assert np.abs(off_deg).max() <= MOST_CELLS * SRTM_CELL_DEG, f"cells off east and north: {np.array(off_deg) / SRTM_CELL_DEG}"
+    assert abs(heights_m[row, col] - summit.height_m) <= MOST_M
+
+
+def test_srtm_heights_lie_where_srtm_measured():
+    """At whole multiples of 3 arc seconds: half a cell aside would not show at a summit."""
+    with BUNDLED["jacksboro"]().open() as dataset:
+        middle = dataset.shape[0] // 2, dataset.shape[1] // 2
+        steps = np.array([*dataset.xy(0, 0), *dataset.xy(*middle)]) / SRTM_CELL_DEG
+    np.testing.assert_allclose(steps, np.rint(steps), atol=0.01)
