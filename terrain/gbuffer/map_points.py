@@ -71,8 +71,23 @@ def facets_at(faces, falls, row, col, found):
 
 @compiled
 def crease_at(faces, falls, row, col, normal):
-    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet."""
-    near_r, near_c = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
+    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet (round
+    all of them, half-way between).
+    """
+    first_r, last_r, first_c, last_c = _nearest(row, col)
+    widest = _crease_round(faces, falls, first_r, first_c, normal)
+    if last_r > first_r:
+        widest = max(widest, _crease_round(faces, falls, last_r, first_c, normal))
+    if last_c > first_c:
+        widest = max(widest, _crease_round(faces, falls, first_r, last_c, normal))
+    if last_r > first_r and last_c > first_c:
+        widest = max(widest, _crease_round(faces, falls, last_r, last_c, normal))
+    return widest
+
+
+@compiled
+def _crease_round(faces, falls, near_r, near_c, normal):
+    """The largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
@@ -90,9 +105,17 @@ def crease_at(faces, falls, row, col, normal):
 
 
 @compiled
+def _nearest(row, col):
+    """First and last row and column of the nodes nearest to a place: one of each, but for a place half-way between."""
+    return (
+        int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE)),
+        int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE)),
+    )  # fmt: skip
+
+
+@compiled
 def _nearest_shown(shown, row, col):
-    low_r, high_r = int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE))
-    low_c, high_c = int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE))
+    low_r, high_r, low_c, high_c = _nearest(row, col)
     return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
 
 
