@@ -265,12 +265,13 @@ class Elevation:
             return values, valid
         rows, cols = self._level_shape(level)
         top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
-        left, right = max(col0 - FILL_CELLS - 1, 0), min(col1 + FILL_CELLS + 1, cols)
+        left, right = col0 - FILL_CELLS - 1, col1 + FILL_CELLS + 1
+        if not self._wrap:  # round the earth a hole's rim goes on beyond the last column
+            left, right = max(left, 0), min(right, cols)
         wide = self._read(level, top, bottom, left, right)
         if np.isfinite(wide).any():
             wide = fillnodata(wide, mask=np.isfinite(wide), max_search_distance=FILL_CELLS, smoothing_iterations=0)
-        inner = wide[row0 - top : row1 - top, max(col0 - left, 0) : col1 - left]
-        return (inner if inner.shape == values.shape else values), valid
+        return wide[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
     def _read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         """Heights in metres of a window of cells of a level, float32, NaN in holes."""

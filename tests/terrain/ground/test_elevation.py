@@ -116,6 +116,23 @@ def test_a_global_raster_has_no_border_at_its_seam(write_raster):
     assert there.all()
 
 
+@pytest.mark.parametrize("hole", [8, 40, 200])
+def test_a_hole_across_the_seam_of_a_global_raster_is_filled_as_anywhere_else(write_raster, hole):
+    """The same cells begin at another meridian: their hole lies across the seam in one file, in the middle of the other."""
+    values = np.random.default_rng(4).normal(500, 200, (128, 256)).astype(np.float32)
+    values[40:90, np.arange(-hole // 2, hole // 2)] = np.nan
+    across = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
+    within = Elevation(str(write_raster(np.roll(values, 128, axis=1), "EPSG:4326", 0, 90, 360 / 256, name="within.tif")))
+    for level in (0, 1, 2):
+        for first, last in ((-20, 20), (236, 276), (0, 30), (230, 255.5), (-128, 128), (0, 255.5)):
+            row, col = np.meshgrid(np.arange(0, 127, 0.5), np.arange(first, last, 0.5), indexing="ij")
+            found, there = across.heights_at(level, row, col)
+            expected, known = within.heights_at(level, row, (col + 128) % 256)
+            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_array_equal(there, known)
+            assert np.isfinite(found[~there]).any(), "some of the hole is filled"
+
+
 def test_the_overview_knows_the_highest_cell(write_raster):
     values = np.zeros((1100, 1300), np.float32)
     values[777, 555] = 3000.0
