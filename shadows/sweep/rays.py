@@ -18,13 +18,14 @@ from shadows.sweep.grid import (
 )
 from shadows.sweep.lines import TurnedGrid
 from terrain.cache import MIB, cached
-from terrain.casters.reach import PATCH_QUADS, Casters
+from terrain.casters.reach import PATCH_QUADS, Casters, Patch
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from terrain.geo.grid import Grid
 from terrain.geo.light_space import LightSpace
 from terrain.geo.world import LocalFrame
+from terrain.ground.surface import SurfaceWindow
 from terrain.scene import Scene
 
 FITTED_POINTS = 1024
@@ -167,11 +168,24 @@ def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, so
     assert block_surface is not None
     windows: dict[int, list[Window]] = {0: [(block_surface.row0, block_surface.col0, block_surface.height_m)]}
     for patch in casters.patches:
+        if patch.level > 0 and _lies_behind(rays, patch, block_surface):  # what is handed over has to lie towards the sun
+            continue
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         surface = rays.scene.surface(rays.grid.coarser(patch.level))
         height_m, _ = surface.heights(row0, col0, PATCH_QUADS + 1, PATCH_QUADS + 1)
         windows.setdefault(patch.level, []).append((row0, col0, height_m))
     return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
+
+
+def _lies_behind(rays: SunRays, patch: Patch, block: SurfaceWindow) -> bool:
+    """Whether the lines pass a patch, which lies beside a block, after the block if at all: on the turned grid they run down and to
+    the right.
+    """
+    side = PATCH_QUADS * 2**patch.level
+    rows, cols = block.height_m.shape
+    i, j = rays.turn.onto(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
+    block_i, block_j = rays.turn.onto(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
+    return bool(i.min() >= block_i.max() or j.min() >= block_j.max())
 
 
 @cached("light", 1024 * MIB)
