@@ -4,8 +4,7 @@
                                       [--markdown FILE]
 
 Every raster below FOLDER that is a terrain or a surface is drawn at its own resolution (at most ``--pixels`` a side, from its
-middle), steepest first by the 95th percentile of slope. For the sweep, what hangs on the diagonal that quads are cut along is
-boundary, too.
+middle), steepest first by the 95th percentile of slope. Truth is over the drawn triangles, of the sweep as of all others.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@
     python -m benchmarks.sweep_accuracy FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
 Every raster of heights below FOLDER is an array in a flat world: its middle, holes filled as for casting, cells as long and
-wide as at its middle latitude. Truth are rays from the nodes; it is counted where it does not hang on the rays' offset, nor on
-the diagonal that quads are cut along. ``--all-azimuths`` takes the 360 whole degrees on the raster of that name.
+wide as at its middle latitude. Truth are rays from the nodes, over quads that are cut along their higher diagonals as they are
+for the sweep; it is counted where it does not hang on the rays' offset. ``--all-azimuths`` takes the 360 whole degrees on the
+raster of that name.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from terrain.casters.rays import RayScene
 from terrain.errors import SkuggaError
 from terrain.geo.world import WGS84
 from terrain.ground.elevation import Elevation
+from terrain.ground.sheet import Sheet, sheet_of
 
 NO_HEIGHTS = ("landcover", "rgb")
 """Parts of the names of rasters that hold something else."""
@@ -62,7 +64,8 @@ class Raster:
 class GridTruth:
     """What rays say of a grid's nodes under one sun; bool arrays (rows, cols), False where there is no ground.
 
-    ``lit`` is the class with quads cut SW to NE, ``drawn`` where it is certain for them, ``decidable`` where along either diagonal.
+    ``lit`` is the class with quads cut along their higher diagonals, as the sweep has them, and ``drawn`` where it is certain.
+    ``decidable`` is where it is certain and the same along either diagonal: for tools that cut quads in a way of their own.
     """
 
     lit: np.ndarray
@@ -72,7 +75,7 @@ class GridTruth:
 
 @dataclass(frozen=True)
 class SweepFigures:
-    """One raster under one sun. Shares of the decidable cells; ``undecided`` and ``other_diagonal`` of all cells."""
+    """One raster under one sun. Shares of the decided cells; ``undecided`` of all cells."""
 
     raster: str
     azimuth_deg: float
@@ -84,20 +87,20 @@ class SweepFigures:
     missed_shadow: float
     interior: float
     undecided: float
-    other_diagonal: float
 
 
 class GridRays:
-    """Rays through the triangles of a heightfield (rows, cols), quads cut either way."""
+    """Rays through the triangles of a heightfield (rows, cols), quads cut along the higher and along the lower diagonal."""
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
         rows, cols = height_m.shape
-        sheet = np.empty((rows, cols, 3))
-        sheet[..., 0], sheet[..., 1] = np.arange(cols) * cell_m[1], -np.arange(rows)[:, None] * cell_m[0]
-        sheet[..., 2] = height_m
-        self._nodes = sheet.reshape(-1, 3)
+        nodes = np.empty((rows, cols, 3))
+        nodes[..., 0], nodes[..., 1] = np.arange(cols) * cell_m[1], -np.arange(rows)[:, None] * cell_m[0]
+        nodes[..., 2] = height_m
+        self._nodes = nodes.reshape(-1, 3)
         self._there = np.isfinite(height_m)
-        self._drawn, self._other = RayScene([sheet]), RayScene([sheet], cut="NW-SE")
+        sheet = sheet_of(nodes)
+        self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.falls)])
 
     def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
         """Classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
@@ -118,7 +121,8 @@ class GridRays:
         dark[dark] = ~self._sees(self._other, there[dark], higher, 4.0)
         truth = GridTruth(*(self._grid(there, values) for values in (lit, drawn, light | dark)))
         if azimuth_deg % 90.0 == 0.0:  # rays along the sheet's rim may pass beside it
-            truth.decidable[[0, -1]] = truth.decidable[:, [0, -1]] = False
+            for certain in (truth.drawn, truth.decidable):
+                certain[[0, -1]] = certain[:, [0, -1]] = False
         return truth
 
     def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
@@ -140,24 +144,25 @@ def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def figures_of(raster: Raster, lit: np.ndarray, truth: GridTruth, azimuth_deg: float, altitude_deg: float) -> SweepFigures:
-    """Hold an answer (rows, cols), True where the sun is seen, against truth."""
+def figures_of(
+    raster: Raster, lit: np.ndarray, truth: GridTruth, certain: np.ndarray, azimuth_deg: float, altitude_deg: float
+) -> SweepFigures:
+    """Hold an answer (rows, cols), True where the sun is seen, against truth where that is ``certain``, one of its masks."""
     known = np.isfinite(raster.height_m)
-    decidable = truth.decidable & raster.there
-    wrong = decidable & (lit != truth.lit)
-    count = max(int(decidable.sum()), 1)
+    decided = certain & raster.there
+    wrong = decided & (lit != truth.lit)
+    count = max(int(decided.sum()), 1)
     return SweepFigures(
         raster=raster.name,
         azimuth_deg=azimuth_deg,
         altitude_deg=altitude_deg,
-        cells=int(decidable.sum()),
-        shadow=int((decidable & ~truth.lit).sum()) / count,
+        cells=int(decided.sum()),
+        shadow=int((decided & ~truth.lit).sum()) / count,
         wrong=int(wrong.sum()) / count,
         false_shadow=int((wrong & truth.lit).sum()) / count,
         missed_shadow=int((wrong & ~truth.lit).sum()) / count,
         interior=int(interior(wrong, ~truth.lit & known, known, INTERIOR_PX).sum()) / count,
-        undecided=float((~truth.decidable)[raster.there].mean()),
-        other_diagonal=float((truth.drawn & ~truth.decidable)[raster.there].mean()),
+        undecided=float((~certain)[raster.there].mean()),
     )
 
 
@@ -203,7 +208,11 @@ def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tupl
 def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[SweepFigures]:
     """Figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
     rays = GridRays(raster.height_m, raster.cell_m)
-    return [figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), rays.truth(*sun), *sun) for sun in suns]
+    figures = []
+    for sun in suns:
+        truth = rays.truth(*sun)
+        figures.append(figures_of(raster, sunlit(raster.height_m, raster.cell_m, *sun, lines=lines), truth, truth.drawn, *sun))
+    return figures
 
 
 def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list[str]:
@@ -211,22 +220,22 @@ def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
         "",
-        "Made by `benchmarks/sweep_accuracy.py`. Shares of decidable cells in per cent; `interior`: wrong and farther than 2 cells",
-        "from truth's boundary. Steepest: from a cell to its neighbour. Undecided: all of it, and for the other diagonal alone.",
+        "Made by `benchmarks/sweep_accuracy.py`. Shares of decided cells in per cent; `interior`: wrong and farther than 2 cells",
+        "from truth's boundary. Steepest: from a cell to its neighbour. Undecided: of all cells.",
         "",
-        "| raster | size | cell m | steepest | wrong: mean | worst | at | its shadow | `interior` | worst | undecided | diagonal |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| raster | size | cell m | steepest | wrong: mean | worst | at | its shadow | `interior` | worst | undecided |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for raster in sorted(rasters, key=lambda raster: -raster.steepest_deg):
         figures = [row for row in found if row.raster == raster.name]
         worst = max(figures, key=lambda f: f.wrong)
-        means = {key: np.mean([getattr(f, key) for f in figures]) for key in ("wrong", "interior", "undecided", "other_diagonal")}
+        means = {key: np.mean([getattr(f, key) for f in figures]) for key in ("wrong", "interior", "undecided")}
         rows.append(
             f"| {raster.name} | {raster.height_m.shape[1]} x {raster.height_m.shape[0]} | "
             f"{raster.cell_m[1]:.4g} x {raster.cell_m[0]:.4g} | {raster.steepest_deg:.0f}° | {100 * means['wrong']:.4f} | "
             f"{100 * worst.wrong:.4f} | {worst.azimuth_deg:g} / {worst.altitude_deg:g} | {100 * worst.shadow:.1f} | "
             f"{100 * means['interior']:.5f} | {100 * max(f.interior for f in figures):.5f} | "
-            f"{100 * means['undecided']:.3f} | {100 * means['other_diagonal']:.3f} |"
+            f"{100 * means['undecided']:.3f} |"
         )
     return rows + ["", *_over_all(found)]
 

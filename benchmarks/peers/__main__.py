@@ -4,8 +4,9 @@
 
 Two rasters, SRTM of the Jacksboro fault and fractal mountains, under three suns on the grid's axes and diagonals and three off
 them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns.
-Nothing is believed before a pole has thrown its shadow where it should. Truth are rays from the nodes, counted where it hangs
-neither on their offset nor on the diagonal that quads are cut along.
+Nothing is believed before a pole has thrown its shadow where it should. Truth are rays from the nodes over quads that are cut
+along their higher diagonals, as Skugga cuts them, counted where it does not hang on the rays' offset; for the others, nor on the
+diagonal.
 
 The Python packages (`pip install insolation numba topocalc solweig whitebox-workflows rasterio`) are those of ``--python``, so that
 they may live in an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`. What is absent
@@ -84,7 +85,7 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
 
 
 def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
-    """A raster's facts, and truth under each sun."""
+    """A raster's facts, and truth under each sun; decided cells are those of the tools that cut quads in ways of their own."""
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUNS]
     under = [
@@ -95,10 +96,10 @@ def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRast
     return TestRaster(name, rows, cols, cell_m, float(height_m.min()), float(height_m.max()), under), truths
 
 
-def errors(lit: np.ndarray, truth: GridTruth) -> tuple[float, float]:
-    """False and missed shadow as shares of the decided cells."""
-    count = truth.decidable.sum()
-    false, missed = (truth.decidable & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
+def errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
+    """False and missed shadow as shares of the cells where truth is ``certain``, one of its masks."""
+    count = certain.sum()
+    false, missed = (certain & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
     return float(false.sum() / count), float(missed.sum() / count)
 
 
@@ -132,7 +133,8 @@ def measured(python: str, side: int, repeats: int) -> PeerComparison:
                             del tools[tool]
                             continue
                         if tool.lit is not None and key not in wrong:
-                            wrong[key] = errors(tool.mask(job), truths[name][k])
+                            truth = truths[name][k]
+                            wrong[key] = errors(tool.mask(job), truth, truth.drawn if tool.ours else truth.decidable)
                 print(f"{time.perf_counter() - begin:4.0f} s  round {repeat + 1} of {repeats}: {name}", flush=True)
     answers = [_answer(*key[:2], SUNS[key[2]], key_runs, wrong.get(key)) for key, key_runs in runs.items() if key[0] in tools]
     records = [each for each in records if each.name not in left_out]

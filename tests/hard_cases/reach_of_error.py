@@ -22,6 +22,7 @@ from shadows.truth.truth import ALL_KINDS, ray_scene
 from terrain.casters.casting import caster_trees
 from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.shared_points import facing_normals
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from tests.hard_cases.cases import Seen
@@ -39,11 +40,11 @@ for the rounding on the way there.
 SIGNS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """A place, and those right and up of it by what rounding may do."""
 
-RING = ((0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1), (1, 0))
-"""Rows and columns from a node to those round it, counter-clockwise: each and the next make a triangle with it."""
+RING = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
+"""Rows and columns from a node to those round it, counter-clockwise."""
 
-OF_QUADS = np.array([(-1, 0, 1), (-1, 0, 0), (-1, -1, 1), (0, -1, 0), (0, -1, 1), (0, 0, 0)])
-"""Those triangles' quads, rows and columns from the node, and halves."""
+ON_EDGE = 1e-5
+"""How near to an edge, in cells, a point is shared by the triangles on either side, as in ``shaders/receiver.glsl``."""
 
 FLOAT_ULPS = 32.0 * 2.0**-24
 """What positions, their transformations and the start of truth's rays may be off by, as a share of the coordinates."""
@@ -59,21 +60,24 @@ def beyond(seen: Seen) -> np.ndarray:
         towards = buffer.frame.frame_from_earth @ seen.scene.sun.to_sun_earth
         rays = ray_scene(buffer, seen.scene, seen.casters, ALL_KINDS)
         (step,) = seen.plan.steps_under(seen.light)
-        points, normals = (a.reshape(-1, 3).astype(np.float64) for a in (buffer.position_frame_m, buffer.normal_frame))
-        for moves in _moves(seen, step, left, towards, points[left], normals[left]):
-            lit = ~rays.blocked(points[left] + moves + rays.offset_m * normals[left], towards)
+        facing = facing_normals(buffer, seen.scene.light_position(seen.light, buffer.frame))
+        points, normals, lift = (
+            a.reshape(-1, 3)[left].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, facing.lift_frame)
+        )
+        for moves in _moves(seen, step, left, towards, points, normals, facing.crease.ravel()[left]):
+            lit = ~rays.blocked(points + moves + rays.offset_m * lift, towards)
             wrong.ravel()[left[lit != seen.dark.ravel()[left]]] = False
     return wrong
 
 
 def _moves(
-    seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray
+    seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Moves (n, 3) in the frame, metres, within the reach of an algorithm's error."""
     extent_m = float(np.nanmax(np.abs(seen.buffer.position_frame_m)))
     float_m = np.full(len(points), FLOAT_ULPS * extent_m)
     if isinstance(step.settings, ShadowMapSettings | PerspectiveMapSettings):
-        yield from _map_moves(seen, step, left, towards, points, normals, seen.buffer.crease.ravel()[left])
+        yield from _map_moves(seen, step, left, towards, points, normals, crease)
         return
     if step.algorithm == "sweep":
         node_m = describe(seen.scene, seen.view).node_m
@@ -146,24 +150,39 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
     """The triangles (3, n, 3) of a map's ground up to half round the nearest node from those of the pixels ``left`` (n,), and where
     (n,) one gets there past triangles that face the sun: others lie before or behind, as the sun sees it.
     """
-    view, surface, triangle = buffer.view, buffer.surface, buffer.triangle
-    assert isinstance(view, MapView) and surface is not None and triangle is not None
+    view, surface = buffer.view, buffer.surface
+    assert isinstance(view, MapView) and surface is not None
     i, j = np.unravel_index(left, buffer.there.shape)
-    node = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
-    node = np.floor(node + 0.5).astype(int)
-    own = triangle.reshape(-1, 3)[left] - np.column_stack([node, np.zeros(len(left), int)])
-    is_own = (own == OF_QUADS[:, None]).all(axis=2)
-    ring = np.stack([surface.position_frame_m[node[:, 0] + row, node[:, 1] + col] for row, col in RING])
+    at = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
+    node = np.floor(at + 0.5).astype(int)
+    east, north = (at - node)[:, 1], (node - at)[:, 0]
+    # Eighths of the way round; where a quad is cut beside the node, one triangle takes up two of them.
+    ends: list[tuple[np.ndarray, np.ndarray]] = []
+    for k, (row, col) in enumerate(RING):
+        next_row, next_col = RING[(k + 1) % 8]
+        corner, side = ((row, col), k - 1) if k % 2 else ((next_row, next_col), k)  # of the quad that the eighth is in
+        falls = surface.sheet.falls[node[:, 0] + min(corner[0], 0), node[:, 1] + min(corner[1], 0)]
+        ends_here = falls == (corner[0] == corner[1])
+        rim = np.array(RING[side]), np.array(RING[(side + 2) % 8])
+        own = np.array((row, col)), np.array((next_row, next_col))
+        ends.append(tuple(np.where(ends_here[:, None], one, other) for one, other in zip(own, rim, strict=True)))  # type: ignore[arg-type]
     middle = surface.position_frame_m[node[:, 0], node[:, 1]]
-    corners = np.stack([np.broadcast_to(middle, ring.shape), ring, np.roll(ring, -1, axis=0)], axis=1)  # (6, 3, n, 3)
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ towards > 0.0
-    first, at = np.where(is_own.any(axis=0), is_own.argmax(axis=0), -1), np.arange(len(left))
+    corners = np.stack([[middle, *(surface.position_frame_m[tuple((node + end).T)] for end in pair)] for pair in ends])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # of (8, 3, n, 3)
+    towards_sun = np.nan_to_num(normal @ towards / np.linalg.norm(normal, axis=-1), nan=-np.inf)
+    holds = np.array(
+        [
+            (start[:, 1] * north + start[:, 0] * east >= -ON_EDGE) & (-east * end[:, 0] - north * end[:, 1] >= -ON_EDGE)
+            for start, end in ends
+        ]
+    )
+    first, each = np.where(holds, towards_sun, -np.inf).argmax(axis=0), np.arange(len(left))
     for turn in (1, -1):
-        connected = first >= 0
-        for steps in (1, 2, 3):
-            k = (first + turn * steps) % 6
-            connected = connected & facing[k, at]
-            yield np.moveaxis(corners[k, :, at], 0, 1), connected
+        connected = np.ones(len(left), bool)
+        for steps in (1, 2, 3, 4):
+            k = (first + turn * steps) % 8
+            connected = connected & (towards_sun[k, each] > 0.0)
+            yield np.moveaxis(corners[k, :, each], 0, 1), connected
 
 
 def _onto(points: np.ndarray, place: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 
 from shadows.sweep import grid as sweep_grid
 from shadows.sweep.grid import (
+    HIGHER_DIAGONALS,
     NO_GROUND_LEVEL,
     NO_LEVELS,
     NO_MASK,
@@ -27,6 +28,7 @@ from shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
 from shadows.sweep.points import no_points
 from terrain.casters.rays import RayScene
 from terrain.errors import UnsupportedError
+from terrain.ground.sheet import Sheet, cuts_of, sheet_of
 
 OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
@@ -47,12 +49,14 @@ def to_sun(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
-def by_rays(height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes see the sun, and where that does not hang on the rays' offset."""
+def by_rays(
+    height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float, falls: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes see the sun, and where that does not hang on the rays' offset; over cuts, or along the higher diagonals."""
     rows, cols = height_m.shape
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
-    sheet = np.stack([col * cell_m, -row * cell_m, height_m.astype(float)], axis=-1)
-    rays, nodes = RayScene([sheet]), sheet.reshape(-1, 3)
+    nodes = np.stack([col * cell_m, -row * cell_m, height_m.astype(float)], axis=-1)
+    rays, nodes = RayScene([sheet_of(nodes) if falls is None else Sheet(nodes, falls)]), nodes.reshape(-1, 3)
     answers = []
     for offsets in (0.25, 1.0, 4.0):
         start = nodes + [0.0, 0.0, offsets * rays.offset_m]
@@ -110,7 +114,7 @@ def test_cells_that_are_no_squares():
     heights = mountains(160, seed=2)
     rows, cols = np.mgrid[:160, :160]
     sheet = np.stack([cols * 7.0, -rows * 13.0, heights.astype(float)], axis=-1)
-    rays = RayScene([sheet])
+    rays = RayScene([sheet_of(sheet)])
     lit = ~rays.blocked(sheet.reshape(-1, 3) + [0, 0, rays.offset_m], to_sun(157.0, 11.0)).reshape(160, 160)
     assert (sunlit(heights, (13.0, 7.0), 157.0, 11.0) != lit)[1:-1, 1:-1].mean() < 1e-3
 
@@ -124,16 +128,46 @@ def test_strips_and_cores_leave_no_seam(azimuth, monkeypatch):
         assert (sunlit(heights, 10.0, azimuth, 6.0, cores=cores) == whole).all()
 
 
-def sheet_of(heights: np.ndarray, azimuth: float, altitude: float) -> TurnedGrid:
+def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None = None) -> TurnedGrid:
     turn, row_m, col_m, place, at = flat_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
     level = turned_levels(heights, turn, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
-    return TurnedGrid(level, place, at, turn.mirrored)
+    cuts = HIGHER_DIAGONALS if falls is None else np.pad(turn.turned_cuts(falls), ((0, 0), (1, 1)))
+    return TurnedGrid(level, place, at, cuts)
+
+
+def swept(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None) -> np.ndarray:
+    """``sunlit``, over cuts."""
+    sheet = turned_grid(heights, azimuth, altitude, falls)
+    n, m = sheet.level.shape
+    lit, _, _ = sweep_nodes(sheet, 8, (sheet.at[:, 0].min(), m), rows=(0, n))
+    return flat_grid(heights.shape, 10.0, azimuth)[0].back(lit)
+
+
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
+def test_quads_may_be_cut_any_way(azimuth):
+    """As the ground of a camera is where it is decimated: rays over the same triangles agree."""
+    heights = mountains(150, seed=11)
+    falls = np.random.default_rng(1).random((149, 149)) < 0.5
+    for altitude in (4.0, 15.0):
+        lit, sure = by_rays(heights, 10.0, azimuth, altitude, falls)
+        wrong = (swept(heights, azimuth, altitude, falls) != lit) & sure
+        assert wrong[1:-1, 1:-1].mean() < 5e-4
+
+
+@pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
+def test_the_higher_diagonals_are_found_without_being_told(azimuth):
+    heights = mountains(150, seed=12)
+    own = swept(heights, azimuth, 8.0, None)
+    assert (swept(heights, azimuth, 8.0, cuts_of(heights)) != own).mean() < 1e-4
+    assert (sunlit(heights, 10.0, azimuth, 8.0) == own).all()
+    if azimuth % 90.0:  # else rays run along rows or columns, and cross no diagonal
+        assert (swept(heights, azimuth, 8.0, ~cuts_of(heights)) != own).mean() > 1e-3
 
 
 def test_windows_of_rows_hand_their_state_over():
     """Bits and all: the lines of one window go on where those of the window before it stopped."""
-    sheet = sheet_of(mountains(200, seed=5), 190.0, 5.0)
+    sheet = turned_grid(mountains(200, seed=5), 190.0, 5.0)
     n, columns = sheet.level.shape
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
@@ -149,15 +183,15 @@ def test_windows_of_rows_hand_their_state_over():
 def test_ground_before_a_window_shades_it_through_the_state_alone():
     heights = np.zeros((220, 90), np.float32)
     heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow falls beyond row 60
-    lit, _, _ = sweep_nodes(sheet_of(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
+    lit, _, _ = sweep_nodes(turned_grid(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
     assert (~lit[60:90]).any()
-    before, behind = sheet_of(heights[:61], 3.0, 20.0), sheet_of(heights[60:], 3.0, 20.0)
+    before, behind = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
     state = state_after(before, 4, (-30.0, 120.0))
     held = np.where(state.held > NO_GROUND_LEVEL / 2, state.held - np.float32(shift), NO_GROUND_LEVEL)
     moved = LineState(state.first_cell, held.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
-    later = TurnedGrid(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.mirrored)
+    later = TurnedGrid(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.falls)
     handed, _, _ = sweep_nodes(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
     assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
 
@@ -223,7 +257,7 @@ def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
     place, at = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols)
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
     level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
-    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, False), 8, (-500.0, 600.0), rows=(0, rows))
+    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
     assert lit[1:, 100:-100].mean() > 0.99
 
 
@@ -249,7 +283,7 @@ def test_rays_too_bent_for_the_lines_are_refused():
 
 def test_the_mask_is_written_nowhere_else():
     """Without rows no mask is made at all."""
-    lit, points_lit, above = sweep_nodes(sheet_of(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
+    lit, points_lit, above = sweep_nodes(turned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
     assert lit.shape == NO_MASK.shape and len(points_lit) == len(above) == 0
 
 

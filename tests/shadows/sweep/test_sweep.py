@@ -130,12 +130,17 @@ def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene,
 
 
 def test_blocks_join_without_a_seam(jacksboro):
-    """The same nodes, asked for as part of one window and of another: the classes are the same."""
+    """The same nodes, asked for as part of one window and of another: the classes are the same.
+
+    Lines run elsewhere in each. So nodes that the sun's rays pass by centimetres, which truth does not decide, are left out.
+    """
     scene = under(jacksboro, 247.0, 6.0)
     block = block_at(-84.25, 36.2933, 12)
     views = block.part(313, 200, 160, 160), block.part(313, 280, 160, 160)
-    one, other = (looked_at(scene, view)[2] for view in views)
-    assert (one[:, 80:] != other[:, :80]).mean() <= 1e-4
+    (buffer, casters, one), (_, _, other) = (looked_at(scene, view) for view in views)
+    decidable = truth_of(buffer, scene, casters).decidable[:, 80:]
+    assert decidable.mean() > 0.9
+    assert not (one[:, 80:] != other[:, :80])[decidable].any()
     assert 0.02 < one.mean() < 0.98
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from shadows.truth import cache
 from shadows.truth.cache import cached_truth, content_key
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import map_geometry
@@ -12,7 +15,7 @@ from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
 
-def test_the_same_content_is_made_once(tmp_path):
+def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=10))
     view = scene.view(size=(60, 64))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
@@ -35,10 +38,17 @@ def test_the_same_content_is_made_once(tmp_path):
     stored.write_bytes(b"damaged")
     cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     assert len(made) == 2
+    assert buffer.surface is not None
+    # the same nodes, but cut along the lower diagonals
+    cut = replace(buffer, surface=replace(buffer.surface, height_m=-buffer.surface.height_m))
+    assert (cut.surface.sheet.falls != buffer.surface.sheet.falls).any()
     keys = {
         content_key(buffer, scene, casters, 4),
         content_key(buffer, scene, casters, 16),
         content_key(buffer, scene.with_sun(SunSpec(azimuth=237, altitude=10.001)), casters, 4),
         content_key(buffer, scene, Casters((), casters.reach), 4) if casters.patches else "no patches",
+        content_key(cut, scene, casters, 4),
     }
-    assert len(keys) == 4
+    monkeypatch.setattr(cache, "DEFINITION", cache.DEFINITION - 1)
+    keys.add(content_key(buffer, scene, casters, 4))
+    assert len(keys) == 6

@@ -8,7 +8,7 @@ import trimesh
 
 from shadows.volumes.edges import closed_parts, connected_parts, edges_of, signed_sums
 from terrain.errors import InputError
-from terrain.ground.surface import sheet_triangles
+from terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -109,6 +109,7 @@ def test_bodies_that_share_an_edge_are_one_closed_part():
 
 def test_a_sheet_is_open():
     row, col = np.mgrid[:5, :7].astype(float)
-    edges = edges_of(np.stack([col, -row, row * col], axis=-1).reshape(-1, 3), sheet_triangles(5, 7))
+    sheet = sheet_of(np.stack([col, -row, row * col], axis=-1))
+    edges = edges_of(sheet.position_frame_m.reshape(-1, 3), sheet.triangles)
     assert len(edges.ends) == 5 * 6 + 4 * 7 + 4 * 6
     assert not closed_parts(edges).any()

@@ -12,7 +12,7 @@ from shadows.volumes.edges import edges_of
 from shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, may_shade_near, most_layers
 from shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from terrain.errors import InputError
-from terrain.ground.surface import sheet_triangles
+from terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -124,7 +124,7 @@ def test_a_wave_is_one_layer_a_crest():
     position[3, 40] = np.nan
     sun = np.array([1.0, 0.1, 0.02, 0.0])
     for rule in ("turned_away", "facing"):
-        assert 9 <= most_layers(position, sheet_silhouette(position, sun, rule), sun) <= 12
+        assert 9 <= most_layers(position, sheet_silhouette(sheet_of(position), sun, rule), sun) <= 12
 
 
 @pytest.mark.parametrize("light", [np.array([0.6, 0.5, 0.4, 0.0]), np.array([1.0, 1, 1, 0]), np.array([30.0, 20, 15, 1]),
@@ -144,7 +144,7 @@ def test_rough_ground_at_low_sun_fits_a_stencil():
     row, col = np.mgrid[:200, :200]
     position = np.stack([10.0 * col, -10.0 * row, rng.normal(0.0, 3.0, row.shape)], axis=-1)
     for light in (np.array([0.6, 0.5, 0.05, 0.0]), np.array([1000.0, -900.0, 15.0, 1.0])):
-        bound = sheet_silhouette(position, light, "turned_away")
+        bound = sheet_silhouette(sheet_of(position), light, "turned_away")
         assert len(bound.edges) > 20000
         assert most_layers(position, bound, light) < 100
 
@@ -176,9 +176,9 @@ def test_plates_stay_whole():
 def test_nothing_is_no_layer():
     row, col = np.mgrid[:3, :3].astype(float)
     position = np.stack([col, -row, 0.0 * row], axis=-1)
-    none = sheet_silhouette(position, OVERHEAD, "turned_away")
+    none = sheet_silhouette(sheet_of(position), OVERHEAD, "turned_away")
     assert len(none.caps) == 0 and most_layers(position, none, OVERHEAD) == 0
-    vertices, triangles = position.reshape(-1, 3), sheet_triangles(3, 3)
+    vertices, triangles = position.reshape(-1, 3), sheet_of(position).triangles
     [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD)
     assert not group.any()
 

@@ -22,7 +22,7 @@ from shadows.volumes.silhouettes import (
     turns_of,
 )
 from terrain.errors import InputError
-from terrain.ground.surface import known_triangles
+from terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -56,13 +56,13 @@ def ground(rng: np.random.Generator, side: int = 9) -> np.ndarray:
 
 def sheet(rng: np.random.Generator) -> Mesh:
     position = ground(rng)
-    return position.reshape(-1, 3), known_triangles(position)
+    return position.reshape(-1, 3), sheet_of(position).triangles
 
 
 def holed(rng: np.random.Generator) -> Mesh:
     position = ground(rng)
     position[rng.random(position.shape[:2]) < 0.15] = np.nan
-    return position.reshape(-1, 3), known_triangles(position)
+    return position.reshape(-1, 3), sheet_of(position).triangles
 
 
 def bodies(rng: np.random.Generator) -> Mesh:
@@ -315,10 +315,8 @@ def test_a_large_sheet_is_as_any_mesh(rule: FacingRule):
 
 
 def check_sheet(position: np.ndarray, light: np.ndarray, rule: FacingRule) -> None:
-    own, general = (
-        sheet_silhouette(position, light, rule),
-        bounded((position.reshape(-1, 3), known_triangles(position)), light, rule),
-    )
+    sheet = sheet_of(position)
+    own, general = sheet_silhouette(sheet, light, rule), bounded((position.reshape(-1, 3), sheet.triangles), light, rule)
     assert (own.edges.dtype, own.times.dtype, own.caps.dtype) == (np.int32, np.int32, np.int32)
     np.testing.assert_array_equal(own.caps, general.caps)
     for one, other in zip(

@@ -8,20 +8,21 @@ from scipy.spatial import ConvexHull
 
 from terrain.casters.rays import AlphaMesh, RayScene, sample_alpha
 from terrain.geo.sun import direction_enu
+from terrain.ground.sheet import Sheet, sheet_of
 
 PIXEL_M = 0.5
 NEAR_PX = 0.02
 SUNS = [(190.0, 45.0), (233.0, 17.0), (67.0, 24.0), (311.0, 71.0)]
 
 
-def receiver(tilt: float, size_m: float = 200.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def receiver(tilt: float, size_m: float = 200.0) -> tuple[Sheet, np.ndarray, np.ndarray]:
     """A plane z = tilt * x as a sheet, its pixels' centres (n, 3), and its unit normal."""
     axis = np.linspace(-size_m, size_m, 9)
     x, y = np.meshgrid(axis, -axis)
     normal = np.array([-tilt, 0.0, 1.0]) / np.hypot(tilt, 1.0)
     centres = np.arange(-size_m + PIXEL_M / 2, size_m, PIXEL_M)
     px, py = np.meshgrid(centres, -centres)
-    return np.stack([x, y, tilt * x], -1), np.stack([px, py, tilt * px], -1).reshape(-1, 3), normal
+    return sheet_of(np.stack([x, y, tilt * x], -1)), np.stack([px, py, tilt * px], -1).reshape(-1, 3), normal
 
 
 def hull_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -134,17 +135,17 @@ def test_the_offset_neither_hits_its_own_triangle_nor_leaks():
     n = 400
     x, y = np.meshgrid(np.arange(n) * 100.0, -np.arange(n) * 100.0)
     z = rng.normal(size=(n, n)).cumsum(0).cumsum(1) * 0.5 + 3000.0
-    sheet = np.stack([x, y, z], -1)
+    sheet = sheet_of(np.stack([x, y, z], -1))
     scene = RayScene([sheet])
     assert scene.offset_m == pytest.approx(16 * 20_000 / 2**24, rel=0.2)
-    corners = sheet[:-1, :-1], sheet[1:, :-1], sheet[:-1, 1:]
-    middle = sum(corners) / 3
+    corners = sheet.position_frame_m.reshape(-1, 3)[sheet.triangles].transpose(1, 0, 2)
+    middle = corners.mean(axis=0)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    start = (middle + scene.offset_m * normal).reshape(-1, 3)
+    start = middle + scene.offset_m * normal
     assert not scene.blocked(start, np.array([0.0, 0.0, 1.0])).any()
-    assert not scene.blocked(start, normal.reshape(-1, 3)).mean() > 0.02  # what stands in the normal's way is real
-    assert scene.blocked((middle - scene.offset_m * normal).reshape(-1, 3), np.array([0.0, 0.0, 1.0])).all()
+    assert not scene.blocked(start, normal).mean() > 0.02  # what stands in the normal's way is real
+    assert scene.blocked(middle - scene.offset_m * normal, np.array([0.0, 0.0, 1.0])).all()
 
 
 def test_rays_go_on_through_transparent_texels():
@@ -184,4 +185,4 @@ def test_alpha_is_bilinear_between_texel_centres():
 
 def test_an_empty_scene_stops_nothing():
     assert not RayScene().blocked(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])).any()
-    assert RayScene([np.full((3, 3, 3), np.nan)]).blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)
+    assert RayScene([sheet_of(np.full((3, 3, 3), np.nan))]).blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)

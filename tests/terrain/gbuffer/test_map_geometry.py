@@ -13,6 +13,7 @@ from api.layers import frame_layer
 from terrain.gbuffer.geometry import map_geometry
 from terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
 from terrain.geo.world import World
+from terrain.ground.sheet import sheet_triangles
 from terrain.level.level import load_level
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
@@ -98,15 +99,19 @@ def test_points_lie_on_the_triangle_they_name(tile):
     buffer = map_geometry(scene.surface(view.grid), view, frame)
     there = buffer.there
     assert there.sum() > 5000
-    r = buffer.triangle[there][:, 0]
-    c = buffer.triangle[there][:, 1]
-    half = buffer.triangle[there][:, 2]
-    nodes = buffer.surface.position_frame_m
-    corner = np.where((half == 0)[:, None], nodes[r, c], nodes[r + 1, c + 1])
-    normal, point = buffer.normal_frame[there].astype(float), buffer.position_frame_m[there]
-    ends = (nodes[r + 1, c], nodes[r, c + 1])  # SW and NE belong to both triangles of a quad
-    for vertex in (corner, *ends):
-        assert np.abs(np.einsum("ij,ij->i", vertex - point, normal)).max() < 1e-2  # float32 normals
+    row, col, half = buffer.triangle[there].T
+    sheet = buffer.surface.sheet
+    corners = sheet_triangles(sheet.falls)[2 * (row * sheet.falls.shape[1] + col) + half]
+    o, a, b = sheet.position_frame_m.reshape(-1, 3)[corners].transpose(1, 0, 2)
+    point = buffer.position_frame_m[there]
+    face = np.cross(a - o, b - o)
+    face /= np.linalg.norm(face, axis=1, keepdims=True)
+    assert np.abs(((point - o) * face).sum(axis=1)).max() < 1e-6
+    for start, end in ((o, a), (a, b), (b, o)):  # inside the edge, or on it but for rounding
+        inwards = np.cross(face, end - start)
+        assert (((point - start) * inwards).sum(axis=1) / np.linalg.norm(inwards, axis=1)).min() > -1e-3
+    assert np.abs(sheet.normals_frame[row, col, half] - face).max() < 1e-6
+    normal = buffer.normal_frame[there].astype(float)
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-6
     assert (normal[:, 2] > 0).all() and (buffer.shading_normal_frame[there][:, 2] > 0).all()
 
@@ -131,16 +136,19 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
 
 
 def test_crease_is_zero_on_planes_and_the_normals_distance_on_folds(write_raster, make_scene):
+    """Between nodes that of two facets' normals; on a node, whose normal is the mean of both, that from the mean to either."""
     heights = np.zeros((40, 40), np.float32)
     heights[:, 20:] = np.arange(20) * 10.0  # a plane of 45 degrees from column 20 on
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 400, 10))
     view = scene.view(bounds=(0, 0, 400, 400), size=(50, 50))
-    buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-    crease = buffer.crease[20]
-    fold = np.hypot(np.sin(np.radians(45)), 1 - np.cos(np.radians(45)))
-    # Nodes of 8 m do not fall on the fold, so the slope turns over one quad in two steps.
-    assert crease[:20] == pytest.approx(0.0, abs=1e-6) and crease[32:45] == pytest.approx(0.0, abs=1e-6)
-    assert 0.5 * fold < crease.max() <= fold * 1.001
+    assert view.on_nodes
+    # Nodes of 8 m do not fall on the fold, at 205 m: from 204 to 212 m the ground rises by 7 m, and only then by 8 m in 8 m.
+    fold = np.arctan(7.0 / 8.0)
+    for pixels, expected in ((view, 2.0 * np.sin(fold / 4.0)), (view.shifted(0.2, 0.3), 2.0 * np.sin(fold / 2.0))):
+        buffer = map_geometry(scene.surface(view.grid), pixels, scene.world.frame_near(view.grid.crs, *view.centre))
+        crease = buffer.crease[20]
+        assert crease[:20] == pytest.approx(0.0, abs=1e-6) and crease[32:45] == pytest.approx(0.0, abs=1e-6)
+        assert crease[20:32].max() == pytest.approx(expected, abs=1e-5)
 
 
 def test_frames_are_true_to_north_and_scale_in_web_mercator():

@@ -12,7 +12,7 @@ import pytest
 from terrain.errors import GraphicsError
 from terrain.gl.depth_targets import MAX_TARGETS
 from terrain.gl.programs import join_shader_parts, recorded
-from terrain.ground.surface import sheet_triangles
+from terrain.ground.sheet import Sheet, sheet_of
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"
@@ -24,12 +24,16 @@ def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
     return np.stack([x, y, np.full_like(x, 2 * depth - 1)], axis=-1)
 
 
+def draw_sheet(gl, program: moderngl.Program, position: np.ndarray) -> int:
+    return gl.draw_sheet(program, position, sheet_of(position).triangles)
+
+
 def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
     target = gl.depth_target(size, size, bits)
     program = gl.program(VERTEX, FRAGMENT)
     with gl.depth_pass(target):
         for one in sheets:
-            gl.draw_sheet(program, one)
+            draw_sheet(gl, program, one)
     return gl.read(target, attachment=-1)
 
 
@@ -62,22 +66,32 @@ def test_depth_clamp_does_not_leak_into_the_next_pass(gl):
     target.use()
     target.clear(depth=1.0)
     gl.ctx.enable_only(moderngl.DEPTH_TEST)
-    gl.draw_sheet(gl.program(VERTEX, FRAGMENT), sheet(-3.0))
+    draw_sheet(gl, gl.program(VERTEX, FRAGMENT), sheet(-3.0))
     assert (gl.read(target, attachment=-1) == 1.0).all(), "clipped, as OpenGL does by default"
 
 
 def test_triangles_with_a_missing_corner_are_left_out(gl):
     whole = sheet(0.5, 3, 3)
-    whole[0, 0] = np.nan  # the NW corner of the NW quad: only its NW triangle goes
+    whole[0, 0] = np.nan  # a corner of the NW quad alone: of its triangles one is left
     program = gl.program(VERTEX, FRAGMENT)
-    assert gl.draw_sheet(program, whole) == 7
-    assert gl.draw_sheet(program, sheet(0.5, 3, 3)) == 8
-    assert gl.draw_sheet(program, np.full((3, 3, 3), np.nan)) == 0
-    assert gl.draw_sheet(program, sheet(0.5, 1, 3)) == 0
+    assert draw_sheet(gl, program, whole) == 7
+    assert draw_sheet(gl, program, sheet(0.5, 3, 3)) == 8
+    assert draw_sheet(gl, program, np.full((3, 3, 3), np.nan)) == 0
+    assert draw_sheet(gl, program, sheet(0.5, 1, 3)) == 0
 
 
-def test_quads_are_cut_from_south_west_to_north_east():
-    assert sheet_triangles(2, 2).tolist() == [[0, 2, 1], [3, 1, 2]]  # NW SW NE, SE NE SW; row 0 is the north
+def test_a_sheet_is_drawn_along_its_cuts(gl):
+    """Two opposite corners before what is drawn behind: along the diagonal between them alone is the middle before it, too."""
+    position = sheet(0.5, 2, 2)
+    position[[0, 1], [0, 1], 2] = -0.8
+    program, seen = gl.program(VERTEX, FRAGMENT), {}
+    for falls in (False, True):
+        target = gl.depth_target(9, 9, 24)
+        with gl.depth_pass(target):
+            one = Sheet(position, np.array([[falls]]))
+            assert gl.draw_sheet(program, one.position_frame_m, one.triangles) == 2
+        seen[falls] = float(gl.read(target, attachment=-1)[4, 4])
+    assert seen[False] == pytest.approx(0.5, abs=1e-6) and seen[True] == pytest.approx(0.1, abs=1e-6)
 
 
 def test_reading_without_the_context_raises_and_gives_no_bytes(gl):
@@ -158,10 +172,10 @@ def test_each_call_is_recorded_with_its_program(gl):
     triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
     corners = sheet(0.5).reshape(-1, 3)
     with recorded() as calls, gl.depth_pass(target):
-        gl.draw_sheet(program, sheet(0.5))
+        draw_sheet(gl, program, sheet(0.5))
         gl.draw_triangles(other, corners, triangle)
         gl.draw_triangles(other, corners, none)  # nothing to draw: no call
-        gl.draw_sheet(program, np.full((3, 3, 3), np.nan))
+        draw_sheet(gl, program, np.full((3, 3, 3), np.nan))
         with gl.uploaded(program, corners, triangle) as array:
             gl.render(array)
             gl.render(array, moderngl.LINES, vertices=2)

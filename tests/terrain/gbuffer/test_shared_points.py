@@ -1,0 +1,238 @@
+"""Points that several facets share: nodes, and what lies between two facets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from shadows.attached import attached
+from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.shared_points import facing_normals
+from terrain.geo.grid import MapView
+from terrain.geo.sun import direction_enu
+from terrain.lights import light_position
+from terrain.scene import Scene
+from tests.rasters import ENGINEERING
+
+CELL_M = 8.0
+SIDE = 8
+
+MakeGround = Callable[..., tuple[Scene, MapView]]
+
+
+@pytest.fixture
+def ground_of(write_raster, make_scene) -> MakeGround:
+    """``ground_of(heights, azimuth, altitude)``: a level, and its view whose pixels are the raster's cells, the ground's nodes."""
+
+    def make(heights: np.ndarray, azimuth: float = 180.0, altitude: float = 30.0, **keys) -> tuple[Scene, MapView]:
+        rows, cols = heights.shape
+        raster = write_raster(heights.astype(np.float32), ENGINEERING, 0.0, rows * CELL_M, CELL_M, nodata=-9999.0)
+        scene = make_scene(raster, azimuth, altitude, **keys)
+        view = scene.view(bounds=(0, 0, cols * CELL_M, rows * CELL_M), size=(cols, rows))
+        assert view.on_nodes
+        return scene, view
+
+    return make
+
+
+def geometry(scene: Scene, view: MapView) -> GeometryBuffer:
+    return map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
+
+
+def between_nodes(view: MapView) -> MapView:
+    """Pixels on the nodes, half-way between two, and in the middles of quads, on their cuts."""
+    return MapView(view.grid, view.row0, view.col0, 0.5, 0.5, 2 * view.rows - 1, 2 * view.cols - 1)
+
+
+def facets_of(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (n, 3) of the ground's facets, and which of them a pixel's point lies in or on, (rows, cols, n), by asking each."""
+    assert buffer.surface is not None
+    sheet = buffer.surface.sheet
+    o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet.triangles].transpose(1, 0, 2)
+    aside = buffer.position_frame_m[:, :, None] - o
+    (ax, ay, _), (bx, by, _) = (a - o).T, (b - o).T
+    area = ax * by - ay * bx
+    u = (aside[..., 0] * by - aside[..., 1] * bx) / area
+    v = (ax * aside[..., 1] - ay * aside[..., 0]) / area
+    normal = np.cross(a - o, b - o)
+    touched = np.minimum(np.minimum(u, v), 1.0 - u - v) > -1e-9  # nowhere without a surface, where all is NaN
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True), touched
+
+
+def tent(along: str = "column") -> np.ndarray:
+    """A ridge of 45 degrees on either side."""
+    row, col = np.indices((SIDE, SIDE))
+    return CELL_M * (SIDE // 2 - np.abs((col if along == "column" else row) - SIDE // 2))
+
+
+@pytest.mark.parametrize(("along", "azimuth"), [("column", 90.0), ("column", 270.0), ("row", 0.0), ("row", 180.0)])
+def test_a_ridge_sees_the_sun_on_either_side(ground_of, along, azimuth):
+    """Of its facets one side faces the sun: the ridge does. On the slope behind it all facets face away."""
+    scene, view = ground_of(tent(along), azimuth, 30.0)
+    found = attached(geometry(scene, view), scene)
+    if along == "row":
+        found = found.T
+    ridge = SIDE // 2
+    if azimuth in (90.0, 180.0):  # the sun stands towards the last column, or row
+        found, ridge = found[:, ::-1], SIDE - 1 - ridge
+    assert not found[:, : ridge + 1].any() and found[:, ridge + 1 :].all()
+
+
+def test_a_node_all_of_whose_facets_face_away_is_turned_away(ground_of):
+    """Facets of two slopes, both steeper than the sun stands high."""
+    col = np.indices((SIDE, SIDE))[1]
+    scene, view = ground_of(np.where(col < 4, CELL_M * col, 4 * CELL_M + 2 * CELL_M * (col - 4)), 90.0, 30.0)
+    buffer = geometry(scene, view)
+    normals, touched = facets_of(buffer)
+    assert len(np.unique(np.round(normals[touched[4, 4]], 6), axis=0)) == 2
+    assert attached(buffer, scene).all()
+    higher = scene.sun.in_frame(buffer.frame) + [0.0, 0.0, 1.0]  # over 45 degrees, under atan(2): the lower facets see it
+    facing = facing_normals(buffer, light_position(higher / np.linalg.norm(higher), 0.0)).normal_frame @ higher > 0.0
+    assert facing[:, :5].all() and not facing[:, 5:].any()
+
+
+def test_a_lamp_is_faced_from_where_it_stands(ground_of):
+    """Two lamps, one over either slope of a ridge and lower than its crest: each lights its own slope, and the ridge."""
+    crest = SIDE // 2  # half a cell east of the middle, which positions are counted from
+    lights = {
+        name: {"kind": "omni", "position": [CELL_M / 2 + aside, 0.0, CELL_M / 2]}
+        for name, aside in (("west", -2.0 * CELL_M), ("east", 2.0 * CELL_M))
+    }
+    scene, view = ground_of(tent(), lights=lights)
+    buffer = geometry(scene, view)
+    for name, slope in (("west", np.s_[:, :crest]), ("east", np.s_[:, crest + 1 :])):
+        found = attached(buffer, scene, name)
+        source = scene.light_position(name, buffer.frame)
+        assert source.w == 1.0 and source.z == pytest.approx((crest - 1.5) * CELL_M)
+        assert not found[slope].any() and not found[:, crest].any()
+        assert found.sum() == found.size - found[:, crest].size - found[slope].size
+        chosen = facing_normals(buffer, source).normal_frame[4, crest]
+        assert chosen == pytest.approx(np.array([-1.0 if name == "west" else 1.0, 0.0, 1.0]) / 2**0.5, abs=1e-6)
+
+
+HEIGHTS = arrays(np.float32, (SIDE, SIDE), elements=st.floats(0, 40, width=32))
+AZIMUTHS, ALTITUDES = st.floats(0, 360), st.floats(1, 89)
+
+
+def each_example(test):
+    return settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])(test)
+
+
+@each_example
+@given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES)
+def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitude):
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, between_nodes(view))
+    to_light = direction_enu(azimuth, altitude)
+    chosen = facing_normals(buffer, light_position(to_light, 0.0)).normal_frame
+    normals, touched = facets_of(buffer)
+    most = np.where(touched, normals @ to_light, -np.inf).max(axis=-1)
+    np.testing.assert_allclose(chosen @ to_light, most, atol=1e-6)
+    apart = np.linalg.norm(normals - chosen[:, :, None], axis=-1)
+    assert np.where(touched, apart, np.inf).min(axis=-1).max() < 1e-6  # it is one of them
+
+
+@each_example
+@given(heights=HEIGHTS)
+def test_without_a_light_the_mean_of_all_facets_is_the_normal(ground_of, heights):
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, between_nodes(view))
+    normals, touched = facets_of(buffer)
+    assert set(touched.sum(axis=-1).ravel().tolist()) >= {1, 2}
+    mean = touched @ normals
+    np.testing.assert_allclose(buffer.normal_frame, mean / np.linalg.norm(mean, axis=-1, keepdims=True), atol=1e-5)
+
+
+@each_example
+@given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES)
+def test_the_crease_is_that_of_the_chosen_facet(ground_of, heights, azimuth, altitude):
+    """On a node: to the farthest of its facets' normals."""
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, view)
+    facing = facing_normals(buffer, light_position(direction_enu(azimuth, altitude), 0.0))
+    normals, touched = facets_of(buffer)
+    for crease, normal in ((facing.crease, facing.normal_frame), (buffer.crease, buffer.normal_frame)):
+        apart = np.linalg.norm(normals - normal[:, :, None], axis=-1)
+        np.testing.assert_allclose(crease, np.where(touched, apart, 0.0).max(axis=-1), atol=1e-5)
+
+
+def test_mirrored_ground_has_mirrored_normals(ground_of):
+    """Neither facets nor their number hang on which way a plane quad is cut."""
+    heights = np.zeros((SIDE, SIDE))
+    heights[:5, 5] = CELL_M  # a wall that ends in the middle
+    (scene, view), (other, other_view) = ground_of(heights), ground_of(heights[::-1])
+    normal = geometry(scene, view).normal_frame
+    mirrored = geometry(other, other_view).normal_frame[::-1] * [1.0, -1.0, 1.0]
+    np.testing.assert_allclose(normal, mirrored, atol=1e-6)
+
+
+@each_example
+@given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES, holes=st.sets(st.tuples(*[st.integers(1, SIDE - 2)] * 2), max_size=4))
+def test_points_are_lifted_off_all_of_their_facets(ground_of, heights, azimuth, altitude, holes):
+    """By a metre or more of each facet, or else a ray meets what it starts from; on the rim, too."""
+    for hole in holes:
+        heights[hole] = -9999.0
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, between_nodes(view))
+    lift = facing_normals(buffer, light_position(direction_enu(azimuth, altitude), 0.0)).lift_frame
+    normals, touched = facets_of(buffer)
+    assert np.where(touched, lift @ normals.T, np.inf).min() >= 1.0 - 1e-5
+
+
+def test_a_point_of_one_facet_is_lifted_along_its_normal(ground_of):
+    scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 20.0, (SIDE, SIDE)))
+    buffer = geometry(scene, view.shifted(0.2, 0.3).part(1, 1, SIDE - 3, SIDE - 3))
+    facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
+    for one in (facing.normal_frame, facing.lift_frame):
+        np.testing.assert_array_equal(one, buffer.normal_frame)
+    np.testing.assert_array_equal(facing.crease, buffer.crease)
+
+
+def test_points_on_the_rim_are_lifted_inwards(ground_of):
+    """On the outer rows and columns; inside straight up."""
+    scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 4.0, (SIDE, SIDE)))
+    buffer = geometry(scene, between_nodes(view))
+    lift = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0)).lift_frame
+    last = 2 * SIDE - 2
+    inside = lift[1:last, 1:last]
+    assert buffer.there.all()
+    shared = facets_of(buffer)[1][1:last, 1:last].sum(axis=-1) > 1
+    assert (inside[shared][:, :2] == 0.0).all() and (inside[shared][:, 2] >= 1.0).all()
+    assert (lift[:, 0, 0] > 0.1).all() and (lift[:, last, 0] < -0.1).all()
+    assert (lift[0, :, 1] < -0.1).all() and (lift[last, :, 1] > 0.1).all()
+
+
+def test_steep_ground_that_falls_to_the_rim_is_lifted_inwards_too(ground_of):
+    heights = np.full((SIDE, SIDE), 24.0)
+    heights[:, 0] = 0.0
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, between_nodes(view))
+    lift = facing_normals(buffer, light_position(direction_enu(270.0, 20.0), 0.0)).lift_frame
+    assert (lift[:, 0, 0] > 0.0).all()
+
+
+def test_a_flat_and_a_steep_facet_on_the_rim_are_both_left(ground_of):
+    """The flat one faces the sun more; the steep one rises inwards, where the rim's points are lifted to."""
+    heights = np.zeros((SIDE, SIDE))
+    heights[6, 1] = 100.0
+    scene, view = ground_of(heights)
+    buffer = geometry(scene, view)
+    facing = facing_normals(buffer, light_position(direction_enu(0.0, 80.0), 0.0))
+    assert facing.normal_frame[5, 0] == pytest.approx([0.0, 0.0, 1.0])
+    normals, touched = facets_of(buffer)
+    assert (normals[touched[5, 0]] @ facing.lift_frame[5, 0]).min() >= 1.0 - 1e-5
+
+
+def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
+    views = {"low": {"kind": "perspective", "eye": [0, -30, 30], "target": [0, 10, 0], "size": [64, 48]}}
+    scene, _ = ground_of(tent(), views=views)
+    buffer = geometry_of(scene, scene.view("low"))
+    facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
+    assert buffer.there.any()
+    assert facing.normal_frame is buffer.normal_frame is facing.lift_frame and facing.crease is buffer.crease

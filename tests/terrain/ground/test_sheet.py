@@ -1,0 +1,184 @@
+"""Sheets: quads are cut along the diagonal whose ends stand higher, so that no side is preferred."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from terrain.casters.rays import RayScene
+from terrain.ground.sheet import Sheet, cuts_of, sheet_of, sheet_triangles
+
+CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
+"""Rows and columns of a quad's corners: NW, NE, SW, SE."""
+
+HEIGHTS = arrays(np.int8, st.tuples(st.integers(2, 6), st.integers(2, 6)), elements=st.integers(-3, 5))
+"""So few heights that some quads are plane; the lowest stands for none."""
+
+
+def nodes_of(height: np.ndarray) -> np.ndarray:
+    """Nodes (rows, cols, 3) a metre apart: rows run south, columns east."""
+    row, col = np.mgrid[: height.shape[0], : height.shape[1]].astype(float)
+    return np.stack([col, -row, height], axis=-1)
+
+
+def height_at(sheet: Sheet, x: float, y: float) -> float:
+    """The height of the first triangle that a place lies in or on."""
+    for o, a, b in sheet.position_frame_m.reshape(-1, 3)[sheet.triangles]:
+        u, v = np.linalg.solve(np.stack([a - o, b - o], axis=1)[:2], [x - o[0], y - o[1]])
+        if min(u, v, 1.0 - u - v) >= -1e-9:
+            return float(o[2] + u * (a[2] - o[2]) + v * (b[2] - o[2]))
+    return np.nan
+
+
+@pytest.mark.parametrize("falls", [False, True])
+def test_triangles_of_either_cut_face_up_and_cover_the_sheet(falls):
+    triangles = sheet_triangles(np.full((3, 4), falls))
+    assert triangles.dtype == np.int32 and len(triangles) == 2 * 3 * 4
+    row, col = np.divmod(triangles, 5)
+    x, y = col.astype(float), -row.astype(float)
+    area = ((x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])) / 2
+    assert (area == 0.5).all()
+    diagonal, other = ((0, 6), (1, 5)) if falls else ((1, 5), (0, 6))  # of the first quad
+    corners = [set(triangle) for triangle in triangles.tolist()]
+    assert sum(set(diagonal) <= each for each in corners) == 2 and not any(set(other) <= each for each in corners)
+    # each quad's two triangles: together its four corners, first the one on its north side
+    for n, (north, south) in enumerate(zip(corners[::2], corners[1::2], strict=True)):
+        northwest = n // 4 * 5 + n % 4
+        assert north | south == {northwest, northwest + 1, northwest + 5, northwest + 6}
+        assert {northwest, northwest + 1} <= north and {northwest + 5, northwest + 6} <= south
+
+
+def test_the_ends_that_stand_higher_are_joined():
+    for height, falls in (
+        ([[1, 0], [0, 0]], True),
+        ([[0, 0], [0, 1]], True),
+        ([[0, 1], [0, 0]], False),
+        ([[0, 0], [1, 0]], False),
+        ([[5, 3], [3, 2]], True),
+        ([[5, 4], [4, 2]], False),
+        ([[-1, 0], [0, 0]], False),
+    ):
+        assert cuts_of(np.array(height, np.float32)).tolist() == [[falls]], height
+
+
+@given(
+    height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)),
+    place=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+)
+def test_the_surface_is_the_higher_one_of_the_two_cuts(height, place):
+    """Everywhere in a quad: the upper hull of its corners."""
+    x, y = place[0], -place[1]
+    nodes = nodes_of(height)
+    rising, falling = (height_at(Sheet(nodes, np.array([[falls]])), x, y) for falls in (False, True))
+    assert height_at(sheet_of(nodes), x, y) == pytest.approx(max(rising, falling), abs=1e-9)
+
+
+@given(
+    corners=st.tuples(*[st.integers(-100, 100)] * 3),
+    place=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+)
+def test_a_quad_of_equal_sums_is_plane_whichever_way_it_is_cut(corners, place):
+    nw, ne, sw = corners
+    x, y = place[0], -place[1]
+    nodes = nodes_of(np.array([[nw, ne], [sw, ne + sw - nw]], float))
+    expected = nw + x * (ne - nw) - y * (sw - nw)
+    for falls in (False, True):
+        assert height_at(Sheet(nodes, np.array([[falls]])), x, y) == pytest.approx(expected, abs=1e-9)
+
+
+def corners_of(sheet: Sheet, plane: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> set[frozenset[tuple[int, int]]]:
+    """The triangles of quads that are not ``plane``, as their nodes' places ``rows`` and ``cols``."""
+    quads = sheet_triangles(sheet.falls).reshape(-1, 2, 3)
+    bent = {frozenset(map(int, triangle)) for triangle in quads[~plane.ravel()].reshape(-1, 3)}
+    place = list(zip(rows.ravel().tolist(), cols.ravel().tolist(), strict=True))
+    return {frozenset(place[node] for node in triangle) for triangle in sheet.triangles.tolist() if frozenset(triangle) in bent}
+
+
+@given(height=HEIGHTS, turned=st.booleans(), down=st.sampled_from([1, -1]), right=st.sampled_from([1, -1]))
+def test_turned_and_mirrored_ground_has_turned_and_mirrored_triangles(height, turned, down, right):
+    """In all eight ways, beside holes too; of a plane quad either cut is right."""
+    height = np.where(height < -2, np.nan, height.astype(float))
+    rows, cols = np.indices(height.shape)
+    found = []
+    for each in (lambda v: v, lambda v: (v.T if turned else v)[::down, ::right]):
+        heights = each(height)
+        plane = heights[:-1, :-1] + heights[1:, 1:] == heights[:-1, 1:] + heights[1:, :-1]
+        found.append(corners_of(sheet_of(nodes_of(heights)), plane, each(rows), each(cols)))
+    assert found[0] == found[1]
+
+
+@given(height=arrays(np.float64, (5, 7), elements=st.floats(-1000, 1000)))
+def test_the_cuts_of_mirrored_ground_run_the_other_way(height):
+    bent = height[:-1, :-1] + height[1:, 1:] != height[:-1, 1:] + height[1:, :-1]
+    cuts = cuts_of(height)
+    np.testing.assert_array_equal(cuts_of(height[:, ::-1])[:, ::-1][bent], ~cuts[bent])
+    np.testing.assert_array_equal(cuts_of(height[::-1])[::-1][bent], ~cuts[bent])
+    np.testing.assert_array_equal(cuts_of(height[::-1, ::-1])[::-1, ::-1][bent], cuts[bent])
+    np.testing.assert_array_equal(cuts_of(height.T).T[bent], cuts[bent])
+
+
+@given(height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)), missing=st.sets(st.sampled_from(range(4))))
+def test_three_corners_are_a_triangle_and_two_are_none(height, missing):
+    """Whatever their heights."""
+    for corner in missing:
+        height[CORNERS[corner]] = np.nan
+    triangles = [set(triangle) for triangle in sheet_of(nodes_of(height)).triangles.tolist()]
+    if not missing:
+        assert len(triangles) == 2 and triangles[0] | triangles[1] == set(range(4))
+    elif len(missing) == 1:
+        assert triangles == [set(range(4)) - missing]
+    else:
+        assert triangles == []
+
+
+@pytest.mark.parametrize("along", ["falling diagonal", "rising diagonal", "row", "column"])
+def test_a_ridge_of_one_node_s_width_stays_whole(along):
+    """Whichever way it runs, level rays from either side meet it up to its crest, between its nodes as at them."""
+    side, crest_m = 12, 10.0
+    row, col = np.indices((side, side))
+    on_ridge = {"falling diagonal": row == col, "rising diagonal": row + col == side - 1, "row": row == 6, "column": col == 6}[
+        along
+    ]
+    sheet = sheet_of(nodes_of(np.where(on_ridge, crest_m, 0.0)))
+    rays = RayScene([sheet])
+    ends = sheet.position_frame_m[on_ridge][[0, -1]]
+    crest = ends[0] + np.linspace(0.1, 0.9, 81)[:, None] * (ends[1] - ends[0])
+    way = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    across, up = np.array([-way[1], way[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    for direction in (across, -across, 0.8 * across + 0.6 * way, 0.8 * across - 0.6 * way):
+        start = crest - 1.5 * direction
+        assert rays.blocked(start - 0.01 * up, direction).all()
+        assert not rays.blocked(start + 0.01 * up, direction).any()
+    assert rays.blocked(crest - 0.01 * up, up).all()  # from below
+    inside = ends[0] + 0.05 * (ends[1] - ends[0]) - 0.01 * up
+    assert not rays.blocked(inside[None], way, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])).any()  # along it: no gap
+
+
+def test_heights_cut_though_the_earth_bends_the_nodes():
+    """A saddle that stands on ground which falls away: its own heights count."""
+    height = np.array([[0.0, 1.0], [1.0, 0.0]])
+    bent = nodes_of(height)
+    bent[0, 1, 2] -= 5.0
+    assert sheet_of(bent, height).falls.tolist() == [[False]] and sheet_of(bent).falls.tolist() == [[True]]
+
+
+@given(height=HEIGHTS)
+def test_normals_are_those_of_the_triangles(height):
+    height = np.where(height < -2, np.nan, height.astype(float))
+    sheet = sheet_of(nodes_of(height))
+    normals = sheet.normals_frame
+    assert normals.shape == (height.shape[0] - 1, height.shape[1] - 1, 2, 3) and normals.dtype == np.float32
+    o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet_triangles(sheet.falls)].transpose(1, 0, 2)
+    expected = np.cross(a - o, b - o)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(normals.reshape(-1, 3), expected, atol=1e-6)
+    assert np.isfinite(normals).all(axis=-1).sum() == len(sheet.triangles)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 5), (5, 1)])
+def test_a_single_row_or_column_has_no_triangle(shape):
+    sheet = sheet_of(nodes_of(np.zeros(shape)))
+    assert sheet.falls.size == 0 and sheet.triangles.shape == (0, 3)
