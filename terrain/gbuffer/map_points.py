@@ -136,8 +136,13 @@ def _shares(falls, half, fr, fc):
 
 
 @compiled
+def _one_quad(found, n, m):
+    return found[n, 0] == found[m, 0] and found[n, 1] == found[m, 1]
+
+
+@compiled
 def _mean_normal(faces, found, count, out):
-    """The mean direction of some facets' normals, unit length."""
+    """The mean direction of some facets' normals, unit length; both facets of a quad count as one, however a plane quad is cut."""
     if count == 1:
         for k in range(3):
             out[k] = faces[found[0, 0], found[0, 1], found[0, 2], k]
@@ -145,7 +150,9 @@ def _mean_normal(faces, found, count, out):
     x, y, z = 0.0, 0.0, 0.0
     for n in range(count):
         face = faces[found[n, 0], found[n, 1], found[n, 2]]
-        x, y, z = x + face[0], y + face[1], z + face[2]
+        paired = (n > 0 and _one_quad(found, n, n - 1)) or (n + 1 < count and _one_quad(found, n, n + 1))
+        weight = 0.5 if paired else 1.0
+        x, y, z = x + weight * face[0], y + weight * face[1], z + weight * face[2]
     length = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x / length, y / length, z / length
 

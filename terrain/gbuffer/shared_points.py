@@ -79,14 +79,15 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
             count = facets_at(faces, falls, row[i], col[j], found)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
+            flattest = normal[i, j, 2]
             if count > 1:
-                most, best, flattest = -np.inf, 0, 1.0
+                most, best = -np.inf, 0
                 for k in range(count):
                     n = faces[found[k, 0], found[k, 1], found[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
                     if towards > most:
                         most, best = towards, k
-                    flattest = min(flattest, n[2])
+                    flattest = min(flattest, n[2]) if k > 0 else n[2]
                 for k in range(3):
                     normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
                     lift[i, j, k] = 0.0
@@ -94,9 +95,7 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
                 lift[i, j, 2] = 1.0 / max(flattest, STEEPEST)
             if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, x, y):
                 east, north = _inwards(nodes, falls, found, count, p)
-                lift[i, j, 0] += east
-                lift[i, j, 1] += north
-                lift[i, j, 2] += 1.0 / max(normal[i, j, 2], STEEPEST)
+                lift[i, j, 0], lift[i, j, 1], lift[i, j, 2] = east, north, 2.0 / max(flattest, STEEPEST)
 
 
 @compiled
