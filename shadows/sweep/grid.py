@@ -84,9 +84,12 @@ def orientation_towards(rows: float, cols: float) -> GridOrientation:
 
 @dataclass(frozen=True, eq=False)
 class SweepPoints:
-    """Points (n,) to be seen to, besides nodes: turned ``row``, ``t``, and ``own`` level (NaN: that of the ground there)."""
+    """Points (n,) to be seen to, besides nodes: turned ``row`` and ``col`` (borders apart), ``t``, and ``own`` level (NaN: that of
+    the ground there).
+    """
 
     row: np.ndarray
+    col: np.ndarray
     t: np.ndarray
     own: np.ndarray
     rounding: float
@@ -176,7 +179,7 @@ def sweep_nodes(
     n, columns = sheet.level.shape
     first, last = rows
     lit = np.ones((n, columns) if last > first else (0, 0), np.bool_)
-    points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+    points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
     end = max(last - 1, int(base.max(initial=-1)) + 1)
@@ -195,7 +198,13 @@ def sweep_nodes(
         begins = np.searchsorted(base[strip_points], np.arange(n + 1))
         strip_answers = np.ones(len(strip_points), np.bool_), np.empty(len(strip_points), np.float32)
         some = StripPoints(
-            begins, points.row[strip_points], points.t[strip_points], points.own[strip_points], points.rounding, *strip_answers
+            begins,
+            points.row[strip_points],
+            points.col[strip_points] + 1.0,
+            points.t[strip_points],
+            points.own[strip_points],
+            points.rounding,
+            *strip_answers,
         )
         its = Strip(lines, start - 1, held, no_peaks(lines, cells))
         before = min(max(first - 1, 0), end)

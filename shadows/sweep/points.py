@@ -16,7 +16,9 @@ must not meet what lies on either side by turns.
 
 class StripPoints(NamedTuple):
     """Points (n,) of a strip besides nodes: (rows + 1,) where those of each row interval (i, i + 1] begin, and in their order
-    ``row`` and ``t``, which say where they are, and their ``own`` levels (NaN: on the ground there).
+    ``row``, ``col`` and ``t``, which say where they are, and their ``own`` levels (NaN: on the ground there). A column and a t say
+    the same but for ground that is higher or lower than the lines were placed for: it stands aside. Points of the ground go by
+    their column, as nodes do, so that they lie over their own triangles.
 
     Written are ``above_m``, by how much the highest level on the way exceeds a point's, and ``lit``, whether that is no more than
     ``rounding``.
@@ -24,6 +26,7 @@ class StripPoints(NamedTuple):
 
     begins: np.ndarray
     row: np.ndarray
+    col: np.ndarray
     t: np.ndarray
     own: np.ndarray
     rounding: float
@@ -34,24 +37,28 @@ class StripPoints(NamedTuple):
 def no_points(rows: int) -> StripPoints:
     """No points at all, of a grid of so many rows."""
     none = np.zeros(0)
-    return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
+    return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
 
 
 @compiled
 def see_points(sheet, strip, i, points):
     """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
-    level, place, _, falls = sheet
+    level, place, at, falls = sheet
     lines, first_cell, held, _ = strip
-    begins, row, t, own, rounding, lit, above_m = points
+    begins, row, col, t, own, rounding, lit, above_m = points
     first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
     for n in range(first, last):
-        x = on_column(cubic(place[i], t[n]))
-        s = on_column(cubic(place[i + 1], t[n])) - x
+        end, before = row[n] - i, t[n]
+        x = on_column(cubic(place[i], before))
+        s = on_column(cubic(place[i + 1], before)) - x
+        if np.isnan(own[n]):  # on the ground: over its own triangle
+            x = on_column(col[n] - s * end)
+            before = cubic(at[i], x)
         c = int(np.floor(x))
-        f, end = x - c, row[n] - i
-        among = on_column(t[n] * lines)
+        f = x - c
+        among = on_column(before * lines)
         number = int(np.floor(among))
         cell, k = number // lines - first_cell, number % lines
         left = held[k, cell]

@@ -18,13 +18,14 @@ from shadows.sweep.grid import (
 )
 from shadows.sweep.lines import TurnedGrid
 from terrain.cache import MIB, cached
-from terrain.casters.reach import PATCH_QUADS, Casters
+from terrain.casters.reach import PATCH_QUADS, Casters, Patch
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from terrain.geo.grid import Grid
 from terrain.geo.light_space import LightSpace
 from terrain.geo.world import LocalFrame
+from terrain.ground.surface import SurfaceWindow
 from terrain.scene import Scene
 
 FITTED_POINTS = 1024
@@ -79,6 +80,12 @@ class SunRays:
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
         return (self.grid.y0 - y) / self.grid.step, (x - self.grid.x0) / self.grid.step
+
+    def turned(self, values: np.ndarray) -> np.ndarray:
+        """Values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
+        with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
+        inside[:] = self.turn.turned(values)
+        return close_border(with_border)
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """``sweep_grid.places`` of a window of the grid of every 2**detail-th node."""
@@ -161,6 +168,8 @@ def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, so
     assert block_surface is not None
     windows: dict[int, list[Window]] = {0: [(block_surface.row0, block_surface.col0, block_surface.height_m)]}
     for patch in casters.patches:
+        if patch.level > 0 and _lies_behind(rays, patch, block_surface):  # what is handed over has to lie towards the sun
+            continue
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         surface = rays.scene.surface(rays.grid.coarser(patch.level))
         height_m, _ = surface.heights(row0, col0, PATCH_QUADS + 1, PATCH_QUADS + 1)
@@ -168,66 +177,88 @@ def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, so
     return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
 
 
+def _lies_behind(rays: SunRays, patch: Patch, block: SurfaceWindow) -> bool:
+    """Whether the lines pass a patch, which lies beside a block, after the block if at all: on the turned grid they run down and to
+    the right.
+    """
+    side = PATCH_QUADS * 2**patch.level
+    rows, cols = block.height_m.shape
+    i, j = rays.turn.onto(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
+    block_i, block_j = rays.turn.onto(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
+    return bool(i.min() >= block_i.max() or j.min() >= block_j.max())
+
+
 @cached("light", 1024 * MIB)
-def ground_of_level(scene: Scene, drawn: GroundMesh, soft: bool) -> tuple[SunRays, GroundWindow]:
-    """The ground that a perspective view draws, as heights of its grid's nodes, and the rays over it; the last one is kept."""
+def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
+    """The ground that a perspective view draws, on its grid's nodes, and the rays over it; the last one is kept.
+
+    Where the drawn ground leaves out nodes, these lie on the triangles that are drawn, which cut across the bent earth, and quads
+    are cut as the triangles' sides cut them.
+    """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
-    height_m, falls = nodes.height_m, None
-    if nodes.errors is not None:  # decimated: quads are cut as the triangles are drawn
-        row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
-        corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-        height_m, falls = _drawn_heights(corner, drawn.height_m, drawn.triangles, rows, cols)
     rays = rays_over(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
-    return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, height_m)], soft, falls)
+    if nodes.errors is None:
+        return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, nodes.height_m)], soft)
+    row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
+    corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
+    _, level_m, towards_m = rays.t_level_towards(drawn.position_frame_m, frame)
+    levels = rays.turned(_on_triangles(corner, level_m, drawn.triangles, rows, cols))
+    towards = rays.turned(_on_triangles(corner, towards_m, drawn.triangles, rows, cols)) if soft else NO_LEVELS
+    falls = np.pad(rays.turn.turned_cuts(_falling_quads(corner, drawn.triangles, rows, cols)), ((0, 0), (1, 1)))
+    sheet = TurnedGrid(levels, *rays.places(0, nodes.row0, nodes.col0, rows, cols), falls)
+    return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sheet, towards)
 
 
-def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool, falls: np.ndarray | None = None) -> GroundWindow:
-    """One sheet over windows of heights; where there is none, there is no ground. ``falls`` (rows - 1, cols - 1) are its cuts, if
-    they are not those along the higher diagonals.
-    """
+def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> GroundWindow:
+    """One sheet over windows of heights; where there is none, there is no ground."""
     row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
 
-    def sheet(values_of: Callable[[int, int, int, np.ndarray], np.ndarray]) -> np.ndarray:
+    def turned(values_of: Callable[[int, int, int, np.ndarray], np.ndarray]) -> np.ndarray:
         values = np.full((rows, cols), np.nan, np.float32)
         for row, col, height_m in windows:
             here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
             values[here] = values_of(detail, row, col, height_m)
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
-        inside[:] = rays.turn.turned(values)
-        return close_border(with_border)
+        return rays.turned(values)
 
-    cuts = HIGHER_DIAGONALS if falls is None else np.pad(rays.turn.turned_cuts(falls), ((0, 0), (1, 1)))
-    turned_grid = TurnedGrid(sheet(rays.levels), *rays.places(detail, row0, col0, rows, cols), cuts)
-    return GroundWindow(detail, row0, col0, (rows, cols), turned_grid, sheet(rays.towards) if soft else NO_LEVELS)
+    sheet = TurnedGrid(turned(rays.levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
+    return GroundWindow(detail, row0, col0, (rows, cols), sheet, turned(rays.towards) if soft else NO_LEVELS)
 
 
 @compiled
-def _drawn_heights(corner, height, triangles, rows, cols):
-    """Heights (rows, cols) of the nodes on triangles whose corners (row, column) are nodes, NaN beside them; and which quads
-    (rows - 1, cols - 1) the side of a triangle cuts from north-west to south-east. One that no side cuts is plane.
+def _on_triangles(corner, value, triangles, rows, cols):
+    """Values (rows, cols) float32 of the nodes on triangles whose corners (row, column) are nodes with values (n,); NaN beside
+    them.
     """
     out = np.full((rows, cols), np.nan, np.float32)
-    falls = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):
         a, b, c = corner[triangles[n, 0]], corner[triangles[n, 1]], corner[triangles[n, 2]]
-        h0, h1, h2 = np.float64(height[triangles[n, 0]]), height[triangles[n, 1]], height[triangles[n, 2]]
+        v0, v1, v2 = value[triangles[n, 0]], value[triangles[n, 1]], value[triangles[n, 2]]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area == 0:
             continue
-        for start, end in ((a, b), (b, c), (c, a)):
-            if end[0] - start[0] == end[1] - start[1]:
-                for step in range(abs(end[0] - start[0])):
-                    falls[min(start[0], end[0]) + step, min(start[1], end[1]) + step] = True
         for row in range(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]) + 1):
             for col in range(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]) + 1):
                 v = ((row - a[0]) * (c[1] - a[1]) - (col - a[1]) * (c[0] - a[0])) / area
                 w = ((b[0] - a[0]) * (col - a[1]) - (b[1] - a[1]) * (row - a[0])) / area
                 if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
-                    out[row, col] = h0 + v * (h1 - h0) + w * (h2 - h0)
-    return out, falls
+                    out[row, col] = v0 + v * (v1 - v0) + w * (v2 - v0)
+    return out
+
+
+@compiled
+def _falling_quads(corner, triangles, rows, cols):
+    """Which quads (rows - 1, cols - 1) a triangle's side cuts from north-west to south-east; one that no side cuts is plane."""
+    falls = np.zeros((rows - 1, cols - 1), np.bool_)
+    for n in range(len(triangles)):
+        for k in range(3):
+            start, end = corner[triangles[n, k]], corner[triangles[n, (k + 1) % 3]]
+            if end[0] - start[0] == end[1] - start[1]:
+                for step in range(abs(end[0] - start[0])):
+                    falls[min(start[0], end[0]) + step, min(start[1], end[1]) + step] = True
+    return falls
 
 
 def _cubic_terms(p: np.ndarray) -> np.ndarray:

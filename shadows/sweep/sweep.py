@@ -99,7 +99,8 @@ def strips_of_sun(count: int) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` of the turned ground and
-    in a ``window`` of its grid; and the ``others``: their turned rows, t, levels (NaN: the ground's) and metres towards the sun.
+    in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's) and metres towards
+    the sun.
     """
 
     t_range: tuple[float, float]
@@ -108,6 +109,7 @@ class _Asked:
     window: tuple[slice, slice]
     others: np.ndarray
     row: np.ndarray
+    col: np.ndarray
     t: np.ndarray
     level_m: np.ndarray
     towards_m: np.ndarray
@@ -120,7 +122,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
         rays = rays_over(scene, view.grid, *view.centre_node)
         return rays, grounds_of_block(rays, buffer, casters, soft)
     assert buffer.ground is not None
-    rays, ground = ground_of_level(scene, buffer.ground, soft)
+    rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
 
 
@@ -143,9 +145,9 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
         row, col = view.row0 + pixels[0] * view.row_step, view.col0 + pixels[1] * view.col_step
     else:
         row, col = rays.rows_and_columns(points, buffer.frame)
-    turned_row, _ = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
+    turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
     level_m[buffer.kind[others] == RELIEF] = np.nan
-    return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, t, level_m, towards_m)
+    return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, turned_col, t, level_m, towards_m)
 
 
 def _swept(
@@ -161,7 +163,7 @@ def _swept(
     sheet = ground.tilted(angle)
     own_m = np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
     highest_m = max(abs(float(np.nanmin(sheet.level))), abs(float(np.nanmax(sheet.level))))
-    points = SweepPoints(targets.row, targets.t, own_m, LEVEL_ROUNDING * highest_m)
+    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * highest_m)
     return sweep_nodes(sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, points, shade, CORES)
 
 

@@ -14,6 +14,8 @@ Volumes are drawn in rectangles of tiles that hold points, and of the faces only
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import moderngl
 import numpy as np
 from moderngl import Framebuffer
@@ -25,6 +27,7 @@ from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receiving, sample_points
 from shadows.volumes.volumes import Volumes
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.grid import MapView
 from terrain.gl.device import Device, device
 from terrain.gl.stencil import MARK_BIT, Counting, Side
 from terrain.scene import Scene
@@ -38,6 +41,9 @@ level, and have no slope that would move them. Corners, their clip coordinates a
 infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles
 (``terrain.casters.rays``).
 """
+
+ALONG = 1e-6
+"""A sun is along an axis or a diagonal where the tangent of the angle between them is less."""
 
 TOWARDS_EYE = 1.0 + 2.0**-10
 """How much nearer silhouettes are drawn than the surfaces that they lie on."""
@@ -61,11 +67,38 @@ def count(
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
     near_m = near_plane_m(buffer)
+    along_pixels = _along_pixels(buffer, scene, light)
     for points in own_points(buffer, scene, wanted, near_m):
-        counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, marked, record)
+        found = _counted(buffer, scene, points, light, volumes, settings, marked, record)
+        if along_pixels:
+            turned = _counted(buffer, scene, _turned_about(points), light, volumes, settings, marked, record)
+            found = np.maximum(found, turned)
+        counts.ravel()[points.at] = found
     for points in sample_points(buffer, scene, wanted, near_m):
         counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, True, record)
     return counts
+
+
+def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bool:
+    """Whether sides of volumes may run through the very centres of pixels: in a flat world's map, under a sun along the axes or the
+    diagonals of its pixels.
+
+    There a rasteriser gives a centre to one side alone, always to the same. A point on a side is in the volume, as a ray that meets
+    an edge is stopped; so such a view is counted the other way about, too, where the centre falls to the other side.
+    """
+    view = buffer.view
+    if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
+        return False
+    down, right = -light[1] / view.row_step, light[0] / view.col_step
+    along = np.abs([down, right, down - right, down + right])
+    return bool(along.min() <= ALONG * along.max())
+
+
+def _turned_about(points: SeenPoints) -> SeenPoints:
+    """Points in the view turned by half a turn about its axis."""
+    rows, cols = points.size
+    clip = points.clip_from_frame * np.array([[-1.0], [-1.0], [1.0], [1.0]])
+    return replace(points, row=rows - 1 - points.row, col=cols - 1 - points.col, clip_from_frame=clip)
 
 
 def faces_before(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:

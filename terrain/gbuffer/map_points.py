@@ -71,8 +71,23 @@ def facets_at(faces, falls, row, col, found):
 
 @compiled
 def crease_at(faces, falls, row, col, normal):
-    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet."""
-    near_r, near_c = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
+    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet (round
+    all of them, half-way between).
+    """
+    first_r, last_r, first_c, last_c = _nearest(row, col)
+    widest = _crease_round(faces, falls, first_r, first_c, normal)
+    if last_r > first_r:
+        widest = max(widest, _crease_round(faces, falls, last_r, first_c, normal))
+    if last_c > first_c:
+        widest = max(widest, _crease_round(faces, falls, first_r, last_c, normal))
+    if last_r > first_r and last_c > first_c:
+        widest = max(widest, _crease_round(faces, falls, last_r, last_c, normal))
+    return widest
+
+
+@compiled
+def _crease_round(faces, falls, near_r, near_c, normal):
+    """The largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
@@ -90,9 +105,17 @@ def crease_at(faces, falls, row, col, normal):
 
 
 @compiled
+def _nearest(row, col):
+    """First and last row and column of the nodes nearest to a place: one of each, but for a place half-way between."""
+    return (
+        int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE)),
+        int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE)),
+    )  # fmt: skip
+
+
+@compiled
 def _nearest_shown(shown, row, col):
-    low_r, high_r = int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE))
-    low_c, high_c = int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE))
+    low_r, high_r, low_c, high_c = _nearest(row, col)
     return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
 
 
@@ -113,8 +136,13 @@ def _shares(falls, half, fr, fc):
 
 
 @compiled
+def _one_quad(found, n, m):
+    return found[n, 0] == found[m, 0] and found[n, 1] == found[m, 1]
+
+
+@compiled
 def _mean_normal(faces, found, count, out):
-    """The mean direction of some facets' normals, unit length."""
+    """The mean direction of some facets' normals, unit length; both facets of a quad count as one, however a plane quad is cut."""
     if count == 1:
         for k in range(3):
             out[k] = faces[found[0, 0], found[0, 1], found[0, 2], k]
@@ -122,7 +150,9 @@ def _mean_normal(faces, found, count, out):
     x, y, z = 0.0, 0.0, 0.0
     for n in range(count):
         face = faces[found[n, 0], found[n, 1], found[n, 2]]
-        x, y, z = x + face[0], y + face[1], z + face[2]
+        paired = (n > 0 and _one_quad(found, n, n - 1)) or (n + 1 < count and _one_quad(found, n, n + 1))
+        weight = 0.5 if paired else 1.0
+        x, y, z = x + weight * face[0], y + weight * face[1], z + weight * face[2]
     length = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x / length, y / length, z / length
 

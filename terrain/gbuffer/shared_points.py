@@ -23,6 +23,10 @@ STEEPEST = 1.0 / 32.0
 """Least upward part of a facet's unit normal by which a ray's start is lifted: walls may be steeper, but start no ray higher."""
 
 
+PARALLEL = 1e-6
+"""Tangent of the angle below which light comes along the rim of the ground."""
+
+
 class FacingNormals(NamedTuple):
     """Of each point of a buffer (rows, cols), for one light.
 
@@ -34,8 +38,8 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols), as a ``GeometryBuffer`` has it, from that facet.
     lift_frame
         float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
-        facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. On the rim of
-        the ground it goes inwards, too: a ray along the rim meets it.
+        facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
+        along the rim of the ground it goes inwards, too: a ray along the rim meets it.
     """
 
     normal_frame: np.ndarray
@@ -74,25 +78,24 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
                 continue
             count = facets_at(faces, falls, row[i], col[j], found)
             p = position[i, j]
+            x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
+            flattest = normal[i, j, 2]
             if count > 1:
-                x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-                most, best, flattest = -np.inf, 0, 1.0
+                most, best = -np.inf, 0
                 for k in range(count):
                     n = faces[found[k, 0], found[k, 1], found[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
                     if towards > most:
                         most, best = towards, k
-                    flattest = min(flattest, n[2])
+                    flattest = min(flattest, n[2]) if k > 0 else n[2]
                 for k in range(3):
                     normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
                     lift[i, j, k] = 0.0
                 crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
                 lift[i, j, 2] = 1.0 / max(flattest, STEEPEST)
-            if _on_rim(found, count, row[i], col[j]):
+            if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, x, y):
                 east, north = _inwards(nodes, falls, found, count, p)
-                lift[i, j, 0] += east
-                lift[i, j, 1] += north
-                lift[i, j, 2] += 1.0 / max(normal[i, j, 2], STEEPEST)
+                lift[i, j, 0], lift[i, j, 1], lift[i, j, 2] = east, north, 2.0 / max(flattest, STEEPEST)
 
 
 @compiled
@@ -104,6 +107,19 @@ def _on_rim(found, count, row, col):
             quads += 1
     beside = (2 if abs(row - np.rint(row)) <= ON_EDGE else 1) * (2 if abs(col - np.rint(col)) <= ON_EDGE else 1)
     return quads < beside
+
+
+@compiled
+def _along_a_side(nodes, falls, found, count, p, x, y):
+    """Whether a way (x, y) from a point runs, seen from above, along a side of one of its facets."""
+    for k in range(count):
+        r, c, half = found[k]
+        for down, right in facet_corners(falls[r, c], half):
+            east, north = nodes[r + down, c + right, 0] - p[0], nodes[r + down, c + right, 1] - p[1]
+            ahead = east * x + north * y
+            if ahead > 0.0 and abs(east * y - north * x) <= PARALLEL * ahead:
+                return True
+    return False
 
 
 @compiled

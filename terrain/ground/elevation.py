@@ -236,7 +236,7 @@ class Elevation:
         Heights are bilinear between cells of ``level`` (2**level cells of the raster a side). NaN where nothing is near.
         """
         factor = 2**level
-        row, col = (row + 0.5) / factor - 0.5, (col + 0.5) / factor - 0.5
+        row, col = (row + 0.5) / factor - 0.5, self._columns_of_level(level, col)
         rows, cols = self._level_shape(level)
         known = np.isfinite(row) & np.isfinite(col) & (row >= -0.5) & (row <= rows - 0.5)
         if not self._wrap:
@@ -265,23 +265,28 @@ class Elevation:
             return values, valid
         rows, cols = self._level_shape(level)
         top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
-        left, right = max(col0 - FILL_CELLS - 1, 0), min(col1 + FILL_CELLS + 1, cols)
+        left, right = col0 - FILL_CELLS - 1, col1 + FILL_CELLS + 1
+        if not self._wrap:  # round the earth a hole's rim goes on beyond the last column
+            left, right = max(left, 0), min(right, cols)
         wide = self._read(level, top, bottom, left, right)
         if np.isfinite(wide).any():
             wide = fillnodata(wide, mask=np.isfinite(wide), max_search_distance=FILL_CELLS, smoothing_iterations=0)
-        inner = wide[row0 - top : row1 - top, max(col0 - left, 0) : col1 - left]
-        return (inner if inner.shape == values.shape else values), valid
+        return wide[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
     def _read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
         """Heights in metres of a window of cells of a level, float32, NaN in holes."""
         if not self._wrap:
             return self._read_inside(level, row0, row1, col0, col1)
-        period = max(self._wrap // 2**level, 1)
+        period, (_, cols) = self._columns_of_a_turn(level), self._level_shape(level)
         parts, col = [], col0
         while col < col1:
             turn = col // period
             end = min(col1, (turn + 1) * period)
-            parts.append(self._read_inside(level, row0, row1, col - turn * period, end - turn * period))
+            part, first = np.full((row1 - row0, end - col), np.nan, np.float32), col - turn * period
+            known = min(end - col, cols - first)  # a raster may end a column before it meets itself
+            if known > 0:
+                part[:, :known] = self._read_inside(level, row0, row1, first, first + known)
+            parts.append(part)
             col = end
         return np.concatenate(parts, axis=1)
 
@@ -304,6 +309,27 @@ class Elevation:
         self._unmarked |= not (marked | plausible).all()
         values[marked | ~plausible] = np.nan
         return values.astype(np.float32)
+
+    def _columns_of_a_turn(self, level: int) -> int:
+        """Cells of a level after which a raster that goes round the earth meets itself."""
+        return max(self._wrap // 2**level, 1)
+
+    def _columns_of_level(self, level: int, col: np.ndarray) -> np.ndarray:
+        """(Fractional) columns of a level for those of level 0.
+
+        Round the earth less than one cell may be left out before the first one comes again: columns from the last cell's centre to
+        the first one's are spread over that, so that a place is the same column, but for whole turns, however it is come to.
+        """
+        factor, whole = 2**level, self._columns_of_a_turn(level)
+        col = (col + 0.5) / factor - 0.5
+        if not self._wrap or whole * factor == self._wrap:
+            return col
+        round_the_earth = self._wrap / factor
+        turn = np.floor((col + 0.5) / round_the_earth)
+        col = col - turn * round_the_earth
+        to_first = round_the_earth - (whole - 1)
+        before_first, after_last = col / to_first, whole - 1 + (col - (whole - 1)) / to_first
+        return turn * whole + np.where(col < 0, before_first, np.where(col > whole - 1, after_last, col))
 
     def _level_shape(self, level: int) -> tuple[int, int]:
         return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)

@@ -107,7 +107,38 @@ def _mirrored_azimuth() -> None:
     scene.sun_of = mirrored
 
 
+def _one_diagonal() -> None:
+    from terrain.ground import sheet
+
+    sheet.cuts_of = lambda height: np.zeros((height.shape[0] - 1, height.shape[1] - 1), bool)
+
+
+def _first_facet() -> None:
+    """A point that several facets share goes by the first that is found, whatever the light."""
+    from shadows import attached
+    from shadows.truth import truth
+    from terrain.gbuffer.shared_points import FacingNormals
+
+    def facing_normals(buffer: Any, light: Any) -> FacingNormals:
+        if buffer.surface is None or buffer.triangle is None:
+            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame)
+        row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)
+        normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
+        return FacingNormals(normal, buffer.crease, normal)
+
+    attached.facing_normals = truth.facing_normals = facing_normals
+
+
 MUTANTS = {
+    "one_diagonal": Mutant(
+        "quads are cut from south-west to north-east, all of them", _one_diagonal,
+        (("test_every_side", "test_eight_symmetries", "shadow_volume"), ("test_every_side", "test_eight_symmetries", "truth")),
+    ),
+    "first_facet": Mutant(
+        "a point that several facets share goes by one of them, whatever the light", _first_facet,
+        (("test_every_side", "test_eight_symmetries", "sweep"), ("test_every_side", "test_a_box_under_eight_suns", "sweep"),
+         ("test_every_side", "test_a_box_under_eight_suns", "truth")),
+    ),
     "no_snapping": Mutant(
         "maps follow what is looked at, off the lattice of their texels", _no_snapping,
         (("test_steady", "test_whole_pixel_shifts", "shadow_map"),),

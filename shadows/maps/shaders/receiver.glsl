@@ -128,10 +128,17 @@ bool receive(ivec2 pixel) {
         }
     }
     if (on_nodes && !own) {
-        vec2 at = first_node + node_step * vec2(pixel), nearest = floor(at + 0.5), aside = at - nearest;
-        ivec2 node = ivec2(nearest);
+        vec2 at = first_node + node_step * vec2(pixel);
+        ivec2 low = ivec2(ceil(at - 0.5 - ON_EDGE)), high = ivec2(floor(at + 0.5 + ON_EDGE)), node = low;
         vec3 centre = texelFetch(node_frame_m, node, 0).xyz;
         middle = turned * in_light(centre);
+        for (int k = 1; k < 4; k++) {  // half-way between nodes: of these the one that is nearest to the light
+            ivec2 other = ivec2(k % 2 == 1 ? high.x : low.x, k / 2 == 1 ? high.y : low.y);
+            if (other == node) continue;
+            vec3 candidate = texelFetch(node_frame_m, other, 0).xyz, in_map = turned * in_light(candidate);
+            if (in_map.z < middle.z || middle.z != middle.z) { node = other; centre = candidate; middle = in_map; }
+        }
+        vec2 aside = at - vec2(node);
         // The ring's nodes without the corners of quads whose cut runs beside the node.
         vec3 around[9];
         ivec2 beside[9];

@@ -94,6 +94,16 @@ def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene,
     assert errors_of(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
 
 
+@pytest.mark.parametrize("sun", SUNS[::3])
+def test_coarse_ground_behind_a_block_shades_none_of_it(jacksboro, sun):
+    """Far finer than the raster, a map reads its casters coarsely from nearby on, and some behind it, too."""
+    scene = under(jacksboro, *sun)
+    view = scene.view(bounds=(-84.2505, 36.5795, -84.2495, 36.5805), size=(128, 128), crs="EPSG:4326")
+    buffer, casters, seen = looked_at(scene, view)
+    assert max(patch.level for patch in casters.patches) >= 1
+    assert errors_of(seen, truth_of(buffer, scene, casters), 0.8).wrong <= 3e-4
+
+
 def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, make_scene):
     """Ten degrees of longitude from the level's middle the anchor's light space leans, and would carry summits aside."""
     rng = np.random.default_rng(3)

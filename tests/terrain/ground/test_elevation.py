@@ -116,6 +116,53 @@ def test_a_global_raster_has_no_border_at_its_seam(write_raster):
     assert there.all()
 
 
+@pytest.mark.parametrize("hole", [8, 40, 200])
+def test_a_hole_across_the_seam_of_a_global_raster_is_filled_as_anywhere_else(write_raster, hole):
+    """The same cells begin at another meridian: their hole lies across the seam in one file, in the middle of the other."""
+    values = np.random.default_rng(4).normal(500, 200, (128, 256)).astype(np.float32)
+    values[40:90, np.arange(-hole // 2, hole // 2)] = np.nan
+    across = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
+    within = Elevation(str(write_raster(np.roll(values, 128, axis=1), "EPSG:4326", 0, 90, 360 / 256, name="within.tif")))
+    for level in (0, 1, 2):
+        for first, last in ((-20, 20), (236, 276), (0, 30), (230, 255.5), (-128, 128), (0, 255.5)):
+            row, col = np.meshgrid(np.arange(0, 127, 0.5), np.arange(first, last, 0.5), indexing="ij")
+            found, there = across.heights_at(level, row, col)
+            expected, known = within.heights_at(level, row, (col + 128) % 256)
+            np.testing.assert_array_equal(found, expected)
+            np.testing.assert_array_equal(there, known)
+            assert np.isfinite(found[~there]).any(), "some of the hole is filled"
+
+
+def test_a_global_raster_that_lacks_its_last_column_has_a_hole_there(write_raster):
+    values = np.broadcast_to(np.arange(359, dtype=np.float32) * 10, (20, 359))
+    elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 10, 1.0)))
+    for first, last in ((0, 359), (350, 359), (355, 365), (-5, 5)):
+        col = np.arange(first, last)
+        height, there = heights_at(elevation, 5, col)
+        known = col % 360 < 359
+        np.testing.assert_array_equal(height[0, known], 10.0 * (col % 360)[known])
+        np.testing.assert_array_equal(there[0], known)
+        assert (height[0, ~known] == 3580 / 2).all(), "filled between its rims"
+
+
+@pytest.mark.parametrize("level", range(7))
+def test_zoomed_out_a_global_raster_meets_itself_though_cells_are_left_over(write_raster, level):
+    """360 columns make 22.5 cells of 16: the heights are the same on either way round, and nowhere off by a cell's error."""
+    longitude = np.radians(np.arange(360.0))
+    values = np.broadcast_to((1000 * np.cos(longitude) + 500 * np.sin(2 * longitude)).astype(np.float32), (180, 360))
+    elevation = Elevation(str(write_raster(values, "EPSG:4326", 0, 90, 1.0)))
+    col = np.arange(0, 360.0)
+    height, there = heights_at(elevation, 90, col, level)
+    for turn in (-2, -1, 1):
+        other, known = heights_at(elevation, 90, col + 360 * turn, level)
+        np.testing.assert_allclose(other, height, atol=1e-3)
+        assert known.all()
+    assert there.all()
+    error_m = np.abs(height[0] - values[0])
+    at_seam = (col < 2**level) | (col > 360 - 2 * 2**level)
+    assert error_m[at_seam].max() <= max(1.5 * error_m[~at_seam].max(initial=0.0), 1e-3)
+
+
 def test_the_overview_knows_the_highest_cell(write_raster):
     values = np.zeros((1100, 1300), np.float32)
     values[777, 555] = 3000.0

@@ -1,0 +1,147 @@
+"""Right from every side: no direction of the compass is better than another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.attached import attached
+from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView
+from terrain.level.parts import SunSpec
+from tests.hard_cases.cases import SHADOWING, Trial, hard_case
+from tests.hard_cases.test_sweep_azimuths import hills
+from tests.rasters import ENGINEERING
+
+CELL_M = 8.0
+
+SIDES = [
+    (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
+]
+"""The eight symmetries of a square: what is mirrored, and then whether rows and columns change places."""
+
+SUNS = {"random heights": (90.0, 45.0), "city": (113.0, 30.0), "canopy": (67.0, 20.0), "mountains": (202.0, 10.0)}
+"""By kind of ground: along an axis, and off the axes and diagonals."""
+
+EXACT = 1e-5
+"""Share of the pixels that may differ at nodes, by the algorithms that go by the very nodes."""
+
+GROUNDS_MAY_DIFFER = {"random heights": 1e-3, "city": 1e-3, "canopy": 1e-3, "mountains": 2e-4}
+"""Share that may differ by maps and volumes, and between nodes."""
+
+
+def moved(values: np.ndarray, side: tuple[bool, bool, bool]) -> np.ndarray:
+    """Values (n, n) of a square as one of its symmetries has them."""
+    east_west, north_south, turned = side
+    values = values.T if turned else values
+    return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
+
+
+def moved_back(values: np.ndarray, side: tuple[bool, bool, bool]) -> np.ndarray:
+    """What ``moved`` undoes."""
+    east_west, north_south, turned = side
+    values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
+    return values.T if turned else values
+
+
+def azimuth_of(azimuth_deg: float, side: tuple[bool, bool, bool]) -> float:
+    """A sun's azimuth, moved likewise: turned about the diagonal from north-west to south-east, and mirrored."""
+    east_west, north_south, turned = side
+    if turned:
+        azimuth_deg = 270.0 - azimuth_deg
+    if north_south:
+        azimuth_deg = 180.0 - azimuth_deg
+    return (-azimuth_deg if east_west else azimuth_deg) % 360.0
+
+
+def grounds(cells: int) -> dict[str, np.ndarray]:
+    """Heights (cells, cells) float32 of four kinds of ground."""
+    rng = np.random.default_rng(7)
+    city = np.zeros((cells, cells), np.float32)
+    for row, col, deep, wide in rng.integers((0, 0, 3, 3), (cells, cells, 14, 14), (cells, 4)):
+        city[row : row + deep, col : col + wide] = rng.uniform(4.0, 40.0)
+    canopy = np.where(rng.random((cells, cells)) < 0.7, rng.uniform(8.0, 22.0, (cells, cells)), 0.0)
+    return {
+        "random heights": rng.uniform(0.0, 40.0, (cells, cells)).astype(np.float32),
+        "city": city,
+        "canopy": canopy.astype(np.float32),
+        "mountains": hills(cells, 900.0, rough_m=3.0),
+    }
+
+
+def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels: int) -> np.ndarray:
+    """The shadow (pixels, pixels) of a raster in a flat world, all of it in the view."""
+    side_m = len(heights) * CELL_M
+    scene = trial.scene(trial.raster(np.ascontiguousarray(heights), ENGINEERING, 0.0, side_m, CELL_M), (0.0, 45.0))
+    scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    view = scene.view(bounds=(0.0, 0.0, side_m, side_m), size=(pixels, pixels))
+    assert isinstance(view, MapView) and view.on_nodes == (pixels == len(heights))
+    if trial.algorithm == "truth":
+        buffer = geometry_of(scene, view)
+        rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+        return buffer.there & (attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays))
+    return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
+
+
+@hard_case(
+    "Y1",
+    "Mirrored or turned ground under a sun mirrored or turned alike has the mirrored or turned shadow",
+    "random heights, a city, a canopy and mountains, each eight ways, on nodes and between; as a share of what may differ: 0.001 % "
+    "by the sweep and rays at nodes, else 0.02 % of mountains and 0.1 % of the others",
+    {"at nodes": 1.0, "between nodes": 1.0},
+    algorithms=(*SHADOWING, "truth"),
+)
+def test_eight_symmetries(trial: Trial) -> dict[str, float]:
+    cells = 80 if trial.thorough else 32
+    found = {"at nodes": 0.0, "between nodes": 0.0}
+    for ground, heights in grounds(cells).items():
+        azimuth, altitude = SUNS[ground]
+        for name, pixels in (("at nodes", cells), ("between nodes", cells * 3 // 2)):
+            exact = name == "at nodes" and trial.algorithm in ("sweep", "truth")
+            seen = [
+                moved_back(dark_at(trial, moved(heights, side), (azimuth_of(azimuth, side), altitude), pixels), side)
+                for side in (SIDES if trial.thorough else (SIDES[0], SIDES[1], SIDES[6]))
+            ]
+            assert 0.02 < seen[0].mean() < 0.98
+            differ = max(float((other != seen[0]).mean()) for other in seen[1:])
+            found[name] = max(found[name], differ / (EXACT if exact else GROUNDS_MAY_DIFFER[ground]))
+    return found
+
+
+ROOF = 20
+"""Nodes along the roof of the box."""
+
+HEIGHT_CELLS = 10.5
+
+
+@hard_case(
+    "Y2",
+    "A flat roof is lit up to its edges from every side, and its box throws the shadow that can be counted",
+    "a box of 20 x 20 nodes, 10.5 cells high, under suns from the eight directions of the compass, 1 high per node passed",
+    {"dark roof nodes": 0.0, "wrong nodes on the ground": 0.01},
+    algorithms=(*SHADOWING, "truth"),
+    thorough=False,
+)
+def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
+    """Under a sun along the axes ten nodes are dark behind each of the roof's 20 rows: 1 to 10 cells from its edge the ray passes
+    this below 10.5 cells. Along the diagonals ten behind each of the 39 diagonals that meet the roof; and on the two beside these,
+    which meet the corners' walls half-way down, five: there the ray is 0.5 to 4.5 high, below 5.25.
+
+    ``wrong nodes on the ground`` are a share of the nodes that are dark.
+    """
+    cells = 64
+    heights = np.zeros((cells, cells), np.float32)
+    first = (cells - ROOF) // 2
+    roof = slice(first, first + ROOF)
+    heights[roof, roof] = HEIGHT_CELLS * CELL_M
+    dark_roof, wrong = 0, 0.0
+    for octant in range(8):
+        diagonal = octant % 2 == 1
+        altitude = np.degrees(np.arctan(0.5**0.5)) if diagonal else 45.0
+        dark = dark_at(trial, heights, (45.0 * octant, float(altitude)), cells)
+        dark_roof += int(dark[roof, roof].sum())
+        dark[roof, roof] = False
+        expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
+        wrong = max(wrong, abs(int(dark.sum()) - expected) / expected)
+    return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
