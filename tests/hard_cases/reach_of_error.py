@@ -154,7 +154,11 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
     assert isinstance(view, MapView) and surface is not None
     i, j = np.unravel_index(left, buffer.there.shape)
     at = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
-    node = np.floor(at + 0.5).astype(int)
+    # The nearest node; half-way between nodes, of these the one that is nearest to the sun.
+    low, high = np.ceil(at - 0.5 - ON_EDGE).astype(int), np.floor(at + 0.5 + ON_EDGE).astype(int)
+    nearest = [np.column_stack([row[:, 0], col[:, 1]]) for row in (low, high) for col in (low, high)]
+    height = [np.nan_to_num(surface.position_frame_m[tuple(each.T)] @ towards, nan=-np.inf) for each in nearest]
+    node = np.stack(nearest)[np.argmax(height, axis=0), np.arange(len(left))]
     east, north = (at - node)[:, 1], (node - at)[:, 0]
     # Eighths of the way round; where a quad is cut beside the node, one triangle takes up two of them.
     ends: list[tuple[np.ndarray, np.ndarray]] = []
