@@ -13,6 +13,7 @@ from pyproj import CRS
 from selector.measure.footprint import texel_footprint_px
 from selector.measure.view_truth import truth_of_view
 from selector.planner.planner import make_plan
+from shadows.attached import attached
 from shadows.render import render_frame
 from terrain.cache import caches, clear_caches
 from terrain.describe import describe
@@ -89,9 +90,11 @@ def draw_with_everything(scene: Scene) -> list[object]:
     overview_probes(scene.world, scene.elevation, probes)
     plan = make_plan(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
     buffer, real = geometry_of(scene, view), truth_of_view(scene, view, "sun")
+    block = geometry_of(scene, scene.view(size=(64, 64)))
+    attached(block, scene)
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
-    return [probes, buffer, real]
+    return [probes, buffer, real, block]
 
 
 def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):

@@ -1,4 +1,4 @@
 """OpenGL: the only folder with raw calls. The device and its state, stencil passes, depth targets, programs on record.
 
-May import: ground.
+May import: no other room.
 """

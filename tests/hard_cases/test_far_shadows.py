@@ -9,7 +9,9 @@ from shadows.maps.windows import distances
 from terrain.casters.reach import longest_shadow_m
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import MESHES
+from terrain.gbuffer.shared_points import facing_normals
 from terrain.level.parts import SunSpec
+from terrain.lights import light_position
 from terrain.scene import Scene
 from tests.hard_cases.cases import Trial, hard_case
 from tests.hard_cases.landscapes import FarPeak, far_peak, views_of
@@ -73,7 +75,8 @@ def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
             now = scene.with_sun(SunSpec(azimuth=250.0, altitude=float(altitude)))
             frame = render(now, view, algorithm=trial.algorithm)
             to_sun = buffer.frame.frame_from_earth @ now.sun.to_sun_earth
-            away = frame.there & ~(buffer.normal_frame @ to_sun > 0.0)
+            facing = facing_normals(buffer, light_position(to_sun, 0.0))
+            away = frame.there & ~(facing.normal_frame @ to_sun > 0.0)
             color = frame.color[frame.there].astype(float)
             worst["not_a_number"] = max(worst["not_a_number"], float((~np.isfinite(frame.visibility[frame.there])).mean()))
             worst["lit_though_turned_away"] = max(

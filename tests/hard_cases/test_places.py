@@ -91,12 +91,10 @@ def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> 
     earth_m = seen.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
     points = np.stack(local.transform(*np.moveaxis(earth_m, -1, 0)), axis=-1)
     x, y = place.xy
-    # The foot's two corners off the diagonals that quads are cut along are cut away.
-    roof = [(-2, -2), (2, -2), (2, 2), (-2, 2)]
-    foot = [(-3, -3), (2, -3), (3, -2), (3, 3), (-2, 3), (-3, 2)]
+    # Quads are cut along the diagonal that stands higher: at each of the mast's corners a ridge runs down to the foot's.
     corners = []
-    for nodes, height_m in ((roof, MAST_M), (foot, 0.0)):
-        at = np.array(nodes) * place.cell
+    for half_cells, height_m in ((2, MAST_M), (3, 0.0)):
+        at = half_cells * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * place.cell
         lon, lat = Transformer.from_crs(place.crs, "OGC:CRS84", always_xy=True).transform(x + at[:, 0], y + at[:, 1])
         corners.append(np.stack(local.transform(*_to_earth().transform(lon, lat, np.full(len(lon), height_m))), axis=-1))
     away = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))]) / np.tan(np.radians(altitude))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.gbuffer.shared_points import facing_normals
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
@@ -85,10 +86,13 @@ def _seen_under(trial: Trial, scene: Scene, view: View, azimuth: float, altitude
 
 
 def _other_sunlight(one: Seen, other: Seen) -> np.ndarray:
-    """Where the sunlight on two pictures' points differs visibly: visibility times the cosine of incidence."""
+    """Where the sunlight on two pictures' points differs visibly: visibility times the cosine of incidence, on the facet that faces
+    the sun most.
+    """
     lights = []
     for seen in (one, other):
         assert seen.scene.sun is not None
-        cosine = seen.buffer.normal_frame @ (seen.buffer.frame.frame_from_earth @ seen.scene.sun.to_sun_earth)
+        normal = facing_normals(seen.buffer, seen.scene.light_position(seen.light, seen.buffer.frame)).normal_frame
+        cosine = normal @ seen.scene.sun.in_frame(seen.buffer.frame)
         lights.append(np.nan_to_num(seen.visibility * np.maximum(cosine, 0.0)))
     return np.abs(lights[0] - lights[1]) > 1.0 / 255.0
