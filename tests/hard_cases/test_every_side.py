@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
@@ -16,11 +17,6 @@ from tests.rasters import ENGINEERING
 
 CELL_M = 8.0
 
-SIDES = [
-    (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
-]
-"""The eight symmetries of a square: what is mirrored, and then whether rows and columns change places."""
-
 SUNS = {"random heights": (90.0, 45.0), "city": (113.0, 30.0), "canopy": (67.0, 20.0), "mountains": (202.0, 10.0)}
 """By kind of ground: along an axis, and off the axes and diagonals."""
 
@@ -29,30 +25,6 @@ EXACT = 1e-5
 
 GROUNDS_MAY_DIFFER = {"random heights": 1e-3, "city": 1e-3, "canopy": 1e-3, "mountains": 2e-4}
 """Share that may differ by maps and volumes, and between nodes."""
-
-
-def moved(values: np.ndarray, side: tuple[bool, bool, bool]) -> np.ndarray:
-    """Values (n, n) of a square as one of its symmetries has them."""
-    east_west, north_south, turned = side
-    values = values.T if turned else values
-    return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
-
-
-def moved_back(values: np.ndarray, side: tuple[bool, bool, bool]) -> np.ndarray:
-    """What ``moved`` undoes."""
-    east_west, north_south, turned = side
-    values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
-    return values.T if turned else values
-
-
-def azimuth_of(azimuth_deg: float, side: tuple[bool, bool, bool]) -> float:
-    """A sun's azimuth, moved likewise: turned about the diagonal from north-west to south-east, and mirrored."""
-    east_west, north_south, turned = side
-    if turned:
-        azimuth_deg = 270.0 - azimuth_deg
-    if north_south:
-        azimuth_deg = 180.0 - azimuth_deg
-    return (-azimuth_deg if east_west else azimuth_deg) % 360.0
 
 
 def grounds(cells: int) -> dict[str, np.ndarray]:

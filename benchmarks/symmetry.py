@@ -1,0 +1,166 @@
+"""How much the shadows of mirrored and turned ground differ, under a sun that is mirrored or turned alike.
+
+    python -m benchmarks.symmetry FOLDER [--algorithms sweep truth shadow_map shadow_volume] [--crop 256] [--between-nodes]
+                                         [--markdown FILE]
+
+Rasters below FOLDER (``RASTERS``), their middle, as sites in a flat world whose cells are a power of two of metres: then a pixel a
+cell lies on nodes. Each is drawn in all eight ways that a square can be mirrored and turned. The figure is the largest share of
+pixels whose class differs from that of the ground as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import rasterio
+
+from selector.planner.planner import make_plan
+from shadows.render import render_frame
+from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.casters.reach import casters_of
+from terrain.describe import describe
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView, blocks_of
+from terrain.level.level import SUN, load_level
+from terrain.scene import Scene, build_scene
+
+SIDES = [
+    (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
+]
+"""The eight symmetries of a square: what is mirrored, after rows and columns have changed places or not."""
+
+SUNS = ((90.0, 45.0), (113.0, 30.0), (202.0, 10.0))
+"""Azimuth and altitude, degrees."""
+
+RASTERS = {
+    "mountain/bigtujunga_30m_utm11.tif": 32.0, "urban/goteborg_1m/DSM.tif": 1.0, "forest/quebec_DSM.tif": 1.0,
+}  # fmt: skip
+"""Rasters, and the side of a cell that they are drawn with, metres."""
+
+SITE_CRS = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+
+Side = tuple[bool, bool, bool]
+
+
+def moved(values: np.ndarray, side: Side) -> np.ndarray:
+    """Values (n, m) of a grid as one of its symmetries has them."""
+    east_west, north_south, turned = side
+    values = values.T if turned else values
+    return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
+
+
+def moved_back(values: np.ndarray, side: Side) -> np.ndarray:
+    """What undoes ``moved``."""
+    east_west, north_south, turned = side
+    values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
+    return values.T if turned else values
+
+
+def azimuth_of(azimuth_deg: float, side: Side) -> float:
+    """A sun's azimuth, degrees, moved likewise: turned about the diagonal from north-west to south-east, and mirrored."""
+    east_west, north_south, turned = side
+    if turned:
+        azimuth_deg = 270.0 - azimuth_deg
+    if north_south:
+        azimuth_deg = 180.0 - azimuth_deg
+    return (-azimuth_deg if east_west else azimuth_deg) % 360.0
+
+
+def heights_of(path: Path, crop: int) -> np.ndarray:
+    """The middle of a raster, an even number of cells each way, at most ``crop``: its middle then lies between cells."""
+    with rasterio.open(path) as dataset:
+        rows, cols = (min(crop, size) // 2 * 2 for size in dataset.shape)
+        row, col = (dataset.height - rows) // 2, (dataset.width - cols) // 2
+        return dataset.read(1, window=((row, row + rows), (col, col + cols))).astype(np.float32)
+
+
+def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
+    """The scene of heights (rows, cols) whose south-west corner is the origin of a flat world."""
+    rows, cols = heights.shape
+    transform = rasterio.transform.from_origin(0.0, rows * cell_m, cell_m, cell_m)
+    with rasterio.open(
+        folder / "site.tif",
+        "w",
+        driver="GTiff",
+        height=rows,
+        width=cols,
+        count=1,
+        dtype="float32",
+        crs=SITE_CRS,
+        transform=transform,
+    ) as dataset:
+        dataset.write(heights, 1)
+    level = {
+        "version": 1,
+        "terrain": {"source": "site.tif"},
+        "sun": {"azimuth": sun[0], "altitude": sun[1]},
+        "effects": {"cast_shadows": "on"},
+    }
+    (folder / "site.yaml").write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
+    return build_scene(load_level(folder / "site.yaml"))
+
+
+def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
+    """The class of each pixel (rows, cols) of a scene's whole map: True in shadow."""
+    view = scene.view(bounds=scene.elevation.bounds, size=size)
+    assert isinstance(view, MapView)
+    if algorithm != "truth":
+        plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": algorithm, "map_size": 4096})
+        return np.nan_to_num(render_frame(scene, view, plan).visibility, nan=1.0) < 0.5
+    out = np.zeros((view.rows, view.cols), bool)
+    for part, row, col in blocks_of(view):
+        buffer = geometry_of(scene, part)
+        shadow = buffer.there & ~lit_from(buffer, scene, SUN, ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
+        top, left = max(row, 0), max(col, 0)
+        bottom, right = min(row + part.rows, view.rows), min(col + part.cols, view.cols)
+        out[top:bottom, left:right] = shadow[top - row : bottom - row, left - col : right - col]
+    return out
+
+
+def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
+    """The largest share of pixels that one of the eight pictures has otherwise than the first."""
+    pictures = []
+    for side in SIDES:
+        ground = np.ascontiguousarray(moved(heights, side))
+        rows, cols = (length * 3 // 2 if between_nodes else length for length in ground.shape)
+        with tempfile.TemporaryDirectory() as folder:
+            scene = site(ground, cell_m, (azimuth_of(sun[0], side), sun[1]), Path(folder))
+            pictures.append(moved_back(dark(scene, algorithm, (cols, rows)), side))
+            scene.close()
+    return max(float((other != pictures[0]).mean()) for other in pictures[1:])
+
+
+def report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
+    """Markdown: a row per raster and algorithm, in per cent of the pixels."""
+    yield "| raster | algorithm | " + " | ".join(f"{azimuth:g} / {altitude:g}" for azimuth, altitude in SUNS) + " |"
+    yield "| --- | --- |" + " ---: |" * len(SUNS)
+    for name, cell_m in RASTERS.items():
+        heights = heights_of(folder / name, crop)
+        for algorithm in algorithms:
+            shares = [100.0 * asymmetry(heights, cell_m, sun, algorithm, between_nodes) for sun in SUNS]
+            yield f"| {name} | {algorithm} | " + " | ".join(f"{share:.4f}" for share in shares) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--algorithms", nargs="+", default=["sweep", "truth", "shadow_map", "shadow_volume"])
+    parser.add_argument("--crop", type=int, default=256)
+    parser.add_argument("--between-nodes", action="store_true", help="one and a half pixels to a cell")
+    parser.add_argument("--markdown", type=Path)
+    args = parser.parse_args()
+    lines = []
+    for line in report(args.folder, args.algorithms, args.crop, args.between_nodes):
+        print(line, flush=True)
+        lines.append(line)
+    if args.markdown:
+        args.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
