@@ -56,6 +56,7 @@ def look_up(
             nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
             set_uniforms(program, {**nodes, "corner_frame_m": len(arrays) - 1})
             visibility[:] = _drawn_pixels(gl, program, arrays, target, drawn, record)
+            visibility[facets.blocked] = 0.0  # a map need not tell what lies nearer than its texels
             return
         assert corners is not None and drawn.pixels is not None
         flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, buffer.normal_frame, buffer.crease, corners)]

@@ -24,7 +24,7 @@ STEEPEST = 1.0 / 32.0
 
 
 PARALLEL = 1e-6
-"""Tangent of the angle below which light comes along the rim of the ground."""
+"""Tangent of the angle below which light comes along a side of a facet, seen from above."""
 
 
 class FacingNormals(NamedTuple):
@@ -40,17 +40,20 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
         facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
         along the rim of the ground it goes inwards, too: a ray along the rim meets it.
+    blocked
+        bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
     """
 
     normal_frame: np.ndarray
     crease: np.ndarray
     lift_frame: np.ndarray
+    blocked: np.ndarray
 
 
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
     """Of each point the facet that faces a light most; of one that lies on a single facet, that one. The last ones are kept."""
     if buffer.surface is None:
-        return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame)
+        return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, np.zeros(buffer.there.shape, bool))
     return _facing_normals(buffer, light)
 
 
@@ -60,7 +63,9 @@ def _facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNorma
     assert surface is not None and isinstance(view, MapView)
     row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
-    facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), buffer.normal_frame.copy())
+    facing = FacingNormals(
+        buffer.normal_frame.copy(), buffer.crease.copy(), buffer.normal_frame.copy(), np.zeros(buffer.there.shape, bool)
+    )
     ground = buffer.there & (buffer.kind == RELIEF)
     sheet = surface.sheet
     _turn_to(sheet.position_frame_m, sheet.normals_frame, sheet.falls, row, col, ground, buffer.position_frame_m, light, facing)
@@ -70,7 +75,7 @@ def _facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNorma
 @compiled
 def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
     """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
-    normal, crease, lift = facing
+    normal, crease, lift, blocked = facing
     found = np.empty((8, 3), np.int64)
     for i in range(row.size):
         for j in range(col.size):
@@ -85,6 +90,8 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
                 for k in range(count):
                     n = faces[found[k, 0], found[k, 1], found[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
+                    if towards < 0.0 and _leads_over(nodes, falls, found[k], p, x, y):
+                        blocked[i, j] = True
                     if towards > most:
                         most, best = towards, k
                     flattest = min(flattest, n[2]) if k > 0 else n[2]
@@ -96,6 +103,26 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
             if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, x, y):
                 east, north = _inwards(nodes, falls, found, count, p)
                 lift[i, j, 0], lift[i, j, 1], lift[i, j, 2] = east, north, 2.0 / max(flattest, STEEPEST)
+
+
+@compiled
+def _leads_over(nodes, falls, facet, p, x, y):
+    """Whether a way (x, y) from a point on a facet's side or corner leads, seen from above, over the facet: no share that the
+    point has none of (its barycentric coordinates) falls on the way.
+    """
+    r, c, half = facet
+    corners = facet_corners(falls[r, c], half)
+    for k in range(3):
+        a = nodes[r + corners[k][0], c + corners[k][1]]
+        b = nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]]
+        d = nodes[r + corners[(k + 2) % 3][0], c + corners[(k + 2) % 3][1]]
+        side_x, side_y = d[0] - b[0], d[1] - b[1]
+        whole = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
+        share = (side_x * (p[1] - b[1]) - side_y * (p[0] - b[0])) / whole
+        turn = (side_x * y - side_y * x) * np.sign(whole)
+        if share <= 1e-5 and turn < -PARALLEL * np.sqrt((side_x * side_x + side_y * side_y) * (x * x + y * y)):
+            return False
+    return True
 
 
 @compiled

@@ -121,10 +121,10 @@ def _first_facet() -> None:
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
         if buffer.surface is None or buffer.triangle is None:
-            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame)
+            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, np.zeros(buffer.there.shape, bool))
         row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
-        return FacingNormals(normal, buffer.crease, normal)
+        return FacingNormals(normal, buffer.crease, normal, np.zeros(buffer.there.shape, bool))
 
     attached.facing_normals = truth.facing_normals = facing_normals
 
