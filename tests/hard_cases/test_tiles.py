@@ -23,13 +23,15 @@ LON, LAT, ZOOM = -84.27, 36.2933, 12
     "Neighbouring tiles join, and zooming in moves no shadow",
     "real mountains: tiles of one frame, tiles of two frames, and zoom 12 against 13",
     {"same frame": 0.0, "across frames": 1e-4, "edge_p95_px": 3.0},
+    falls_short={("shadow_volume", "same frame"): 3.91e-5},
 )
 def test_tiles_join(trial: Trial) -> dict[str, float]:
     """Half of a tile is drawn with its neighbour once more.
 
     Volumes, which are drawn in the tile's own camera, and lines, which are laid through its middle, are held to pixels that are
     decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
-    its own edge a node lies on is a matter of rounding.
+    its own edge a node lies on is a matter of rounding. What is decidable leaves most of that out and not all: of volumes the cameras
+    of two tiles round the sides that begin in a pixel's very centre differently, in 2 of 51,200 pixels under a sun 4 degrees high.
     """
     px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)
