@@ -7,21 +7,16 @@ import numpy as np
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.shared_points import facing_normals
+from terrain.gbuffer.shared_points import GRAZING, facing_normals
 from terrain.level.level import SUN
 from terrain.scene import Scene
-
-GRAZING = 2.0**-20
-"""A light that meets a surface at no more than this sine (0.2 seconds of arc) counts as below it: unit normals in float32 cannot
-say which side it is on, and what it would give is a millionth of its light.
-"""
 
 
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
     """Where a light cannot reach, bool (rows, cols); True off the surface too.
 
-    That is where the geometric normal does not face it (n.l is not over ``GRAZING``; leaves are lit from either side; of a point
-    that several facets share, none of theirs does), outside of a spot's cone, and everywhere while the sun is nowhere above the
+    That is where the normal that it goes by does not face it (``facing_normals``; n.l is not over ``GRAZING``; leaves are lit from
+    either side), outside of a spot's cone, and everywhere while the sun is nowhere above the
     horizon or where there is none.
     """
     leaves = buffer.kind == FOREST

@@ -13,6 +13,7 @@ from shadows.registry import ALGORITHMS
 from terrain.casters.reach import Casters
 from terrain.effects.haze import hides_beyond_m
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.smooth_ground import on_smooth_ground
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN
 from terrain.scene import Scene
@@ -30,7 +31,10 @@ def fill_steps(
     steps = list(steps)
     visibility = np.ones(buffer.there.shape, np.float32)
     if steps:
-        receivers = without_hidden_points(buffer, scene, steps[0].light, effects)
+        light = steps[0].light
+        receivers = without_hidden_points(buffer, scene, light, effects)
+        if light != SUN or scene.sun_is_up:
+            receivers = on_smooth_ground(receivers, scene.light_position(light, buffer.frame))
         for step in steps:
             fill = ALGORITHMS[step.algorithm].fill
             assert fill is not None, step.algorithm

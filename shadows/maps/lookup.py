@@ -24,6 +24,8 @@ from terrain.lights import LightPosition
 LOOK_COLS, LOOK_ROWS = 2048, 384
 """Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
 
+TINY = np.float32(1e-9)
+
 MAP_UNIT = 4
 """Texture unit of the depth map."""
 
@@ -44,10 +46,12 @@ def look_up(
     """Fill in the visibility (rows, cols) of the points that are a map's; ``light_frame`` is whose map it is."""
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _least_depths(gl, drawn, target, settings):
+        facets = facing_normals(buffer, light_frame)
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.there.shape
-            facets = facing_normals(buffer, light_frame)
-            facing = np.concatenate([facets.normal_frame, facets.crease[..., None]], axis=-1)
+            # what was lifted lies on none of the triangles round its node: a crease below 0 says so
+            crease = facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - TINY, facets.crease)
+            facing = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
             arrays = [buffer.position_frame_m, facing, _nodes(window.sheet)]
             if corners is not None:
                 arrays.append(corners.reshape(rows, cols * 3, 3))
@@ -59,7 +63,7 @@ def look_up(
             visibility[facets.blocked] = 0.0  # a map need not tell what lies nearer than its texels
             return
         assert corners is not None and drawn.pixels is not None
-        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, buffer.normal_frame, buffer.crease, corners)]
+        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
         pixel_count = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
         split = int(np.searchsorted(drawn.pixels, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged as it is

@@ -131,7 +131,8 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *rays.light.from_frame(buffer.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     on_nodes = isinstance(view, MapView) and view.on_nodes
-    nodes = buffer.there & (buffer.kind == RELIEF) & on_nodes
+    on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
+    nodes = buffer.there & on_triangles & on_nodes
     others = buffer.there & ~nodes
     rows, window = (0, 0), (slice(0), slice(0))
     points = buffer.position_frame_m[others]
@@ -146,7 +147,7 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     else:
         row, col = rays.rows_and_columns(points, buffer.frame)
     turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
-    level_m[buffer.kind[others] == RELIEF] = np.nan
+    level_m[on_triangles[others]] = np.nan
     return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, turned_col, t, level_m, towards_m)
 
 

@@ -28,7 +28,7 @@ TRUTH_CACHE_BYTES = 512 * 2**20
 _FIELDS = ("lit", "attached", "decidable", "there")
 
 
-DEFINITION = 2
+DEFINITION = 3
 """Counts what truth has meant so far: what was made by another definition is not taken."""
 
 

@@ -28,6 +28,7 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST
 from terrain.gbuffer.shared_points import FacingNormals, facing_normals
+from terrain.gbuffer.smooth_ground import on_smooth_ground
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
@@ -233,8 +234,9 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
     if light == SUN:
         assert scene.sun is not None
         return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets)
-    facing = buffer.there & ~attached(buffer, scene, light)
     source = scene.light_position(light, buffer.frame)
+    facing = buffer.there & ~attached(buffer, scene, light)
+    buffer = on_smooth_ground(buffer, source)
     to_light = np.array(source[:3]) - buffer.position_frame_m[facing]
     length = np.linalg.norm(to_light, axis=-1)
     to_light /= length[:, None]
@@ -247,7 +249,9 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
 def lit_towards(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0) -> np.ndarray:
     """Where a buffer's points see a direction (3,) of its frame: bool (rows, cols), False off the surface."""
     direction = np.asarray(direction, np.float64)
-    normals = facing_normals(buffer, light_position(direction, 0.0))
+    source = light_position(direction, 0.0)
+    buffer = on_smooth_ground(buffer, source)
+    normals = facing_normals(buffer, source)
     facing = buffer.there & ~turned_away(normals.normal_frame, buffer.kind == FOREST, direction)
     start = _lifted(buffer, facing, normals, direction, offsets * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)

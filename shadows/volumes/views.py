@@ -179,6 +179,8 @@ def _seen(
     drawn = buffer.kind.ravel()[indices] == MESHES
     if draws_ground:
         drawn |= buffer.kind.ravel()[indices] == RELIEF
+    if buffer.lifted is not None:
+        drawn &= ~buffer.lifted.ravel()[indices]
     return SeenPoints((view.rows, view.cols), row, col, indices, depth, drawn, ground, clip, origin, near)
 
 

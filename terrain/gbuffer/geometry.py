@@ -12,7 +12,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.map_points import map_points
+from terrain.gbuffer.map_points import map_lifts, map_points
 from terrain.gbuffer.resolve import NO_SURFACE, RELIEF
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
@@ -71,6 +71,11 @@ class GeometryBuffer:
     samples_from, sample_pixels
         Rows from here on are further samples of pixels (``terrain.gbuffer.antialias``), which are averaged; rows and columns (n,
         cols) of the pixels that they are in the finer view of the same camera.
+    lift_m
+        float32 (rows, cols), how far the smooth ground lies from the triangle's point along the line of sight, in a map upwards
+        (``terrain.gbuffer.lift``); NaN on nodes of the raster, which are on it. ``None`` where all points are.
+    lifted
+        bool (rows, cols), where the point has been put there, for one light. ``None``: nowhere.
     stand, solids_frame_m
         The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
     """
@@ -93,6 +98,8 @@ class GeometryBuffer:
     solids_frame_m: np.ndarray | None = None
     samples_from: int | None = None
     sample_pixels: tuple[np.ndarray, np.ndarray] | None = None
+    lift_m: np.ndarray | None = None
+    lifted: np.ndarray | None = None
 
     @property
     def shown(self) -> Shown:
@@ -105,16 +112,20 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     reach = int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step
-    halo = reach + 1
+    on_nodes = view.on_nodes and reach == 1
+    halo = reach + reach // 2 + 1
     row0, col0 = int(np.floor(row[0])) - halo, int(np.floor(col[0])) - halo
     rows, cols = int(np.floor(row[-1])) + 2 + halo - row0, int(np.floor(col[-1])) + 2 + halo - col0
     window = surface.window(row0, col0, rows, cols, frame)
     sheet, smooth = window.sheet, _smooth_normals(window.position_frame_m, reach)
+    row, col = row - row0, col - col0
     there, position, height, normal, shading, crease, triangle = map_points(
-        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row - row0, col - col0
+        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col
     )
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
-    return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window)
+    # Where the grid's nodes are about the raster's, or wider apart, a pixel on one has no triangle of its own.
+    lift = None if on_nodes else map_lifts(window.position_frame_m, sheet.falls, smooth, row, col, position, triangle, reach)
+    return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
 
 
 @compiled

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
+from terrain.gbuffer.lift import lift_to
 
 ON_EDGE = 1e-6
 """How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""
@@ -46,6 +47,45 @@ def map_points(position, height, shown, falls, faces, smooth, row, col):
             crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
             _smooth_at(smooth, row[i], col[j], normal[i, j], shading[i, j])
     return there, point, level, normal, shading, crease, triangle
+
+
+@compiled
+def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
+    """How far the smooth ground lies above ``map_points``, float32 (rows, cols).
+
+    It goes through the corners of a point's facet. Where the sheet is finer than the raster, with ``reach`` nodes to a cell, its
+    facets say little: then through the nodes half a cell off along both axes, twice as high, for half a chord bulges a quarter as
+    much. NaN on a node that is as good as the raster's own.
+    """
+    rows, cols = row.size, col.size
+    out = np.zeros((rows, cols), np.float32)
+    up = np.array([0.0, 0.0, 1.0])
+    half_cell = reach // 2
+    for i in range(rows):
+        for j in range(cols):
+            r, c, half = triangle[i, j]
+            if r < 0:
+                continue
+            if reach > 1:
+                lift = 0.0
+                near_r, near_c = int(np.rint(row[i])), int(np.rint(col[j]))
+                for k in range(4):
+                    a = near_r + (half_cell if k // 2 else -half_cell)
+                    b = near_c + (half_cell if k % 2 else -half_cell)
+                    lift += 0.5 * lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                out[i, j] = lift
+            elif abs(row[i] - np.rint(row[i])) <= ON_EDGE and abs(col[j] - np.rint(col[j])) <= ON_EDGE:
+                out[i, j] = np.nan
+            else:
+                u, v = _shares(falls[r, c], half, row[i] - r, col[j] - c)
+                weights = (1.0 - u - v, u, v)
+                corners = facet_corners(falls[r, c], half)
+                lift = 0.0
+                for k in range(3):
+                    a, b = r + corners[k][0], c + corners[k][1]
+                    lift += weights[k] * lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                out[i, j] = lift
+    return out
 
 
 @compiled

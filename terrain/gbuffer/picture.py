@@ -45,6 +45,7 @@ _NO_FACES = Faces(
     np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 3, 3), np.float32), np.zeros(0, np.float32),
 )  # fmt: skip
 _NO_CELLS = np.zeros((0, 0, 2), np.float32)
+_NO_LIFT = np.zeros((0, 0), np.float32)
 _NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
@@ -149,6 +150,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=visible.solids,
         samples_from=None if below is None else view.rows, sample_pixels=None if below is None else (row, col),
+        lift_m=points.lift_m,
     )  # fmt: skip
 
 
@@ -181,7 +183,7 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
         tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.turn, curvature, px_from_m)
     points = ResolvedPoints(
         buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
-        buffer.crease, buffer.kind, albedo, corners, _NO_CELLS,
+        buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(seen.number, solid_parts, tree_parts, seen.albedo_root, points)
     return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)

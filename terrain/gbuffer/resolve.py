@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.compiled import compiled
+from terrain.gbuffer.lift import lift_to
 from terrain.gbuffer.tree_instances import tree_corner
 
 THREADS = min(os.cpu_count() or 1, 8)
@@ -24,7 +25,7 @@ NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 
 class ResolvedPoints(NamedTuple):
     """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery,
-    empty without any.
+    empty without any. ``lift_m`` is 0 where no ground is seen.
     """
 
     there: np.ndarray
@@ -37,6 +38,7 @@ class ResolvedPoints(NamedTuple):
     albedo: np.ndarray
     corners: np.ndarray
     cells: np.ndarray
+    lift_m: np.ndarray
 
 
 class PixelCamera(NamedTuple):
@@ -124,7 +126,7 @@ def resolve_perspective(
         np.zeros(size, np.bool_), np.full((*size, 3), np.nan), np.full(size, np.nan, np.float32),
         np.full((*size, 3), np.nan, np.float32), np.full((*size, 3), np.nan, np.float32), np.zeros(size, np.float32),
         np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
-        np.full((*size, 2) if len(ground.cells) else (0, 0, 2), np.nan, np.float32),
+        np.full((*size, 2) if len(ground.cells) else (0, 0, 2), np.nan, np.float32), np.zeros(size, np.float32),
     )  # fmt: skip
     parts = np.linspace(0, size[0], THREADS + 1).astype(int)
 
@@ -143,11 +145,11 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_height, tree_shape, tree_turn, curvature = trees
-    there, point, level, normal, shading, crease, kind, albedo, corners, cells = points
+    there, point, level, normal, shading, crease, kind, albedo, corners, cells, lift = points
     cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
     p = np.empty((3, 3))
-    ray = np.empty(3)
+    ray, to_eye = np.empty(3), np.empty(3)
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -187,6 +189,14 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 for k in range(3):
                     shading[i, j, k] = (1.0 - u - v) * ground_normal[a, k] + u * ground_normal[b, k] + v * ground_normal[c, k]
                 crease[i, j] = ground_crease[t]
+                length = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
+                for k in range(3):
+                    to_eye[k] = -ray[k] / length
+                lift[i, j] = (
+                    (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
+                    + u * lift_to(p[1], ground_normal[b], point[i, j], to_eye)
+                    + v * lift_to(p[2], ground_normal[c], point[i, j], to_eye)
+                )
                 if len(ground_cells):
                     for k in range(2):
                         cells[i, j, k] = (1.0 - u - v) * ground_cells[a, k] + u * ground_cells[b, k] + v * ground_cells[c, k]
@@ -218,7 +228,7 @@ def resolve_map(number, solids, trees, albedo_root, points):
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
-    there, point, level, normal, shading, crease, kind, albedo, corners, _ = points
+    there, point, level, normal, shading, crease, kind, albedo, corners, _, _ = points
     rows, cols = number.shape
     solid = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))

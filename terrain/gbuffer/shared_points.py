@@ -1,8 +1,12 @@
-"""Points that several facets of a map's ground share: on its nodes, between two of them, and on the diagonals of its quads.
+"""Which normal a light goes by at a point of the ground, and from where it is looked for.
 
-Such a point has no normal of its own. Whether light reaches it is up to all of its facets: it is turned away from a light only if
-all of them are, for else it can be seen from there. So a light goes by the facet that faces it most; what has no direction, by the
-mean of all. Neither prefers a side.
+**Shared points** of a map's ground lie on its nodes, between two of them, or on the diagonals of its quads: several facets meet
+there. Such a point has no normal of its own. Whether light reaches it is up to all of its facets: it is turned away from a light
+only if all of them are, for else it can be seen from there. So a light goes by the facet that faces it most; what has no direction,
+by the mean of all. Neither prefers a side.
+
+**Between the raster's nodes** a facet is a chord of smooth ground, and shading takes it for that. So does shadow: the ground is
+turned away from a light where its smooth normal is. From where the light is looked for then: ``terrain.gbuffer.smooth_ground``.
 """
 
 from __future__ import annotations
@@ -22,6 +26,10 @@ from terrain.lights import LightPosition
 STEEPEST = 1.0 / 32.0
 """Least upward part of a facet's unit normal by which a ray's start is lifted: walls may be steeper, but start no ray higher."""
 
+GRAZING = 2.0**-20
+"""A light that meets a surface at no more than this sine (0.2 seconds of arc) counts as below it: unit normals in float32 cannot
+say which side it is on, and what it would give is a millionth of its light.
+"""
 
 PARALLEL = 1e-6
 """Tangent of the angle below which light comes along a side of a facet, seen from above."""
@@ -33,49 +41,47 @@ class FacingNormals(NamedTuple):
     Attributes
     ----------
     normal_frame
-        float32 (rows, cols, 3), the unit normal of the facet that faces the light most.
+        float32 (rows, cols, 3), the unit normal of the facet that faces the light most; the smooth one where only that faces the
+        light, and where it does not.
     crease
-        float32 (rows, cols), as a ``GeometryBuffer`` has it, from that facet.
+        float32 (rows, cols), as a ``GeometryBuffer`` has it, from that normal.
     lift_frame
         float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
         facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
         along the rim of the ground it goes inwards, too: a ray along the rim meets it.
     blocked
         bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
+    lifted
+        bool (rows, cols): where the smooth normal faces the light and no facet does.
     """
 
     normal_frame: np.ndarray
     crease: np.ndarray
     lift_frame: np.ndarray
     blocked: np.ndarray
-
-
-def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    """Of each point the facet that faces a light most; of one that lies on a single facet, that one. The last ones are kept."""
-    if buffer.surface is None:
-        return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, np.zeros(buffer.there.shape, bool))
-    return _facing_normals(buffer, light)
+    lifted: np.ndarray
 
 
 @cached("light", 512 * MIB)
-def _facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    view, surface = buffer.view, buffer.surface
-    assert surface is not None and isinstance(view, MapView)
-    row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
-    col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
-    facing = FacingNormals(
-        buffer.normal_frame.copy(), buffer.crease.copy(), buffer.normal_frame.copy(), np.zeros(buffer.there.shape, bool)
-    )
-    ground = buffer.there & (buffer.kind == RELIEF)
-    sheet = surface.sheet
-    _turn_to(sheet.position_frame_m, sheet.normals_frame, sheet.falls, row, col, ground, buffer.position_frame_m, light, facing)
+def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
+    """Which normals a light goes by. The last ones are kept."""
+    normal, nowhere = buffer.normal_frame.copy(), np.zeros(buffer.there.shape, bool)
+    facing = FacingNormals(normal, buffer.crease.copy(), normal.copy(), nowhere, nowhere.copy())
+    view, surface, ground = buffer.view, buffer.surface, buffer.there & (buffer.kind == RELIEF)
+    if surface is not None and isinstance(view, MapView):
+        row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
+        col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
+        sheet, points = surface.sheet, buffer.position_frame_m
+        _turn_to(sheet.position_frame_m, sheet.normals_frame, sheet.falls, row, col, ground, points, light, facing)
+    if buffer.lift_m is not None:
+        _go_by_smooth(ground & ~np.isnan(buffer.lift_m), buffer.shading_normal_frame, buffer.position_frame_m, light, facing)
     return facing
 
 
 @compiled
 def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
     """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
-    normal, crease, lift, blocked = facing
+    normal, crease, lift, blocked, _ = facing
     found = np.empty((8, 3), np.int64)
     for i in range(row.size):
         for j in range(col.size):
@@ -103,6 +109,27 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
             if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, x, y):
                 east, north = _inwards(nodes, falls, found, count, p)
                 lift[i, j, 0], lift[i, j, 1], lift[i, j, 2] = east, north, 2.0 / max(flattest, STEEPEST)
+
+
+@compiled
+def _go_by_smooth(where, smooth, position, light, facing):
+    """Put in what holds for the smooth ground: its normal where it does not face a light, or no facet does."""
+    normal, crease, lift, blocked, lifted = facing
+    for i in range(where.shape[0]):
+        for j in range(where.shape[1]):
+            if not where[i, j]:
+                continue
+            p, n, s = position[i, j], normal[i, j], smooth[i, j]
+            x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
+            least = GRAZING * np.sqrt(x * x + y * y + z * z)
+            facet_faces = n[0] * x + n[1] * y + n[2] * z > least
+            lifted[i, j] = s[0] * x + s[1] * y + s[2] * z > least and not facet_faces
+            if not facet_faces or not s[0] * x + s[1] * y + s[2] * z > least:
+                apart = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
+                crease[i, j] += np.sqrt(apart)
+                blocked[i, j] = False
+                for k in range(3):
+                    normal[i, j, k] = lift[i, j, k] = s[k]
 
 
 @compiled

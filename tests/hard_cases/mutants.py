@@ -120,13 +120,26 @@ def _first_facet() -> None:
     from terrain.gbuffer.shared_points import FacingNormals
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
+        nowhere = np.zeros(buffer.there.shape, bool)
         if buffer.surface is None or buffer.triangle is None:
-            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, np.zeros(buffer.there.shape, bool))
+            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, nowhere, nowhere)
         row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
-        return FacingNormals(normal, buffer.crease, normal, np.zeros(buffer.there.shape, bool))
+        return FacingNormals(normal, buffer.crease, normal, nowhere, nowhere)
 
     attached.facing_normals = truth.facing_normals = facing_normals
+
+
+def _facets_at_the_terminator() -> None:
+    from terrain.gbuffer import shared_points
+
+    shared_points._go_by_smooth = lambda *_: None
+
+
+def _chords_shade_the_bulge() -> None:
+    from shadows import visibility
+
+    visibility.on_smooth_ground = lambda buffer, light: buffer
 
 
 MUTANTS = {
@@ -138,6 +151,16 @@ MUTANTS = {
         "a point that several facets share goes by one of them, whatever the light", _first_facet,
         (("test_every_side", "test_eight_symmetries", "sweep"), ("test_every_side", "test_a_box_under_eight_suns", "sweep"),
          ("test_every_side", "test_a_box_under_eight_suns", "truth")),
+    ),
+    "facets_at_the_terminator": Mutant(
+        "between nodes the ground is turned away where its facets are", _facets_at_the_terminator,
+        (("test_every_side", "test_no_teeth_at_the_terminator", "sweep"),
+         ("test_every_side", "test_no_teeth_at_the_terminator", "shadow_volume"),
+         ("test_every_side", "test_no_teeth_in_maps", "sweep")),
+    ),
+    "chords_shade_the_bulge": Mutant(
+        "where the smooth ground faces the light the light is looked for from the facets all the same", _chords_shade_the_bulge,
+        (("test_every_side", "test_no_teeth_at_the_terminator", "hybrid"), ("test_every_side", "test_no_teeth_in_maps", "sweep")),
     ),
     "no_snapping": Mutant(
         "maps follow what is looked at, off the lattice of their texels", _no_snapping,

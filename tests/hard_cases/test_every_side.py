@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
@@ -117,3 +120,83 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
         expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
         wrong = max(wrong, abs(int(dark.sum()) - expected) / expected)
     return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
+
+
+DOME_CELL_M = 30.0
+RADIUS_M = 1200.0
+"""The dome's radius of curvature at its top."""
+
+DOME_SUN_DEG = 9.0
+
+
+@hard_case(
+    "Y3",
+    "Where light grazes a slope, light and shadow part where they do on the smooth ground: near by",
+    "a paraboloid of coarse cells, whose terminator is a straight line in plan, in perspective under suns from four sides",
+    {"wrong pixels": 0.0},
+    algorithms=(*SHADOWING, "truth"),
+)
+def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
+    """Heights are -(x^2 + y^2) / 2R, so the normal is (x, y, R) but for its length. It is across the sun (sin A cos h, cos A cos h,
+    sin h) where x sin A + y cos A = -R tan h: on that line lies the terminator. A dome shades no part of itself that faces the sun.
+
+    Wrong pixels are those more than a pixel from that line that are on the wrong side of it.
+    """
+    wrong = 0.0
+    for azimuth, line, towards in _terminators(trial.thorough):
+        aside = np.array([-towards[1], towards[0]])
+        eye, target = line + 260.0 * aside + 60.0 * towards, line - 40.0 * aside
+        wrong = max(wrong, _wrong_beyond_a_pixel(trial, azimuth, {
+            "kind": "perspective", "eye": [*eye.tolist(), 90.0], "target": [*target.tolist(), 0.0], "fov": 50, "size": [96, 72],
+        }))  # fmt: skip
+    return {"wrong pixels": wrong}
+
+
+@hard_case(
+    "Y5",
+    "Where light grazes a slope, light and shadow part where they do on the smooth ground: in maps",
+    "the same dome in maps of 6 pixels a cell, and of 1.5",
+    {"magnified": 0.0, "between nodes": 0.0},
+    algorithms=(*SHADOWING, "truth"),
+)
+def test_no_teeth_in_maps(trial: Trial) -> dict[str, float]:
+    found = {"magnified": 0.0, "between nodes": 0.0}
+    for azimuth, line, _ in _terminators(trial.thorough):
+        for name, half_m, pixels in (("magnified", 150.0, 60), ("between nodes", 400.0, 40)):
+            bounds = [*(line - half_m).tolist(), *(line + half_m).tolist()]
+            wrong = _wrong_beyond_a_pixel(trial, azimuth, {"kind": "map", "bounds": bounds, "size": [pixels, pixels]})
+            found[name] = max(found[name], wrong)
+    return found
+
+
+def _terminators(thorough: bool) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Azimuths; the point of the terminator's line that is nearest to the dome's top, and the horizontal direction to the sun."""
+    found = []
+    for azimuth in (237.0, 90.0, 18.0, 315.0) if thorough else (237.0, 90.0):
+        towards = np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+        found.append((azimuth, -RADIUS_M * np.tan(np.radians(DOME_SUN_DEG)) * towards, towards))
+    return found
+
+
+def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) -> float:
+    """Pixels of a view of the dome that are on the wrong side of its terminator, and so are all that touch them."""
+    cells = 48
+    side_m = cells * DOME_CELL_M
+    at_m = (np.arange(cells) + 0.5) * DOME_CELL_M - side_m / 2.0
+    heights = (-(at_m[:, None] ** 2 + at_m**2) / (2.0 * RADIUS_M)).astype(np.float32)
+    path = trial.raster(heights, ENGINEERING, -side_m / 2.0, side_m / 2.0, DOME_CELL_M)
+    scene = trial.scene(path, (azimuth, DOME_SUN_DEG), views={"main": view})
+    if trial.algorithm == "truth":
+        buffer = geometry_of(scene, scene.view("main"))
+        rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+        dark = attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays)
+    else:
+        seen = trial.see(scene, scene.view("main"))
+        buffer, dark = seen.buffer, seen.dark
+    east, north, _ = scene.world.map_position(scene.map_crs, buffer.frame.points_to_earth(buffer.position_frame_m))
+    line_m = RADIUS_M * np.tan(np.radians(DOME_SUN_DEG))
+    away = east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)) < -line_m
+    expected = away & buffer.there
+    assert 0.1 < expected[buffer.there].mean() < 0.9, "light and shadow"
+    sure = minimum_filter(expected, 3) | minimum_filter(~away & buffer.there, 3)
+    return float(((dark != expected) & sure).sum())

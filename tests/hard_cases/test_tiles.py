@@ -30,8 +30,9 @@ def test_tiles_join(trial: Trial) -> dict[str, float]:
 
     Volumes, which are drawn in the tile's own camera, and lines, which are laid through its middle, are held to pixels that are
     decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
-    its own edge a node lies on is a matter of rounding. What is decidable leaves most of that out and not all: of volumes the cameras
-    of two tiles round the sides that begin in a pixel's very centre differently, in 2 of 51,200 pixels under a sun 4 degrees high.
+    its own edge a node lies on is a matter of rounding. What is decidable leaves most of that out and not all: the cameras of two
+    tiles round the sides of volumes that begin in a pixel's very centre differently, in 2 of 51,200 pixels under a sun 4 degrees
+    high.
     """
     px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)

@@ -1,6 +1,6 @@
 // The visible point of a pixel, as a light sees it, held against the depth map. Derived in docs/shadow-maps.md.
 uniform sampler2D position_frame_m;  // rgb: the visible points
-uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease
+uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease, below 0 where a point lies on no triangle
 uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground, a: 1 where the quad south-east of one is cut to its south-east
 uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle; zeros on a map's ground
 uniform sampler2D depth_map;
@@ -95,7 +95,7 @@ bool receive(ivec2 pixel) {
     point = in_light(seen);
     vec4 facing = texelFetch(normal_frame, pixel, 0);
     normal = light_from_frame * facing.xyz;
-    crease = facing.w;
+    crease = abs(facing.w);
 
     mat3 turned = mat3(1.0);
     if (faces == 6) {  // the face that the point lies in front of
@@ -127,7 +127,7 @@ bool receive(ivec2 pixel) {
             triangles = 1;
         }
     }
-    if (on_nodes && !own) {
+    if (on_nodes && !own && facing.w >= 0.0) {
         vec2 at = first_node + node_step * vec2(pixel);
         ivec2 low = ivec2(ceil(at - 0.5 - ON_EDGE)), high = ivec2(floor(at + 0.5 + ON_EDGE)), node = low;
         vec3 centre = texelFetch(node_frame_m, node, 0).xyz;

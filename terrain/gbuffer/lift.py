@@ -1,0 +1,25 @@
+"""From the triangles of the ground to the smooth surface that they stand for.
+
+Triangles are chords: ground that bulges lies a little above them. Where light grazes it, a point of a triangle that is turned away
+lies in the shadow of the triangle before it, though the ground there is lit. So such points are lifted to the planes through their
+triangle's corners, each across the smooth normal there, weighted as heights are (J. Hanika, Hacking the Shadow Terminator, Ray
+Tracing Gems II, 2021). He moves them along the normals. Here they go along the line of sight, in a map upwards: a point stays in
+its pixel, and every algorithm can take it. What lies in a hollow stays where it is.
+"""
+
+from __future__ import annotations
+
+from terrain.compiled import compiled
+
+LEAST_FACING = 0.25
+"""Least cosine, between a smooth normal and the line of sight, that a lift is divided by: surfaces are seen edge-on, too."""
+
+
+@compiled
+def lift_to(node, smooth, point, way):
+    """How far a point has to go along a unit vector to the plane through a node across its smooth normal; 0 if it lies above, or
+    where there is no normal.
+    """
+    below = smooth[0] * (node[0] - point[0]) + smooth[1] * (node[1] - point[1]) + smooth[2] * (node[2] - point[2])
+    facing = smooth[0] * way[0] + smooth[1] * way[1] + smooth[2] * way[2]
+    return below / max(facing, LEAST_FACING) if below > 0.0 else 0.0
