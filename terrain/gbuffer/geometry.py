@@ -113,7 +113,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step
     on_nodes = view.on_nodes and reach == 1
-    halo = reach + reach // 2 + 1
+    halo = reach + (reach + 1) // 2 + 1
     row0, col0 = int(np.floor(row[0])) - halo, int(np.floor(col[0])) - halo
     rows, cols = int(np.floor(row[-1])) + 2 + halo - row0, int(np.floor(col[-1])) + 2 + halo - col0
     window = surface.window(row0, col0, rows, cols, frame)

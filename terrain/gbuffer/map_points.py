@@ -54,13 +54,13 @@ def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
     """How far the smooth ground lies above ``map_points``, float32 (rows, cols).
 
     It goes through the corners of a point's facet. Where the sheet is finer than the raster, with ``reach`` nodes to a cell, its
-    facets say little: then through the nodes half a cell off along both axes, twice as high, for half a chord bulges a quarter as
+    facets say little: then through what lies half a cell off along both axes, twice as high, for half a chord bulges a quarter as
     much. NaN on a node that is as good as the raster's own.
     """
     rows, cols = row.size, col.size
     out = np.zeros((rows, cols), np.float32)
     up = np.array([0.0, 0.0, 1.0])
-    half_cell = reach // 2
+    place, across = np.empty(3), np.empty(3)
     for i in range(rows):
         for j in range(cols):
             r, c, half = triangle[i, j]
@@ -68,11 +68,12 @@ def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
                 continue
             if reach > 1:
                 lift = 0.0
-                near_r, near_c = int(np.rint(row[i])), int(np.rint(col[j]))
                 for k in range(4):
-                    a = near_r + (half_cell if k // 2 else -half_cell)
-                    b = near_c + (half_cell if k % 2 else -half_cell)
-                    lift += 0.5 * lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                    a = row[i] + (0.5 * reach if k // 2 else -0.5 * reach)
+                    b = col[j] + (0.5 * reach if k % 2 else -0.5 * reach)
+                    _between(position, a, b, place)
+                    _between(smooth, a, b, across)
+                    lift += 0.5 * lift_to(place, across, point[i, j], up)
                 out[i, j] = lift
             elif abs(row[i] - np.rint(row[i])) <= ON_EDGE and abs(col[j] - np.rint(col[j])) <= ON_EDGE:
                 out[i, j] = np.nan
@@ -86,6 +87,20 @@ def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
                     lift += weights[k] * lift_to(position[a, b], smooth[a, b], point[i, j], up)
                 out[i, j] = lift
     return out
+
+
+@compiled
+def _between(values, row, col, out):
+    """What vectors at nodes are at a place between them, bilinear."""
+    r, c = int(np.floor(row)), int(np.floor(col))
+    fr, fc = row - r, col - c
+    for k in range(3):
+        out[k] = 0.0
+    for m in range(4):
+        w = (fr if m // 2 else 1.0 - fr) * (fc if m % 2 else 1.0 - fc)
+        if w > 0.0:
+            for k in range(3):
+                out[k] += w * values[r + m // 2, c + m % 2, k]
 
 
 @compiled
