@@ -73,7 +73,7 @@ class GeometryBuffer:
         cols) of the pixels that they are in the finer view of the same camera.
     lift_m
         float32 (rows, cols), how far the smooth ground lies from the triangle's point along the line of sight, in a map upwards
-        (``terrain.gbuffer.lift``); NaN on nodes of the raster, which are on it. ``None`` where all points are.
+        (``terrain.gbuffer.lift``); NaN on nodes of the raster, and beside creases. ``None`` where all points are such.
     lifted
         bool (rows, cols), where the point has been put there, for one light. ``None``: nowhere.
     stand, solids_frame_m
@@ -124,7 +124,12 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     )
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # Where the grid's nodes are about the raster's, or wider apart, a pixel on one has no triangle of its own.
-    lift = None if on_nodes else map_lifts(window.position_frame_m, sheet.falls, smooth, row, col, position, triangle, reach)
+    lift = None
+    if not on_nodes:
+        lift = map_lifts(
+            window.position_frame_m, sheet.falls, sheet.normals_frame, smooth, window.centre_frame_m, row, col, position, triangle,
+            reach,
+        )  # fmt: skip
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
 
 

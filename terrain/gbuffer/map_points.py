@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.gbuffer.lift import lift_to
+from terrain.gbuffer.lift import is_smooth, lift_to, up_at
 
 ON_EDGE = 1e-6
 """How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""
@@ -50,22 +50,23 @@ def map_points(position, height, shown, falls, faces, smooth, row, col):
 
 
 @compiled
-def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
+def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle, reach):
     """How far the smooth ground lies above ``map_points``, float32 (rows, cols).
 
     It goes through the corners of a point's facet. Where the sheet is finer than the raster, with ``reach`` nodes to a cell, its
     facets say little: then through what lies half a cell off along both axes, twice as high, for half a chord bulges a quarter as
-    much. NaN on a node that is as good as the raster's own.
+    much. NaN on a node that is as good as the raster's own, and beside a crease.
     """
     rows, cols = row.size, col.size
     out = np.zeros((rows, cols), np.float32)
-    up = np.array([0.0, 0.0, 1.0])
-    place, across = np.empty(3), np.empty(3)
+    up, place, across = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         for j in range(cols):
             r, c, half = triangle[i, j]
             if r < 0:
                 continue
+            up_at(point[i, j], centre, up)
+            face = faces[r, c, half]
             if reach > 1:
                 lift = 0.0
                 for k in range(4):
@@ -73,7 +74,7 @@ def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
                     b = col[j] + (0.5 * reach if k % 2 else -0.5 * reach)
                     _between(position, a, b, place)
                     _between(smooth, a, b, across)
-                    lift += 0.5 * lift_to(place, across, point[i, j], up)
+                    lift += 0.5 * lift_to(place, across, point[i, j], up) if is_smooth(face, across) else np.nan
                 out[i, j] = lift
             elif abs(row[i] - np.rint(row[i])) <= ON_EDGE and abs(col[j] - np.rint(col[j])) <= ON_EDGE:
                 out[i, j] = np.nan
@@ -84,7 +85,8 @@ def map_lifts(position, falls, smooth, row, col, point, triangle, reach):
                 lift = 0.0
                 for k in range(3):
                     a, b = r + corners[k][0], c + corners[k][1]
-                    lift += weights[k] * lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                    bulge = lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                    lift += weights[k] * bulge if is_smooth(face, smooth[a, b]) else np.nan
                 out[i, j] = lift
     return out
 

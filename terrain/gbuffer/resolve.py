@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.compiled import compiled
-from terrain.gbuffer.lift import lift_to
+from terrain.gbuffer.lift import is_smooth, lift_to
 from terrain.gbuffer.tree_instances import tree_corner
 
 THREADS = min(os.cpu_count() or 1, 8)
@@ -192,11 +192,13 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 length = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
                 for k in range(3):
                     to_eye[k] = -ray[k] / length
-                lift[i, j] = (
-                    (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
-                    + u * lift_to(p[1], ground_normal[b], point[i, j], to_eye)
-                    + v * lift_to(p[2], ground_normal[c], point[i, j], to_eye)
-                )
+                n, lift[i, j] = normal[i, j], np.nan
+                if is_smooth(n, ground_normal[a]) and is_smooth(n, ground_normal[b]) and is_smooth(n, ground_normal[c]):
+                    lift[i, j] = (
+                        (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
+                        + u * lift_to(p[1], ground_normal[b], point[i, j], to_eye)
+                        + v * lift_to(p[2], ground_normal[c], point[i, j], to_eye)
+                    )
                 if len(ground_cells):
                     for k in range(2):
                         cells[i, j, k] = (1.0 - u - v) * ground_cells[a, k] + u * ground_cells[b, k] + v * ground_cells[c, k]

@@ -18,6 +18,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.grid import MapView
@@ -72,17 +73,18 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.sheet, buffer.position_frame_m
-        _turn_to(sheet.position_frame_m, sheet.normals_frame, sheet.falls, row, col, ground, points, light, facing)
+        nodes, centre = sheet.position_frame_m, surface.centre_frame_m
+        _turn_to(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
         _go_by_smooth(ground & ~np.isnan(buffer.lift_m), buffer.shading_normal_frame, buffer.position_frame_m, light, facing)
     return facing
 
 
 @compiled
-def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
+def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, facing):
     """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
     normal, crease, lift, blocked, _ = facing
-    found = np.empty((8, 3), np.int64)
+    found, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
     for i in range(row.size):
         for j in range(col.size):
             if not ground[i, j]:
@@ -90,31 +92,34 @@ def _turn_to(nodes, faces, falls, row, col, ground, position, light, facing):
             count = facets_at(faces, falls, row[i], col[j], found)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-            flattest = normal[i, j, 2]
+            _axes_at(p, centre, axes)
+            up = axes[2]
+            east, north = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+            flattest = _along(normal[i, j], up)
             if count > 1:
                 most, best = -np.inf, 0
                 for k in range(count):
                     n = faces[found[k, 0], found[k, 1], found[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
-                    if towards < 0.0 and _leads_over(nodes, falls, found[k], p, x, y):
+                    if towards < 0.0 and _leads_over(nodes, falls, found[k], p, axes, east, north):
                         blocked[i, j] = True
                     if towards > most:
                         most, best = towards, k
-                    flattest = min(flattest, n[2]) if k > 0 else n[2]
+                    flattest = min(flattest, _along(n, up)) if k > 0 else _along(n, up)
                 for k in range(3):
                     normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
-                    lift[i, j, k] = 0.0
+                    lift[i, j, k] = up[k] / max(flattest, STEEPEST)
                 crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-                lift[i, j, 2] = 1.0 / max(flattest, STEEPEST)
-            if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, x, y):
-                east, north = _inwards(nodes, falls, found, count, p)
-                lift[i, j, 0], lift[i, j, 1], lift[i, j, 2] = east, north, 2.0 / max(flattest, STEEPEST)
+            if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, axes, east, north):
+                east, north = _inwards(nodes, falls, found, count, p, axes)
+                for k in range(3):
+                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, STEEPEST)
 
 
 @compiled
 def _go_by_smooth(where, smooth, position, light, facing):
     """Put in what holds for the smooth ground: its normal where it does not face a light, or no facet does."""
-    normal, crease, lift, blocked, lifted = facing
+    normal, crease, _, blocked, lifted = facing
     for i in range(where.shape[0]):
         for j in range(where.shape[1]):
             if not where[i, j]:
@@ -129,25 +134,52 @@ def _go_by_smooth(where, smooth, position, light, facing):
                 crease[i, j] += np.sqrt(apart)
                 blocked[i, j] = False
                 for k in range(3):
-                    normal[i, j, k] = lift[i, j, k] = s[k]
+                    normal[i, j, k] = s[k]
 
 
 @compiled
-def _leads_over(nodes, falls, facet, p, x, y):
-    """Whether a way (x, y) from a point on a facet's side or corner leads, seen from above, over the facet: no share that the
-    point has none of (its barycentric coordinates) falls on the way.
+def _along(vector, axis):
+    return vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2]
+
+
+@compiled
+def _axes_at(point, centre, out):
+    """Two horizontal axes and the one up at a point, the rows of (3, 3); the frame's own in a flat world."""
+    up = out[2]
+    up_at(point, centre, up)
+    first = 0 if abs(up[0]) < 0.7 else 1
+    for k in range(3):
+        out[0, k] = (1.0 if k == first else 0.0) - up[first] * up[k]
+    length = np.sqrt(_along(out[0], out[0]))
+    for k in range(3):
+        out[0, k] /= length
+    for k in range(3):
+        out[1, k] = up[(k + 1) % 3] * out[0, (k + 2) % 3] - up[(k + 2) % 3] * out[0, (k + 1) % 3]
+
+
+@compiled
+def _in_plan(node, p, axes):
+    """Where a node lies as seen from above, from a point on."""
+    x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
+    return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+
+
+@compiled
+def _leads_over(nodes, falls, facet, p, axes, east, north):
+    """Whether a way from a point on a facet's side or corner leads, seen from above, over the facet: no share that the point has
+    none of (its barycentric coordinates) falls on the way.
     """
     r, c, half = facet
     corners = facet_corners(falls[r, c], half)
     for k in range(3):
-        a = nodes[r + corners[k][0], c + corners[k][1]]
-        b = nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]]
-        d = nodes[r + corners[(k + 2) % 3][0], c + corners[(k + 2) % 3][1]]
+        a = _in_plan(nodes[r + corners[k][0], c + corners[k][1]], p, axes)
+        b = _in_plan(nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]], p, axes)
+        d = _in_plan(nodes[r + corners[(k + 2) % 3][0], c + corners[(k + 2) % 3][1]], p, axes)
         side_x, side_y = d[0] - b[0], d[1] - b[1]
         whole = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
-        share = (side_x * (p[1] - b[1]) - side_y * (p[0] - b[0])) / whole
-        turn = (side_x * y - side_y * x) * np.sign(whole)
-        if share <= 1e-5 and turn < -PARALLEL * np.sqrt((side_x * side_x + side_y * side_y) * (x * x + y * y)):
+        share = (side_y * b[0] - side_x * b[1]) / whole
+        turn = (side_x * north - side_y * east) * np.sign(whole)
+        if share <= 1e-5 and turn < -PARALLEL * np.sqrt((side_x * side_x + side_y * side_y) * (east * east + north * north)):
             return False
     return True
 
@@ -164,26 +196,26 @@ def _on_rim(found, count, row, col):
 
 
 @compiled
-def _along_a_side(nodes, falls, found, count, p, x, y):
-    """Whether a way (x, y) from a point runs, seen from above, along a side of one of its facets."""
+def _along_a_side(nodes, falls, found, count, p, axes, east, north):
+    """Whether a way from a point runs, seen from above, along a side of one of its facets."""
     for k in range(count):
         r, c, half = found[k]
         for down, right in facet_corners(falls[r, c], half):
-            east, north = nodes[r + down, c + right, 0] - p[0], nodes[r + down, c + right, 1] - p[1]
-            ahead = east * x + north * y
-            if ahead > 0.0 and abs(east * y - north * x) <= PARALLEL * ahead:
+            x, y = _in_plan(nodes[r + down, c + right], p, axes)
+            ahead = x * east + y * north
+            if ahead > 0.0 and abs(x * north - y * east) <= PARALLEL * ahead:
                 return True
     return False
 
 
 @compiled
-def _inwards(nodes, falls, found, count, p):
+def _inwards(nodes, falls, found, count, p, axes):
     """The horizontal direction, of unit length, from a point to the middle of its facets."""
     east, north = 0.0, 0.0
     for k in range(count):
         r, c, half = found[k]
         for down, right in facet_corners(falls[r, c], half):
-            east += nodes[r + down, c + right, 0] - p[0]
-            north += nodes[r + down, c + right, 1] - p[1]
+            x, y = _in_plan(nodes[r + down, c + right], p, axes)
+            east, north = east + x, north + y
     length = np.sqrt(east * east + north * north)
     return east / length, north / length

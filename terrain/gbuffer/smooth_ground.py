@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.shared_points import facing_normals
 from terrain.geo.grid import MapView
 from terrain.lights import LightPosition
@@ -23,7 +25,8 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
         return buffer
     position = buffer.position_frame_m.copy()
     if isinstance(buffer.view, MapView):
-        position[lifted, 2] += buffer.lift_m[lifted]
+        assert buffer.surface is not None
+        _move_up(position, lifted, buffer.lift_m, buffer.surface.centre_frame_m)
     else:
         to_eye = buffer.view.in_frame(buffer.frame)[0] - position[lifted]
         length = np.linalg.norm(to_eye, axis=-1)
@@ -32,3 +35,14 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
     if corners is not None:
         corners[lifted] = np.tile(position[lifted], 3)
     return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)
+
+
+@compiled
+def _move_up(position, lifted, lift, centre):
+    up = np.empty(3)
+    for i in range(lifted.shape[0]):
+        for j in range(lifted.shape[1]):
+            if lifted[i, j]:
+                up_at(position[i, j], centre, up)
+                for k in range(3):
+                    position[i, j, k] += lift[i, j] * up[k]

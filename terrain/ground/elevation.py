@@ -30,7 +30,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from terrain.cache import bytes_of
 from terrain.compiled import compiled
 from terrain.errors import SourceError
-from terrain.geo.world import WGS84
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.level.bundled import BUNDLED
 from terrain.level.parts import METRES_PER_UNIT, Units
 
@@ -220,11 +220,16 @@ class Elevation:
         return height.reshape(x.shape), there.reshape(x.shape)
 
     def cell_size_m(self, metres_per_unit: float) -> float:
-        """Side of a cell on the ground at the raster's middle, metres: the root of its area."""
+        """Side of a cell on the ground at the raster's middle, metres: the root of its area. On the globe that is not what a
+        projection's units say: Web Mercator's are twice as long at 60 degrees.
+        """
         row, col = (self.rows - 1) / 2, (self.cols - 1) / 2
+        xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
         if self.crs.is_geographic:
-            xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
             ys = ys - ys[0] + np.clip(ys[0], -89.9, 89.9)
+        elif self.crs.is_projected:
+            xs, ys = transformer(self.crs, LONGITUDE_LATITUDE).transform(xs, ys)
+        if (self.crs.is_geographic or self.crs.is_projected) and np.isfinite(xs).all() and np.isfinite(ys).all():
             _, _, width = WGS84.inv(xs[0], ys[0], xs[1], ys[1])
             _, _, height = WGS84.inv(xs[2], ys[2], xs[3], ys[3])
             return float(np.sqrt(width * height))

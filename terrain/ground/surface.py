@@ -36,6 +36,7 @@ class SurfaceWindow:
 
     ``position_frame_m`` is (rows, cols, 3) float64, NaN where no surface can be (outside the data); ``height_m`` (rows,
     cols) float32 likewise. ``there`` says where the picture shows a surface: holes are filled, but not ``there``.
+    ``centre_frame_m`` (3,) is what up points away from: the earth's centre, or in a flat world one infinitely far below.
     """
 
     row0: int
@@ -43,6 +44,7 @@ class SurfaceWindow:
     height_m: np.ndarray
     there: np.ndarray
     position_frame_m: np.ndarray
+    centre_frame_m: np.ndarray
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -80,7 +82,8 @@ class Surface:
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
         position = _positions(exact, exact_rows, exact_cols, self._stride, row0, col0, height)
         there &= np.isfinite(position[..., 2])
-        return SurfaceWindow(row0, col0, height, there, position)
+        centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
+        return SurfaceWindow(row0, col0, height, there, position, centre)
 
     def positions(self, row: np.ndarray, col: np.ndarray, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
         """Frame points (n, 3) float64 of single nodes with their heights: the same as a window's."""

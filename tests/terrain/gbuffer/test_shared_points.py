@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from shadows.attached import attached
+from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.shared_points import facing_normals
@@ -130,12 +132,19 @@ def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitu
     scene, view = ground_of(heights)
     buffer = geometry(scene, between_nodes(view))
     to_light = direction_enu(azimuth, altitude)
-    chosen = facing_normals(buffer, light_position(to_light, 0.0)).normal_frame
+    facing = facing_normals(buffer, light_position(to_light, 0.0))
+    chosen, smooth = facing.normal_frame, buffer.shading_normal_frame
     normals, touched = facets_of(buffer)
     most = np.where(touched, normals @ to_light, -np.inf).max(axis=-1)
-    np.testing.assert_allclose(chosen @ to_light, most, atol=1e-6)
+    assert buffer.lift_m is not None
+    by_facets = np.isnan(buffer.lift_m) | ((most > 1e-5) & (smooth @ to_light > 1e-5))
+    by_smooth = ~np.isnan(buffer.lift_m) & ((most < -1e-5) | (smooth @ to_light < -1e-5))
+    np.testing.assert_allclose((chosen @ to_light)[by_facets], most[by_facets], atol=1e-6)
     apart = np.linalg.norm(normals - chosen[:, :, None], axis=-1)
-    assert np.where(touched, apart, np.inf).min(axis=-1).max() < 1e-6  # it is one of them
+    assert np.where(touched, apart, np.inf).min(axis=-1)[by_facets].max(initial=0.0) < 1e-6  # it is one of them
+    np.testing.assert_array_equal(chosen[by_smooth], smooth[by_smooth])
+    assert not facing.lifted[by_facets].any()
+    assert (facing.lifted == (smooth @ to_light > 0.0))[by_smooth & (np.abs(smooth @ to_light) > 1e-5)].all()
 
 
 @each_example
@@ -187,9 +196,9 @@ def test_points_are_lifted_off_all_of_their_facets(ground_of, heights, azimuth, 
 
 
 def test_a_point_of_one_facet_is_lifted_along_its_normal(ground_of):
-    scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 20.0, (SIDE, SIDE)))
+    scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 2.0, (SIDE, SIDE)))
     buffer = geometry(scene, view.shifted(0.2, 0.3).part(1, 1, SIDE - 3, SIDE - 3))
-    facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
+    facing = facing_normals(buffer, light_position(direction_enu(200.0, 40.0), 0.0))
     for one in (facing.normal_frame, facing.lift_frame):
         np.testing.assert_array_equal(one, buffer.normal_frame)
     np.testing.assert_array_equal(facing.crease, buffer.crease)
@@ -243,4 +252,27 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     buffer = geometry_of(scene, scene.view("low"))
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
     assert buffer.there.any()
-    assert facing.normal_frame is buffer.normal_frame is facing.lift_frame and facing.crease is buffer.crease
+    np.testing.assert_array_equal(facing.lift_frame, buffer.normal_frame)
+    assert not facing.blocked.any()
+    by_day = (buffer.normal_frame @ direction_enu(200.0, 20.0) > 0.1) & (
+        buffer.shading_normal_frame @ direction_enu(200.0, 20.0) > 0.1
+    )
+    assert by_day.any()
+    np.testing.assert_array_equal(facing.normal_frame[by_day], buffer.normal_frame[by_day])
+
+
+def test_up_is_up_all_round_the_globe(write_raster, make_scene):
+    """The frame of the whole earth has one third axis, and its ground an up everywhere: by day nothing there is in shadow."""
+    heights = np.random.default_rng(3).uniform(-3000.0, 3000.0, (91, 180)).astype(np.float32)
+    scene = make_scene(write_raster(heights, "EPSG:4326", -180.0, 91.0, 2.0), 67.0, 10.0)
+    view = scene.view(bounds=(-178.0, -78.0, 178.0, 78.0), size=(178, 78))
+    buffer = geometry_of(scene, view)
+    source = scene.light_position("sun", buffer.frame)
+    facing = facing_normals(buffer, source)
+    up = buffer.position_frame_m - buffer.frame.points_from_earth(np.zeros(3))
+    up /= np.linalg.norm(up, axis=-1, keepdims=True)
+    assert ((facing.lift_frame * up).sum(axis=-1)[buffer.there] > 0.9).all()
+    to_sun = np.array(source[:3])
+    day = buffer.there & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
+    rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+    assert day.mean() > 0.3 and lit_from(buffer, scene, "sun", rays)[day].all() and not facing.blocked[day].any()

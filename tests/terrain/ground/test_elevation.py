@@ -290,6 +290,14 @@ def test_a_raster_that_reaches_the_pole_has_cells_of_some_size(write_raster):
     assert elevation.cell_size_m(1.0) > 10.0
 
 
+@pytest.mark.parametrize(("latitude", "share"), [(0.0, 1.0), (60.0, 0.5)])
+def test_cells_are_measured_on_the_ground(write_raster, latitude, share):
+    """Web Mercator stretches them by one over the cosine of the latitude."""
+    north = 6378137.0 * np.arctanh(np.sin(np.radians(latitude)))
+    elevation = Elevation(str(write_raster(np.ones((9, 9), np.float32), "EPSG:3857", 0.0, north + 135.0, 30.0)))
+    assert elevation.cell_size_m(1.0) == pytest.approx(30.0 * share, rel=0.005)
+
+
 def test_a_geocentric_raster_is_refused(write_raster):
     with pytest.raises(SourceError, match="projected, geographic or engineering"):
         Elevation(str(write_raster(np.ones((4, 4), np.float32), "EPSG:4978", 0, 4, 1)))
