@@ -110,7 +110,7 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
                     normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
                     lift[i, j, k] = up[k] / max(flattest, STEEPEST)
                 crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-            if _on_rim(found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, axes, east, north):
+            if _on_rim(falls, found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, axes, east, north):
                 east, north = _inwards(nodes, falls, found, count, p, axes)
                 for k in range(3):
                     lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, STEEPEST)
@@ -185,12 +185,18 @@ def _leads_over(nodes, falls, facet, p, axes, east, north):
 
 
 @compiled
-def _on_rim(found, count, row, col):
-    """Whether quads are missing round a place on a node or between two."""
-    quads = 1
-    for k in range(1, count):
-        if found[k, 0] != found[k - 1, 0] or found[k, 1] != found[k - 1, 1]:
-            quads += 1
+def _on_rim(falls, found, count, row, col):
+    """Whether quads are missing round a place on a node or between two, or the other half of a quad on whose diagonal it lies."""
+    quads = 0
+    for k in range(count):
+        r, c = found[k, 0], found[k, 1]
+        if k > 0 and r == found[k - 1, 0] and c == found[k - 1, 1]:
+            continue
+        quads += 1
+        is_paired = k + 1 < count and r == found[k + 1, 0] and c == found[k + 1, 1]
+        aside = (col - c) - (row - r) if falls[r, c] else 1.0 - (row - r) - (col - c)
+        if not is_paired and abs(aside) <= ON_EDGE:
+            return True
     beside = (2 if abs(row - np.rint(row)) <= ON_EDGE else 1) * (2 if abs(col - np.rint(col)) <= ON_EDGE else 1)
     return quads < beside
 

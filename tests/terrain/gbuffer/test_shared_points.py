@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,6 +226,23 @@ def test_points_on_the_rim_are_lifted_inwards_where_light_comes_along_it(ground_
         assert (between[rim][shared[rim]][:, :2] == 0.0).all()
 
 
+def test_the_rim_runs_along_diagonals_too(ground_of):
+    """Where data ends askew a node is missing, and of the quads round it a half each: no quad is, but the diagonals are the rim."""
+    scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 4.0, (SIDE, SIDE)))
+    whole = geometry(scene, view)
+    assert whole.surface is not None and isinstance(whole.view, MapView)
+    row, col = (int(first) - origin for first, origin in ((view.row0, whole.surface.row0), (view.col0, whole.surface.col0)))
+    position, height = whole.surface.position_frame_m.copy(), whole.surface.height_m.copy()
+    position[row + 3, col + 3] = height[row + 3, col + 3] = np.nan
+    buffer = replace(whole, surface=replace(whole.surface, position_frame_m=position, height_m=height))
+    along, across = (
+        facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0)).lift_frame for azimuth in (45.0, 113.0)
+    )
+    east, north, _ = along[3, 2]  # seen along the rim from (3, 2) to (2, 3), which has ground to its north-west
+    assert east < -0.1 and north > 0.1
+    assert (across[3, 2, :2] == 0.0).all()
+
+
 def test_steep_ground_that_falls_to_the_rim_is_lifted_inwards_too(ground_of):
     heights = np.full((SIDE, SIDE), 24.0)
     heights[:, 0] = 0.0
@@ -254,9 +272,8 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     assert buffer.there.any()
     np.testing.assert_array_equal(facing.lift_frame, buffer.normal_frame)
     assert not facing.blocked.any()
-    by_day = (buffer.normal_frame @ direction_enu(200.0, 20.0) > 0.1) & (
-        buffer.shading_normal_frame @ direction_enu(200.0, 20.0) > 0.1
-    )
+    to_sun = direction_enu(200.0, 20.0)
+    by_day = (buffer.normal_frame @ to_sun > 0.1) & (buffer.shading_normal_frame @ to_sun > 0.1)
     assert by_day.any()
     np.testing.assert_array_equal(facing.normal_frame[by_day], buffer.normal_frame[by_day])
 
