@@ -14,8 +14,8 @@ TIMID = 0.1
 """Share of an effect's runs that may have changed nothing."""
 
 FALLS_SHORT = {"hills map 08:30": 2, "hills perspective 08:30": 4}
-"""Steps of 255 by which refraction is missed, as measured: attached shadow is decided facet by facet, and one facet or node that
-turns to the sun shows more than the edges that move.
+"""Steps of 255 by which refraction is missed, as measured: where light grazes a slope, facets and nodes throw shadows of their own
+size, and one that comes or goes shows more than the edges that move.
 """
 
 
