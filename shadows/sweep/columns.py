@@ -94,8 +94,8 @@ class ColumnGround:
 @dataclass(frozen=True, eq=False)
 class ColumnSweep:
     """What a sweep over columns goes by: the ground, the finest first; and of a buffer's points, each column once, their turned
-    rows there (n,), t, heights, and levels and metres towards the sun. A column's level (NaN) is that of its top. ``number`` is of the
-    point that each of the buffer's pixels (rows, cols) shows, -1 without any.
+    rows there (n,), t, heights, and levels and metres towards the sun. A column's level (NaN) is that of its top. ``number`` is of
+    the point that each of the buffer's pixels (rows, cols) shows, -1 without any.
     """
 
     rays: SunRays
