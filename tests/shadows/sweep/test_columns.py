@@ -60,6 +60,20 @@ def test_a_part_of_a_city_on_the_globe_is_as_rays_find_it(
     assert not (lit != lit_from(buffer, scene, "sun", rays, 0.25))[certain].any()
 
 
+@pytest.mark.parametrize(("crs", "west"), [(ENGINEERING, 0.0), (UTM, 420000.0)])
+def test_what_stands_far_away_is_read_at_half_the_detail_and_shades_all_the_same(tmp_path: Path, crs: str, west: float):
+    heights = np.zeros((120, 6400))
+    heights[40:80, 6000:6064] = 400.0
+    scene = scene_of(tmp_path, heights, crs, 1.0, west, 6400120.0).with_sun(SunSpec(azimuth=89.5, altitude=2.2))
+    buffer = geometry_of(scene, scene.view(bounds=(west, 6400000.0, west + 60.0, 6400120.0), size=(60, 120)))
+    casters = casters_of(scene, buffer)
+    assert max(patch.level for patch in casters.patches) == 1
+    lit = swept(buffer, scene) > 0.5
+    assert 10 < (~lit).all(axis=1).sum() < 30  # the sun is half a degree off the rows, or grid north off true north: 52 m aside
+    rays = ray_scene(buffer, scene, casters, ALL_KINDS)
+    np.testing.assert_array_equal(lit, lit_from(buffer, scene, "sun", rays, 0.25))
+
+
 def test_roofs_of_meshes_are_seen_to_beside_the_columns(tmp_path: Path):
     heights = np.zeros((60, 60))
     heights[30:34, 10:50] = 20.0
