@@ -251,7 +251,9 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     made = None if terrain.source is not None else generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
-    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m)
+    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface)
+    if terrain.surface == "blocks" and not elevation.upright:
+        raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
     world = _world(loaded, elevation)
     spec = loaded.level.sun
     sun = None if spec == "none" else sun_of(spec, world)

@@ -18,6 +18,7 @@ from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
 from terrain.gbuffer.tree_instances import TreeInstances
+from terrain.geo.grid import MapView
 from terrain.gl.device import Device
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
@@ -45,7 +46,7 @@ def draw_map(
     """
     meshes = caster_meshes(scene, buffer, kinds)
     # A block's sheets are made anew for every picture of it, and the pictures are kept instead.
-    content = None if buffer.surface is not None else _content(drawn, settings, meshes)
+    content = None if isinstance(buffer.view, MapView) else _content(drawn, settings, meshes)
     kept = None if content is None else gl.depth_targets.kept(content)
     if kept is not None:
         record.kept += 1

@@ -15,6 +15,8 @@ from shadows.passes import PassRecord
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
+from terrain.gbuffer.map_columns import corners_under
+from terrain.gbuffer.resolve import RELIEF
 from terrain.gbuffer.shared_points import facing_normals
 from terrain.geo.grid import MapView
 from terrain.gl.device import Device
@@ -46,6 +48,14 @@ def look_up(
     """Fill in the visibility (rows, cols) of the points that are a map's; ``light_frame`` is whose map it is."""
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _least_depths(gl, drawn, target, settings):
+        if isinstance(view, MapView) and buffer.columns is not None:
+            on_tops = np.where(buffer.kind == RELIEF, np.float32(-1.0), buffer.crease)
+            facing = np.concatenate([buffer.normal_frame, on_tops[..., None]], axis=-1)
+            arrays = [buffer.position_frame_m, facing, corners_under(buffer).reshape(len(facing), -1, 3)]
+            program = _program(gl, drawn, settings, settings.filter, {"on_nodes": False, "has_corners": True})
+            set_uniforms(program, {"corner_frame_m": 2})
+            visibility[:] = _drawn_pixels(gl, program, arrays, target, drawn, record)
+            return
         facets = facing_normals(buffer, light_frame)
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.there.shape

@@ -79,7 +79,7 @@ class SunRays:
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
-        return (self.grid.y0 - y) / self.grid.step, (x - self.grid.x0) / self.grid.step
+        return self.grid.row(y), self.grid.col(x)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""

@@ -17,6 +17,8 @@ share lines and points, and only the levels are tilted. The horizon is taken to 
 
 **Points.** A map's nodes are answered where they lie. Other points are sorted into the rows that they lie between. Those of the
 ground take their level from the very triangles that cast. In perspective these are the drawn ground's, decimated or not.
+
+**Columns.** Over ground that is upright columns each point has its own ray (``shadows.sweep.columns``).
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
-from shadows.passes import PassLog
+from shadows.passes import PassLog, PassRecord
+from shadows.sweep.columns import column_sweep
 from shadows.sweep.extent import MAX_SWEEP_EXTENT_M, sweep_extent_m
 from shadows.sweep.grid import NO_LEVELS, SweepPoints, state_after, sweep_nodes
 from shadows.sweep.lines import NO_GROUND_LEVEL
@@ -74,6 +77,8 @@ def fill(
         if not buffer.there.any():
             return np.ones(buffer.there.shape, np.float32)
         soft = settings.filter == "sun"
+        if buffer.columns is not None:
+            return _over_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
         rays, grounds = _grounds(buffer, scene, casters, soft)
         targets = _asked(rays, grounds[-1], buffer)
         visibility = np.zeros(buffer.there.shape, np.float32)
@@ -84,6 +89,23 @@ def fill(
         sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
         record.bytes = max(record.bytes, sheets + 33 * targets.row.size + grounds[-1].sheet.level.size)
         return visibility / np.float32(len(angles))
+
+
+def _over_columns(
+    buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
+) -> np.ndarray:
+    """``fill`` for a map of columns, under suns that stand higher by some angles, radians."""
+    over = column_sweep(buffer, scene, casters)
+    visibility = np.zeros(buffer.there.shape, np.float32)
+    for angle in angles:
+        visibility += over.above_m(angle, False, CORES) <= 0.0
+
+    def shadow_height_m() -> np.ndarray:
+        return buffer.height_m + over.above_m(0.0, True, CORES).astype(np.float32)
+
+    log.keep("shadow-height", light, shadow_height_m)
+    record.bytes = max(record.bytes, over.nbytes)
+    return visibility / np.float32(len(angles))
 
 
 def strips_of_sun(count: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from shadows.passes import PassRecord
 from shadows.volumes.layers import may_shade_near
 from shadows.volumes.settings import VolumeSettings
 from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
-from shadows.volumes.views import SeenPoints, near_plane_m, own_points, receiving, sample_points
+from shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
 from shadows.volumes.volumes import Volumes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.grid import MapView
@@ -89,7 +89,9 @@ def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bo
     view = buffer.view
     if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
         return False
-    down, right = -light[1] / view.row_step, light[0] / view.col_step
+    columns = buffer.columns
+    steps = (view.row_step, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
+    down, right = -light[1] / steps[0], light[0] / steps[1]
     along = np.abs([down, right, down - right, down + right])
     return bool(along.min() <= ALONG * along.max())
 
@@ -114,7 +116,7 @@ def silhouettes_seen(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes
 def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: Counting) -> np.ndarray:
     gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
     lines = counting == "seen"
-    for points in own_points(buffer, scene, buffer.there, near_plane_m(buffer)):
+    for points in pixels_seen(buffer, scene, buffer.there, near_plane_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiving(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if lines:

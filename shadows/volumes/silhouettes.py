@@ -34,6 +34,7 @@ import numpy as np
 from shadows.volumes.edges import Edges, signed_sums
 from terrain.compiled import compiled
 from terrain.errors import InputError
+from terrain.ground.columns import ColumnSheet
 from terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
@@ -113,7 +114,10 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     rows, cols = position.shape[:2]
     triangles = sheet_triangles(falls)
     known = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
-    turns = (turns_of(facing(position, triangles, light), rule) * known).reshape(*falls.shape, 2)
+    faces = facing(position, triangles, light)
+    if isinstance(sheet, ColumnSheet):  # what has no area throws no shadow: it counts as facing the light
+        faces |= ~np.repeat(sheet.has_area.ravel(), 2)
+    turns = (turns_of(faces, rule) * known).reshape(*falls.shape, 2)
     north, south = turns[..., 0], turns[..., 1]
     sums = np.zeros((4, rows, cols), np.int8)
     to_east, to_south, to_northeast, to_southeast = sums

@@ -78,12 +78,34 @@ class SeenPoints:
 
 
 def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
-    """Those of a view's own points that are wanted, part by part; ``near_m`` is how far away the near plane is."""
+    """Those of a view's own points that are wanted, part by part; ``near_m`` is how far away the near plane is.
+
+    Columns are seen each in the middle of its top, in a view whose pixels are the cells.
+    """
+    if buffer.columns is not None:
+        yield from _tops_seen(buffer, scene, wanted & (buffer.kind == RELIEF), near_m)
+        wanted = wanted & (buffer.kind != RELIEF)
+    yield from pixels_seen(buffer, scene, wanted, near_m)
+
+
+def pixels_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+    """The same of points that lie where their pixels do."""
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
         if len(row):
             yield _seen(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
+
+
+def _tops_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+    assert buffer.columns is not None
+    window, pixels = buffer.columns.window, np.flatnonzero(wanted)
+    row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
+    cells = MapView(window.columns.grid, window.row0, window.col0, 1.0, 1.0, *window.height_m.shape)
+    for part, top, left in affine_parts(scene.world, cells):
+        inside = (row >= top) & (row < top + part.rows) & (col >= left) & (col < left + part.cols)
+        if inside.any():
+            yield _seen(buffer, scene, part, near_m, row[inside] - top, col[inside] - left, pixels[inside])
 
 
 def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
@@ -173,7 +195,8 @@ def _seen(
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
-    draws_ground = ground_has_gaps(buffer, scene) or not (scene.world.flat or isinstance(view, PerspectiveView))
+    bends = not (scene.world.flat or isinstance(view, PerspectiveView) or buffer.columns is not None)  # no cap is a column's top
+    draws_ground = ground_has_gaps(buffer, scene) or bends
     ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
     drawn = buffer.kind.ravel()[indices] == MESHES
@@ -211,7 +234,9 @@ def _picture(row, col, drawn, depth, parts, rows, cols):
 
 
 def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
-    """The ground in a part of a map."""
+    """The ground in a part of a map; of columns, all that there is."""
+    if buffer.columns is not None:
+        return buffer.columns.window.sheet
     surface = buffer.surface
     assert surface is not None
     rows, cols = (

@@ -132,6 +132,8 @@ def volumes_of(
 
 def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
     """Whether a ray may go into a buffer's ground where there is none, and come out of it from below."""
+    if buffer.columns is not None:
+        return has_gaps(np.isfinite(buffer.columns.window.height_m))
     if buffer.surface is not None:
         return has_gaps(np.isfinite(buffer.surface.position_frame_m[..., 2]))
     return _has_gaps(ground_nodes(scene).height_m)

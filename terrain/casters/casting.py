@@ -23,11 +23,19 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[Sheet]:
     """The ground that casts on a map's block, in its frame: its own first."""
-    if buffer.surface is None or "relief" not in kinds:
+    if "relief" not in kinds:
+        return
+    side = PATCH_QUADS + 1
+    if buffer.columns is not None:
+        own = buffer.columns.window
+        yield own.sheet
+        for patch in casters.patches:
+            columns = own.columns.coarser(patch.level)
+            yield columns.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
+    if buffer.surface is None:
         return
     assert isinstance(buffer.view, MapView)
     yield buffer.surface.sheet
-    side = PATCH_QUADS + 1
     for patch in casters.patches:
         surface = scene.surface(buffer.view.grid.coarser(patch.level))
         yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
@@ -45,7 +53,7 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
 
 def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
     """Whether there is anything of some kinds that could cast on a buffer's points."""
-    ground = "relief" in kinds and (buffer.surface is not None or buffer.ground is not None)
+    ground = "relief" in kinds and any(part is not None for part in (buffer.surface, buffer.columns, buffer.ground))
     return ground or ("meshes" in kinds and scene.objects.solids is not None) or caster_trees(buffer, kinds) is not None
 
 

@@ -20,6 +20,7 @@ from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
 from terrain.geo.sun import position_at
 from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, World, epsg_of, transformer
+from terrain.ground.columns import ColumnWindow
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import SurfaceWindow
 from terrain.scene import Scene
@@ -127,8 +128,10 @@ def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
     return Reach(limit_m, unknown_m, True)
 
 
-def _on_grid(buffer: GeometryBuffer) -> tuple[Grid, SurfaceWindow]:
-    """The grid of a map's block and its own ground on it."""
+def _on_grid(buffer: GeometryBuffer) -> tuple[Grid, SurfaceWindow | ColumnWindow]:
+    """The grid of a map's block and its own ground on it: of columns, that of the raster's cells."""
+    if buffer.columns is not None:
+        return buffer.columns.window.columns.grid, buffer.columns.window
     assert isinstance(buffer.view, MapView) and buffer.surface is not None
     return buffer.view.grid, buffer.surface
 
@@ -140,7 +143,7 @@ def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
     found: dict[Patch, None] = {}
     for lamp in scene.lamps.values():
         x, y, _ = scene.world.map_position(grid.crs, lamp.position_earth_m)
-        row, col = (grid.y0 - float(y)) / grid.step, (float(x) - grid.x0) / grid.step
+        row, col = grid.row(float(y)), grid.col(float(x))
         if not np.isfinite(row + col):
             continue
         ends = []
@@ -199,7 +202,7 @@ def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np
     x, y = _overview_xy(elevation)
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    row, col = (grid.y0 - np.asarray(y)) / grid.step, (np.asarray(x) - grid.x0) / grid.step
+    row, col = grid.row(np.asarray(y)), grid.col(np.asarray(x))
     period = _columns_round_the_earth(grid)
     if period is not None and np.isfinite(col).all():
         col = np.unwrap(np.unwrap(col, period=period, axis=1), period=period, axis=0)

@@ -128,7 +128,7 @@ def _slopes_under_sun(
     scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None
 ) -> tuple[float | None, float | None]:
     assert scene.sun is not None
-    if np.ptp(scene.height_range_m) <= 0.0:
+    if np.ptp(scene.height_range_m) <= 0.0 or scene.elevation.surface == "blocks":  # walls are steeper than any ray
         return None, None
     to_sun = direction_enu(scene.sun.azimuth_deg, scene.sun.altitude_deg)
     if isinstance(view, PerspectiveView):

@@ -18,6 +18,7 @@ from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
+from terrain.ground.columns import PlacedOnColumns
 from terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
@@ -60,7 +61,10 @@ class GeometryBuffer:
         int32 (rows, cols, 3) of a map's ground: row and column of the quad in ``surface``, and 0 for the triangle on its north
         side, 1 for the other; the first of those that share the point.
     surface
-        Of a map: the nodes that the buffer was made from; they cast what they show. ``None`` in perspective.
+        Of a map: the nodes that the buffer was made from; they cast what they show. ``None`` in perspective, and over columns.
+    columns
+        Of a map whose ground is upright columns: those, and where its pixels lie on them; they cast what they show. Their tops are
+        what is seen, so normals are up and nothing is creased.
     ground
         In perspective: the ground's triangles, which cast what they show. ``None`` in a map.
     corners_frame_m
@@ -92,6 +96,7 @@ class GeometryBuffer:
     triangle: np.ndarray | None = None
     surface: SurfaceWindow | None = None
     ground: GroundMesh | None = None
+    columns: PlacedOnColumns | None = None
     corners_frame_m: np.ndarray | None = None
     albedo: np.ndarray | None = None
     tree_instances: TreeInstances | None = None

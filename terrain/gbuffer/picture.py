@@ -13,6 +13,7 @@ from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_mesh
 from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
+from terrain.gbuffer.map_columns import column_geometry
 from terrain.gbuffer.resolve import (
     RELIEF,
     Faces,
@@ -155,7 +156,8 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
 
 
 def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffer:
-    buffer = map_geometry(scene.surface(view.grid), view, frame)
+    geometry = column_geometry if scene.elevation.surface == "blocks" else map_geometry
+    buffer = geometry(scene.surface(view.grid), view, frame)
     image = imagery_of(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))

@@ -37,12 +37,13 @@ FloatOrArray = TypeVar("FloatOrArray", float, np.ndarray)
 
 @dataclass(frozen=True)
 class Grid:
-    """A world-fixed lattice of samples in a CRS."""
+    """A world-fixed lattice of samples in a CRS. ``stretch`` is its step in y over that in x: 1 but for rasters' own cells."""
 
     crs: CRS
     x0: float
     y0: float
     step: float
+    stretch: float = 1.0
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
         """x of a (fractional) column, in CRS units."""
@@ -50,15 +51,23 @@ class Grid:
 
     def y(self, row: FloatOrArray) -> FloatOrArray:
         """y of a (fractional) row, in CRS units."""
-        return self.y0 - row * self.step
+        return self.y0 - row * (self.step * self.stretch)
+
+    def col(self, x: FloatOrArray) -> FloatOrArray:
+        """The (fractional) column of x."""
+        return (x - self.x0) / self.step
+
+    def row(self, y: FloatOrArray) -> FloatOrArray:
+        """The (fractional) row of y."""
+        return (self.y0 - y) / (self.step * self.stretch)
 
     def coarser(self, level: int) -> Grid:
         """The grid of every 2**level-th node."""
-        return Grid(self.crs, self.x0, self.y0, self.step * 2**level)
+        return replace(self, step=self.step * 2**level)
 
     def finer(self, level: int) -> Grid:
         """The grid with 2**level times as many nodes a side, those of this one among them."""
-        return Grid(self.crs, self.x0, self.y0, self.step / 2**level)
+        return replace(self, step=self.step / 2**level)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Heights from any raster that GDAL reads, by windows and overviews only.
 
-The surface that a raster states is the bilinear one through its cells' centres. Cells are addressed as (row, col) with
+The surface that a raster states is the bilinear one through its cells' centres, or its cells as they are, where a level asks for
+blocks (``terrain.ground.columns``). Cells are addressed as (row, col) with
 whole numbers at the centres. Zoomed out, cells are averaged 2 x 2, 4 x 4, ... from the raster's corner, so that a window
 reads the same wherever it begins; less than one such cell is lost at the south and east borders.
 
@@ -31,8 +32,9 @@ from terrain.cache import bytes_of
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
+from terrain.ground.cells import cell_heights
 from terrain.level.bundled import BUNDLED
-from terrain.level.parts import METRES_PER_UNIT, Units
+from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
 
 FILL_CELLS = 64
 """How far from their rims holes are filled, in cells of the level read."""
@@ -79,7 +81,7 @@ class Elevation:
 
     ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
     the place of the file ``source``. ``water_m`` is the height of standing water (``None``: no water): the surface wherever the
-    ground, exaggerated, lies below it. Holes stay holes.
+    ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres.
 
     Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
     """
@@ -92,8 +94,10 @@ class Elevation:
         resolution_m: float | None = None,
         made: MemoryFile | None = None,
         water_m: float | None = None,
+        surface: GroundSurface = "smooth",
     ) -> None:
         self.name = source
+        self.surface = surface
         self.resolution_m = resolution_m
         self.water_m = -np.inf if water_m is None else float(np.float32(water_m))  # heights are float32
         try:
@@ -152,6 +156,12 @@ class Elevation:
         gt = self._dataset.transform
         square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
         return float(gt.a) if square else None
+
+    @property
+    def upright(self) -> bool:
+        """Whether rows run from west to east, the northern one first."""
+        gt = self._dataset.transform
+        return bool(gt.b == 0 and gt.d == 0 and gt.a > 0 and gt.e < 0)
 
     @property
     def nbytes(self) -> int:
@@ -238,7 +248,8 @@ class Elevation:
     def heights_at(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) at (fractional) cells of level 0, and where there is a surface (bool).
 
-        Heights are bilinear between cells of ``level`` (2**level cells of the raster a side). NaN where nothing is near.
+        Heights are bilinear between cells of ``level`` (2**level cells of the raster a side), or those of the cells (``surface``).
+        NaN where nothing is near.
         """
         factor = 2**level
         row, col = (row + 0.5) / factor - 0.5, self._columns_of_level(level, col)
@@ -255,7 +266,8 @@ class Elevation:
         else:
             row0, row1, col0, col1 = max(row0, 0), min(row1, rows), max(col0, 0), min(col1, cols)
         values, valid = self._filled(level, row0, row1, col0, col1)
-        height, there = _bilinear(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
+        between = cell_heights if self.surface == "blocks" else _bilinear
+        height, there = between(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The drawn surface: heights at the nodes of a map grid, and their points in a local frame.
 
-Where a node lies (in the raster, and on earth at height 0) is computed exactly on every ``_stride``-th node of the grid
+Where a node lies (in the raster, and on earth at height 0) is computed exactly on every ``stride``-th node of the grid
 and by cubic Lagrange interpolation between; the mapping is so smooth there that the error is under a millimetre. The
 exact nodes are multiples counted from the grid's origin, never from a window: the same node has the same bits in every
 window that shares its frame.
@@ -62,7 +62,7 @@ class Surface:
     step_m: float = field(init=False)
     level: int = field(init=False)
     cells_per_step: float = field(init=False)
-    _stride: int = field(init=False)
+    stride: int = field(init=False)
 
     def __post_init__(self) -> None:
         step_m = step_at_anchor_m(self.world, self.grid)
@@ -70,17 +70,17 @@ class Surface:
         ratio, detail_m = step_m / cell_m, max(step_m, self.elevation.resolution_m or 0.0)
         stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
         for name, value in {
-            "step_m": step_m, "level": max(int(np.rint(np.log2(detail_m / cell_m))), 0), "cells_per_step": ratio, "_stride": stride,
+            "step_m": step_m, "level": max(int(np.rint(np.log2(detail_m / cell_m))), 0), "cells_per_step": ratio, "stride": stride,
         }.items():  # fmt: skip
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
         """The nodes of a window, in a frame."""
         height, there = self.heights(row0, col0, rows, cols)
-        exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)
+        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
-        position = _positions(exact, exact_rows, exact_cols, self._stride, row0, col0, height)
+        position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
         there &= np.isfinite(position[..., 2])
         centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
         return SurfaceWindow(row0, col0, height, there, position, centre)
@@ -91,39 +91,39 @@ class Surface:
             return np.zeros((0, 3))
         row0, col0 = int(row.min()), int(col.min())
         shape = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
-        exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, *shape, self._stride)
+        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, *shape, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
-        return _scattered(exact, exact_rows, exact_cols, self._stride, row.astype(np.int64), col.astype(np.int64), height_m)
+        return _scattered(exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
     def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
         """Coordinates (rows, cols) float32, metres, of a window's nodes with their heights, along an earth-fixed unit axis."""
         rows, cols = height_m.shape
-        first_row, first_col, x, y = self._exact_nodes(row0, col0, rows, cols, self._stride)
+        first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
         exact = np.stack([(point - origin_earth_m) @ axis_earth, up @ axis_earth], axis=-1)
         out = np.empty((rows, cols), np.float32)
         for start in range(0, rows, SURFACE_BAND_ROWS):
             band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
             count = band.stop - start
-            placed = _interpolate(exact, first_row, first_col, self._stride, row0 + start, col0, count, cols)
+            placed = interpolated(exact, first_row, first_col, self.stride, row0 + start, col0, count, cols)
             out[band] = placed[..., 0] + height_m[band] * placed[..., 1]
         return out
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) of a window's nodes, and where there is a surface."""
-        stride = self._stride
-        exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, stride)
-        cell = self._cells(x, y)
+        stride = self.stride
+        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
+        cell = self.cells_of(x, y)
         if cell is None:  # the raster's longitudes break inside: no smooth mapping to interpolate
             stride = 1
-            exact_rows, exact_cols, x, y = self._exact_nodes(row0, col0, rows, cols, stride)
-            cell = self._cells(x, y, everywhere=True)
+            exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
+            cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
-        located = _interpolate(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
+        located = interpolated(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
         return self.elevation.heights_at(self.level, located[..., 0], located[..., 1])
 
-    def _exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
+    def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
         first_row, first_col = row0 // stride - 1, col0 // stride - 1
         last_row, last_col = (row0 + rows - 1) // stride + 2, (col0 + cols - 1) // stride + 2
@@ -132,7 +132,7 @@ class Surface:
         x, y = np.meshgrid(self.grid.x(col), self.grid.y(row))
         return first_row, first_col, x, y
 
-    def _cells(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
+    def cells_of(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
         """Row and column in the raster; ``None`` where its longitudes are not continuous (unless ``everywhere``)."""
         source = self.elevation.crs
         if self.grid.crs != source:
@@ -162,13 +162,14 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
     One figure for the level, so that nothing is decided per tile.
     """
     if world.flat:
-        return grid.step * world.metres_per_unit
+        return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
     if grid.crs == world.crs:
         x, y = world.anchor_x, world.anchor_y
     else:
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
     half = grid.step / 2
-    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half]))
+    down = half * grid.stretch
+    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
     size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
     return float(np.sqrt(size))
 
@@ -179,7 +180,7 @@ def map_pixel_m(world: World, view: MapView) -> float:
 
 
 @compiled
-def _cubic_weights(t):
+def cubic_weights(t):
     """Lagrange weights of the nodes -1, 0, 1, 2 at ``t`` in [0, 1)."""
     return (
         -t * (t - 1.0) * (t - 2.0) / 6.0,
@@ -190,14 +191,14 @@ def _cubic_weights(t):
 
 
 @compiled
-def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):
+def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
     """(rows, cols, k) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
     kinds = exact.shape[2]
     out = np.empty((rows, cols, kinds))
     along = np.empty((exact.shape[1], kinds))
     for i in range(rows):
         coarse = (row0 + i) // stride
-        w = _cubic_weights((row0 + i - coarse * stride) / stride)
+        w = cubic_weights((row0 + i - coarse * stride) / stride)
         m = coarse - first_row
         for n in range(exact.shape[1]):
             for k in range(kinds):
@@ -209,7 +210,7 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):
                     )
         for j in range(cols):
             coarse = (col0 + j) // stride
-            v = _cubic_weights((col0 + j - coarse * stride) / stride)
+            v = cubic_weights((col0 + j - coarse * stride) / stride)
             n = coarse - first_col
             for k in range(kinds):
                 if v[1] == 1.0:
@@ -223,7 +224,7 @@ def _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols):
 def _positions(exact, first_row, first_col, stride, row0, col0, height):
     """Frame points (rows, cols, 3): the ground at height 0 plus the height along the vertical there."""
     rows, cols = height.shape
-    placed = _interpolate(exact, first_row, first_col, stride, row0, col0, rows, cols)
+    placed = interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols)
     out = np.empty((rows, cols, 3))
     for i in range(rows):
         for j in range(cols):
@@ -238,8 +239,8 @@ def _scattered(exact, first_row, first_col, stride, row, col, height):
     """As ``_positions``, for single nodes; sums in the same order, so that the bits are the same."""
     out = np.empty((row.size, 3))
     for n in range(row.size):
-        m, w = row[n] // stride, _cubic_weights((row[n] - row[n] // stride * stride) / stride)
-        p, v = col[n] // stride, _cubic_weights((col[n] - col[n] // stride * stride) / stride)
+        m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)
+        p, v = col[n] // stride, cubic_weights((col[n] - col[n] // stride * stride) / stride)
         m, p = m - first_row, p - first_col
         for k in range(3):
             ground = _cubic(exact, m, p, w, v, k)

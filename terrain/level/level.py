@@ -140,6 +140,13 @@ class Level(Model):
         expand_override(self.shadows.algorithm, self.light_names)
         return self
 
+    @model_validator(mode="after")
+    def _blocks_in_maps(self) -> Level:
+        eyes = [name for name, view in self.views.items() if view.kind == "perspective"]
+        if self.terrain.surface == "blocks" and eyes:
+            raise PydanticCustomError("blocks", "smooth: blocks is for maps, and {views} is a perspective view", {"views": eyes[0]})
+        return self
+
     @property
     def light_names(self) -> tuple[str, ...]:
         """The sun (there or not), then the other lights."""
@@ -323,6 +330,10 @@ def load_level(path: Path | str) -> LoadedLevel:
     return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=digest)
 
 
+_OF_THE_WHOLE = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
+"""Kinds of errors that only the whole level can make, for what is in other parts of it, and the keys that they are about."""
+
+
 def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     """One message of pydantic's many (a union gives one per branch): the one that leads deepest into the file."""
     for error in errors:
@@ -330,8 +341,9 @@ def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError
             context = error["ctx"]
             where = ".".join([*_keys(data, error["loc"]), context["key"]])
             return LevelError(f"{path}: {where}", Fault("unknown key"), context["known"])
-    if [(error["type"], error["loc"]) for error in errors] == [("algorithm", ())]:  # only the whole level knows its lights
-        errors = [{**errors[0], "loc": ("shadows", "algorithm"), "input": data["shadows"]["algorithm"]}]
+    for kind, (part, key) in _OF_THE_WHOLE.items():
+        if [(error["type"], error["loc"]) for error in errors] == [(kind, ())]:
+            errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
     paths = [_keys(data, error["loc"]) for error in errors]
     deepest = max(paths, key=len)
     here = [error for error, keys in zip(errors, paths, strict=True) if keys == deepest]

@@ -14,6 +14,7 @@ METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 /
 Species = Literal["conifer", "broadleaf", "mixed"]
 MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]
 GroundGenerator = Literal["ridges", "landscape"]
+GroundSurface = Literal["smooth", "blocks"]
 
 Metres = Annotated[float, Field(gt=0, le=1e7)]
 Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -78,7 +79,8 @@ class Terrain(Model):
 
     ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
     view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``imagery`` is an
-    RGB raster draped over the ground.
+    RGB raster draped over the ground. ``surface`` is what lies between the heights: ``smooth`` (bilinear between the cells'
+    centres) or, in maps, ``blocks`` (every cell is a column with a flat top and upright walls, as in surface models of cities).
     """
 
     source: FileName | None = None
@@ -89,6 +91,7 @@ class Terrain(Model):
     units: Units | None = None
     exaggeration: float = Field(default=1.0, gt=0, le=100)
     imagery: FileName | None = None
+    surface: GroundSurface = "smooth"
 
     @field_validator("bounds")
     @classmethod

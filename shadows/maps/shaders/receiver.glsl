@@ -1,6 +1,7 @@
 // The visible point of a pixel, as a light sees it, held against the depth map. Derived in docs/shadow-maps.md.
 uniform sampler2D position_frame_m;  // rgb: the visible points
-uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease, below 0 where a point lies on no triangle
+uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease; below 0: on no triangle of a map's ground, or else
+                                     // on the top of a column
 uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground, a: 1 where the quad south-east of one is cut to its south-east
 uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle; zeros on a map's ground
 uniform sampler2D depth_map;
@@ -37,6 +38,7 @@ float crease;
 vec3 middle, ring[9];                // a corner of the known triangles, and from there the others
 int triangles = 0;
 bool own = false;                    // whether there is one, the point's own
+bool on_top;                         // of a column: the triangle and its other half
 vec3 e, g;                           // its sides over its area as the sun sees it, its slope, and what is taken off its depth
 vec2 slope;
 float slack_m;
@@ -95,7 +97,8 @@ bool receive(ivec2 pixel) {
     point = in_light(seen);
     vec4 facing = texelFetch(normal_frame, pixel, 0);
     normal = light_from_frame * facing.xyz;
-    crease = abs(facing.w);
+    on_top = !on_nodes && facing.w < 0.0;
+    crease = on_top ? 0.0 : abs(facing.w);
 
     mat3 turned = mat3(1.0);
     if (faces == 6) {  // the face that the point lies in front of
@@ -185,7 +188,7 @@ bool is_on_own(vec2 at, out float z) {
     vec2 aside = (at + 0.5) * texel_m - middle.xy;
     float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
     z = mix(point.z, middle.z + dot(slope, aside), bias_scale) - slack_m;
-    return u >= 0.0 && v >= 0.0 && u + v <= 1.0;
+    return u >= 0.0 && v >= 0.0 && (on_top ? max(u, v) : u + v) <= 1.0;
 }
 
 // ... in general its own before all others, and of these the one that is there nearest to the point in depth: where the ring is

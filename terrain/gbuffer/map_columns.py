@@ -1,0 +1,48 @@
+"""The geometry buffer of a map of upright columns (``terrain.ground.columns``): a pixel shows the middle of its column's top."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import NO_SURFACE, RELIEF
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.ground.columns import columns_under
+from terrain.ground.surface import Surface
+
+
+def column_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
+    """The geometry buffer of a map view's bare ground (a block) in a frame. Raises ``UnsupportedError``."""
+    row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
+    columns, seen = columns_under(surface, row, col, frame)
+    kind = np.where(seen.there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
+    return GeometryBuffer(
+        view, frame, seen.there, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
+        np.zeros(seen.there.shape, np.float32), kind, columns=columns,
+    )  # fmt: skip
+
+
+def corners_under(buffer: GeometryBuffer) -> np.ndarray:
+    """Corners (rows, cols, 9) float32 as a ``GeometryBuffer`` has them, those of one of the two triangles of columns' tops among
+    them.
+    """
+    columns, corners = buffer.columns, buffer.corners_frame_m
+    assert columns is not None
+    corners = np.zeros((*buffer.there.shape, 9), np.float32) if corners is None else corners.copy()
+    ground = buffer.there & (buffer.kind == RELIEF)
+    _put_in(columns.window.sheet.position_frame_m, ground, columns.row, columns.col, corners)
+    return corners
+
+
+@compiled
+def _put_in(nodes, ground, row, col, corners):
+    for i in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            if ground[i, j]:
+                top, left = 2 * row[i, j], 2 * col[i, j]
+                for k in range(3):
+                    corners[i, j, k] = nodes[top, left, k]
+                    corners[i, j, 3 + k] = nodes[top + 1, left, k]
+                    corners[i, j, 6 + k] = nodes[top, left + 1, k]
