@@ -32,14 +32,19 @@ def fill_steps(
     visibility = np.ones(buffer.there.shape, np.float32)
     if steps:
         light = steps[0].light
-        receivers = without_hidden_points(buffer, scene, light, effects)
-        if light != SUN or scene.sun_is_up:
-            receivers = on_smooth_ground(receivers, scene.light_position(light, buffer.frame))
+        receivers = receivers_of(without_hidden_points(buffer, scene, light, effects), scene, light)
         for step in steps:
             fill = ALGORITHMS[step.algorithm].fill
             assert fill is not None, step.algorithm
             visibility *= fill(receivers, scene, step.light, step.kinds, casters, step.settings, log)
     return visibility
+
+
+def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBuffer:
+    """A buffer whose points are those from which a light is looked for: what algorithms fill."""
+    if light == SUN and not scene.sun_is_up:
+        return buffer
+    return on_smooth_ground(buffer, scene.light_position(light, buffer.frame))
 
 
 def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:

@@ -11,6 +11,7 @@ import trimesh
 from shadows.attached import attached
 from shadows.maps import shadow_map
 from shadows.passes import PassLog
+from shadows.visibility import receivers_of
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
@@ -58,7 +59,8 @@ def visibility(
     for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:
         if step.light == light and step.settings is not None:
             settings = step.settings.model_copy(update={"bias_scale": bias_scale})
-            seen *= shadow_map.fill(buffer, scene, light, step.kinds, casters_of(scene, buffer), settings, PassLog())
+            receivers = receivers_of(buffer, scene, light)
+            seen *= shadow_map.fill(receivers, scene, light, step.kinds, casters_of(scene, buffer), settings, PassLog())
     seen[attached(buffer, scene, light)] = 0.0
     seen[~buffer.there] = np.nan
     return seen, buffer

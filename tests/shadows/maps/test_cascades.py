@@ -18,6 +18,7 @@ from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
+from shadows.visibility import receivers_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
@@ -68,7 +69,7 @@ def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(
     for count, size in ((1, 1024), (4, 512)):
         (step,) = plan_for(scene, cascades=count, map_size=size, depth_bits=24).steps
         assert len(step.settings.cascades) == count
-        seen = shadow_map.fill(buffer, scene, step.light, step.kinds, casters, step.settings, PassLog())
+        seen = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, step.light, step.kinds, casters, step.settings, PassLog())
         seen[attached(buffer, scene)] = 0.0
         found[count] = errors_of(seen, truth, 1.0)
     assert found[1].edge_p95 > 1.0

@@ -15,6 +15,7 @@ from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.truth.metrics import errors_of
 from shadows.truth.truth import truth_of
+from shadows.visibility import receivers_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -53,7 +54,8 @@ def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[
     """Which pixels of a view, drawn as one block, are in shadow, and where there is ground."""
     buffer = geometry_of(scene, view)
     (step,) = plan.steps
-    seen = shadow_map.fill(buffer, scene, step.light, step.kinds, casters_of(scene, buffer), step.settings, PassLog())
+    receivers = receivers_of(buffer, scene, step.light)
+    seen = shadow_map.fill(receivers, scene, step.light, step.kinds, casters_of(scene, buffer), step.settings, PassLog())
     return (seen < 0.5) | attached(buffer, scene), buffer.there
 
 

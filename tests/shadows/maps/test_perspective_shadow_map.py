@@ -18,6 +18,7 @@ from shadows.maps.settings import PerspectiveMapSettings
 from shadows.passes import PassLog
 from shadows.truth.metrics import MOST_INTERIOR, errors_of
 from shadows.truth.truth import coverage_truth, truth_of
+from shadows.visibility import receivers_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
 from terrain.errors import UnsupportedError
@@ -41,7 +42,8 @@ def fill(
     """Visibility of a light, attached shadow included, NaN where there is no surface; and the log."""
     settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **how})
     log = PassLog()
-    seen = perspective_shadow_map.fill(buffer, scene, light, kinds, casters_of(scene, buffer), settings, log)
+    receivers = receivers_of(buffer, scene, light)
+    seen = perspective_shadow_map.fill(receivers, scene, light, kinds, casters_of(scene, buffer), settings, log)
     seen[attached(buffer, scene, light)] = 0.0
     seen[~buffer.there] = np.nan
     return seen, log

@@ -13,6 +13,7 @@ from shadows.sweep import sweep
 from shadows.sweep.settings import SweepSettings
 from shadows.truth.metrics import MOST_INTERIOR, errors_of
 from shadows.truth.truth import ray_scene, truth_of
+from shadows.visibility import receivers_of
 from terrain.casters import reach
 from terrain.casters.reach import Casters, casters_of
 from terrain.describe import describe
@@ -50,7 +51,7 @@ def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, 
     """A view's buffer, its casters, and the sweep's visibility with what is turned away dark."""
     buffer = geometry_of(scene, view)
     casters = casters_of(scene, buffer)
-    seen = sweep.fill(buffer, scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
+    seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
     seen[attached(buffer, scene)] = 0.0
     return buffer, casters, seen
 
@@ -86,9 +87,9 @@ def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene,
     casters = casters_of(scene, buffer)
     assert {patch.level for patch in casters.patches} >= {0, 1}
     real = truth_of(buffer, scene, casters)
-    seen = sweep.fill(buffer, scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
+    seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
     near = Casters(tuple(patch for patch in casters.patches if patch.level == 0), casters.reach)
-    without = sweep.fill(buffer, scene, "sun", ("relief",), near, SweepSettings(), PassLog())
+    without = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near, SweepSettings(), PassLog())
     assert (without - seen).mean() > 0.05  # the far ground is what shades
     seen[attached(buffer, scene)] = 0.0
     assert errors_of(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05

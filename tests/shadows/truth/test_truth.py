@@ -15,6 +15,7 @@ from shadows.passes import PassLog
 from shadows.truth import truth
 from shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of
 from shadows.truth.truth import Truth, coverage_truth, fill, sub_views, sun_disc, surface_error, truth_of
+from shadows.visibility import receivers_of
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.geo.grid import MapView
@@ -58,7 +59,7 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
         casters = Casters((), casters.reach)
     settings = plan_of(scene, view, map_size=4096, filter=1).settings["sun"]["relief"]
     settings = settings.model_copy(update={"bias_scale": bias_scale})
-    seen = shadow_map.fill(buffer, scene, "sun", ("relief",), casters, settings, PassLog())
+    seen = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, settings, PassLog())
     seen[attached(buffer, scene)] = 0.0
     return seen
 

@@ -22,6 +22,7 @@ from shadows.sweep.settings import SweepSettings
 from shadows.truth.metrics import Errors, errors_of
 from shadows.truth.truth import Truth, TruthSettings, truth_of
 from shadows.truth.truth import fill as truth_fill
+from shadows.visibility import receivers_of
 from shadows.volumes import shadow_volume
 from shadows.volumes.settings import VolumeSettings
 from terrain.cache import clear_caches
@@ -63,7 +64,8 @@ class Look:
 
     def seen(self, mask: str | None = None, log: PassLog | None = None, **settings: Any) -> np.ndarray:
         """Visibility by volumes, or with ``mask`` by the hybrid: attached shadow is dark, NaN where there is no surface."""
-        buffer, kinds, log = self.buffer, tuple(k for k in self.scene.objects.kinds if k != "forest"), log or PassLog()
+        buffer = receivers_of(self.buffer, self.scene, self.light)
+        kinds, log = tuple(k for k in self.scene.objects.kinds if k != "forest"), log or PassLog()
         if mask is None:
             found = shadow_volume.fill(buffer, self.scene, self.light, kinds, self.casters, VolumeSettings(**settings), log)
         else:
@@ -318,7 +320,9 @@ RIDGES = {"generate": {"kind": "ridges", "size": [1400, 1400], "cell": 20, "reli
 
 
 def by_sweep(at: Look) -> np.ndarray:
-    return at.finished(sweep.fill(at.buffer, at.scene, "sun", ("relief",), at.casters, SweepSettings(), PassLog()))
+    return at.finished(
+        sweep.fill(receivers_of(at.buffer, at.scene, "sun"), at.scene, "sun", ("relief",), at.casters, SweepSettings(), PassLog())
+    )
 
 
 def check_ground(at: Look) -> None:
