@@ -33,7 +33,7 @@ def share_of_shadow(trial: Trial, scene: Scene, side_px: int, zooms_below: int) 
 @hard_case(
     "Y4",
     "Zooming out does not change how much lies in shadow",
-    "the bundled mountains under a sun 10 degrees high, in pixels as large as the data's cells, 4 and 16 times as large; mean shadow",
+    "the bundled mountains under a sun 10 degrees high, in pixels as large as the data's cells, 4 and 16 times as large",
     {"share two zooms below": 0.015, "share four zooms below": 0.04},
     algorithms=(*SHADOWING, "truth"),
 )
