@@ -31,7 +31,7 @@ def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map",
     mixes of algorithms by kind of casters, and what is turned one at a time. An algorithm that cannot serve everything takes on
     the sun's relief and meshes, or relief alone, beside shadow maps.
     """
-    descriptor, level = describe(scene, view, name), scene.loaded.level
+    descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     plans: dict[str, Plan] = {}
     for plan in _plans(descriptor, level, light):
         plans.setdefault(name_of(plan, light), plan)

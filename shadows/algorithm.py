@@ -228,6 +228,12 @@ Fill = Callable[..., np.ndarray]
 """
 
 
+FillNodes = Callable[..., np.ndarray]
+"""The same of a map's ``BareNodes``, attached shadow included, past ground alone: bool (rows, cols). Takes patches in the place of
+``Casters``.
+"""
+
+
 @dataclass(frozen=True)
 class Algorithm:
     """A shadow algorithm.
@@ -238,6 +244,8 @@ class Algorithm:
         Its name in levels and plans; what its shadows are called in headings; a sentence about it.
     fill, passes
         What fills visibility (``None``: nothing, all is lit), and the names of the passes that this runs, in order.
+    node_fill
+        What fills that of nodes of bare ground from their heights alone under some settings (``None``: nothing does).
     refuses
         What it cannot serve, with the sentence that says why; it serves everything else.
     layers
@@ -255,6 +263,7 @@ class Algorithm:
     name: str
     about: str
     fill: Fill | None = None
+    node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
     passes: tuple[str, ...] = ()
     plural: str = ""
     refuses: Mapping[Requirement, str] = field(default_factory=dict)

@@ -44,6 +44,11 @@ class LayerCollector:
                     raise InputError("layer", layer, f"at most {MAX_TEXELS} texels: a smaller view, or smaller maps")
 
     @property
+    def pictures(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
+        """The pictures by layer and light, as they can be added to another collector."""
+        return {**self._of_pixels, **self._others}
+
+    @property
     def whole(self) -> dict[PassLayer, dict[str, np.ndarray]]:
         """Layer -> light -> picture."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}

@@ -14,6 +14,10 @@ import numpy as np
 
 from terrain.gl.programs import recorded
 
+GEOMETRY_PASS = "geometry"
+CASTERS_PASS = "outside_casters"
+ATTACHED_PASS = "attached"
+
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
 """Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette
 edges (uint8, 255 where one is seen; of a hybrid, the pixels that it leaves to its volumes), shadow volumes (uint8, how many of

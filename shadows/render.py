@@ -8,19 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
-from shadows.attached import attached
+from shadows.coarse_pixels import coarse_pixels, mean_visibilities
 from shadows.executed_effects import executed_effects
 from shadows.layer_collector import LayerCollector
-from shadows.passes import PassLayer, PassLog, PassRecord
+from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.visibility import fill_steps, with_apparent_sun
+from shadows.visibility import visibilities_at, with_apparent_sun
 from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from terrain.errors import InputError, RenderError, UnsupportedError
 from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
-from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.covered_nodes import PixelsShow
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
 from terrain.geo.world import LocalFrame
@@ -28,12 +28,8 @@ from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
 from terrain.shading import albedo_of, open_sky, shade, sky, srgb_encoded
 
-GEOMETRY_PASS = "geometry"
-CASTERS_PASS = "outside_casters"
 SHADING_PASS = "shading"
-
 REFRACTION_PASS = "refraction"
-ATTACHED_PASS = "attached"
 
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
@@ -116,8 +112,12 @@ def render_frame(
     plan: Plan,
     on_block: Callable[[int, int], None] | None = None,
     layers: frozenset[PassLayer] = frozenset(),
+    pixels_show: PixelsShow = "means",
 ) -> Frame:
     """Execute a plan and keep the intermediate ``layers``; ``on_block(done, total)`` is called after each block.
+
+    Pixels of a coarse map show the means of the ground that they cover (``shadows.coarse_pixels``), or, as ``pixels_show`` says,
+    their own points, by which accuracy is measured.
 
     Raises ``UnsupportedError`` for a layer that the plan's algorithms do not have, ``RenderError`` where the work fails or
     where other passes ran than the plan lists.
@@ -134,7 +134,7 @@ def render_frame(
     scene = _under_sky(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     for done, (part, row, col) in enumerate(parts, start=1):
-        block = _render_block(scene, part, plan, log)
+        block = _render_block(scene, part, plan, log, pixels_show)
         reach = _worse(reach, block.reach)
         frame_window = (
             slice(max(row, 0), min(row + part.rows, view.rows)),
@@ -178,7 +178,7 @@ def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
         return with_apparent_sun(scene, plan.runs)
 
 
-def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog) -> Frame:
+def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixels_show: PixelsShow) -> Frame:
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
@@ -188,7 +188,11 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
             casters = casters_of(scene, own_pixels)
     else:
         casters = Casters((), reach)
-    visibilities = _visibilities(scene, plan, buffer, casters, log)
+    pixels = coarse_pixels(scene, view, plan) if pixels_show == "means" else None
+    if pixels is None:
+        visibilities = visibilities_at(scene, plan, buffer, casters, log)
+    else:
+        visibilities = mean_visibilities(pixels, own_pixels, log)
     block = ShadingBlock(scene, view, buffer, visibilities)
     linear = _shaded(block, plan, log)
     with log.run(SHADING_PASS):
@@ -203,17 +207,6 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
         color = srgb_encoded(linear)
     position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
     return Frame(view, plan, color, visibilities, own_pixels.height_m, position, frame, (), casters.reach)
-
-
-def _visibilities(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
-    """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
-    visibilities = {
-        light: fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log) for light in plan.lights
-    }  # fmt: skip
-    with log.run(ATTACHED_PASS):
-        for light, visibility in visibilities.items():
-            visibility[attached(buffer, scene, light)] = 0.0
-    return visibilities
 
 
 def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:

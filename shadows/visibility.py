@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from shadows.passes import PassLog
-from shadows.plan import Step
+from shadows.attached import attached
+from shadows.passes import ATTACHED_PASS, PassLog
+from shadows.plan import Plan, Step
 from shadows.registry import ALGORITHMS
 from terrain.casters.reach import Casters
 from terrain.effects.haze import hides_beyond_m
@@ -45,6 +46,17 @@ def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBu
     if light == SUN and not scene.sun_is_up:
         return buffer
     return on_smooth_ground(buffer, scene.light_position(light, buffer.frame))
+
+
+def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
+    """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
+    visibilities = {
+        light: fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log) for light in plan.lights
+    }  # fmt: skip
+    with log.run(ATTACHED_PASS):
+        for light, visibility in visibilities.items():
+            visibility[attached(buffer, scene, light)] = 0.0
+    return visibilities
 
 
 def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:

@@ -18,6 +18,7 @@ from terrain.facts.descriptor import Descriptor, join_bands
 from terrain.facts.fact_types import Band, Fact, LampFacts
 from terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
 from terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
+from terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
@@ -26,8 +27,10 @@ from terrain.ground.surface import map_pixel_m, step_at_anchor_m
 from terrain.scene import Scene
 
 
-def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -> Descriptor:
-    """The descriptor of a view of a scene."""
+def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", pixels_show: PixelsShow = "means") -> Descriptor:
+    """The descriptor of a view of a scene. Of a coarse map it is that of the finer one whose pixels it shows the means of."""
+    pieces = 1 if pixels_show == "points" or not isinstance(view, MapView) else 2 ** halvings(scene, view)
+    drawn = drawn_view(scene, view, pixels_show)
     low, high = scene.height_range_m
     coarse_view = None if isinstance(view, MapView) else coarse_view_of(scene, view)
     lamps = tuple(
@@ -38,19 +41,22 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map") -
         for lamp in scene.lamps.values()
     )  # fmt: skip
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
-    trees = trees_of(scene, view)
-    if isinstance(view, MapView):
-        own = _map_facts(scene, view)
+    trees = trees_of(scene, drawn)
+    if isinstance(drawn, MapView):
+        own = _map_facts(scene, drawn)
+        if pieces > 1 and isinstance(view, MapView):
+            shown_pixels = min(min(view.rows, BLOCK_PX) * min(view.cols, BLOCK_PX), ground_pixels(scene, view))
+            own["pixels"] = max(int(shown_pixels * pieces**2), 1)
         seen = ViewProbes(scene, None, probes_in_map(scene, own["pixel_m"], trees), trees)
-        rows, cols = min(view.rows, BLOCK_PX), min(view.cols, BLOCK_PX)
+        rows, cols = min(drawn.rows, BLOCK_PX), min(drawn.cols, BLOCK_PX)
     else:
-        assert coarse_view is not None
+        assert coarse_view is not None and isinstance(view, PerspectiveView)
         own = _perspective_facts(scene, view, coarse_view)
         seen, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
         rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
-        stands=caster_facts_of(scene, view, trees), moves=_moves(scene),
+        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=_moves(scene),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,

@@ -82,7 +82,7 @@ def _measured(start_s: float, on_step: Progress) -> list[CalibrationJob]:
 
 def calibration_jobs(stage: CalibrationView) -> list[CalibrationJob]:
     """What is measured on a stage."""
-    descriptor = describe(stage.scene, stage.view, stage.name)
+    descriptor = describe(stage.scene, stage.view, stage.name, "points")
     picture = picture_buffer(stage.scene, stage.view)
     casters = casters_of(stage.scene, picture.own)
     return [

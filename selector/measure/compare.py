@@ -134,7 +134,7 @@ def compare(
     floor = _noise_floor(scene, view_truth)
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
-    pixel_m = describe(scene, view, name).pixel_m
+    pixel_m = describe(scene, view, name, "points").pixel_m
     trials: list[TimedPlan] = []
     left_out: list[str] = []
     took_s: dict[str, float] = {}
@@ -170,7 +170,7 @@ def measure_plan(
     scene, light = with_apparent_sun(scene, plan.runs), _light(scene, light)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
     pictures = drawn_on(scene, view)
-    trial = _trial(scene, view_truth, pictures, plan, describe(scene, view, plan.view).pixel_m)
+    trial = _trial(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
     trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
     return _timed(trial)
 

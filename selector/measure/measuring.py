@@ -79,7 +79,7 @@ def measured_plan(
     """
     plan_request = plan_request or scene.loaded.level
     bounds = TargetBounds.of(override(plan_request.shadows, overrides or {}))
-    descriptor = describe(scene, view, name)
+    descriptor = describe(scene, view, name, "points")
     measured = measured_rows(scene, view, name, overrides, plan_request=plan_request, bounds=bounds, on_step=on_step)
     measured = confirm_winners(measured, bounds)
     verdicts = winners(measured, bounds)
@@ -112,7 +112,7 @@ def measured_rows(
     (``bounds``) those that could win. One measurement serves any number of targets (``winners``).
     """
     plan_request = plan_request or scene.loaded.level
-    descriptor = describe(scene, view, name)
+    descriptor = describe(scene, view, name, "points")
     candidates = {
         light: light_candidates
         for light, light_candidates in candidates_of(descriptor, plan_request, overrides).items()

@@ -156,7 +156,7 @@ def trial_view_of(scene: Scene, view: View, light: str, plan: Plan, pixel_m: flo
 
 def _drawn(scene: Scene, view: View, candidate: Candidate) -> Frame:
     clear_caches("light")  # every cost that a moving sun has is to be paid
-    return render_frame(scene, view, candidate.plan)
+    return render_frame(scene, view, candidate.plan, pixels_show="points")
 
 
 def _quickest(scene: Scene, view: View, candidate: Candidate) -> tuple[Frame, float]:

@@ -61,6 +61,9 @@ def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dic
     return Planner(descriptor, overrides, shadows, effects, left_out, algorithm_override, forced)
 
 
+COARSE_PIXELS = "larger than the data's cells: each shows the mean visibility of the {side} x {side} points of a finer map in it"
+
+
 @dataclass(frozen=True, eq=False)
 class Planner:
     """Plans of one descriptor: ``asked`` is what level and request ask for together, ``algorithm_override`` the algorithms in it;
@@ -118,6 +121,8 @@ class Planner:
             if kind_settings is not None:
                 settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
         reasons += _settings_asked_for(shadows, self.overrides, settings, reasons)
+        if descriptor.pieces > 1 and settings:
+            reasons.append(Reasoned(name="coarse pixels", reason=COARSE_PIXELS.format(side=descriptor.pieces)))
         effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
         used = {assignment.name for assignment in assignments}
         nothing = self._missing.get("cast_shadows")

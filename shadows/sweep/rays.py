@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,14 +18,13 @@ from shadows.sweep.grid import (
 )
 from shadows.sweep.lines import TurnedGrid
 from terrain.cache import MIB, cached
-from terrain.casters.reach import PATCH_QUADS, Casters, Patch
+from terrain.casters.reach import PATCH_QUADS, Patch
 from terrain.compiled import compiled
-from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from terrain.geo.grid import Grid
 from terrain.geo.light_space import LightSpace
 from terrain.geo.world import LocalFrame
-from terrain.ground.surface import SurfaceWindow
+from terrain.ground.surface import HeightWindow
 from terrain.scene import Scene
 
 FITTED_POINTS = 1024
@@ -84,7 +83,7 @@ class SunRays:
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
         with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
-        inside[:] = self.turn.turned(values)
+        _copy(values, self.turn.back(inside))
         return close_border(with_border)
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -162,13 +161,11 @@ class GroundWindow:
         return self.sheet._replace(level=level)
 
 
-def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, soft: bool) -> list[GroundWindow]:
+def grounds_of_block(rays: SunRays, block: HeightWindow, patches: Iterable[Patch], soft: bool) -> list[GroundWindow]:
     """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
-    block_surface = buffer.surface
-    assert block_surface is not None
-    windows: dict[int, list[Window]] = {0: [(block_surface.row0, block_surface.col0, block_surface.height_m)]}
-    for patch in casters.patches:
-        if patch.level > 0 and _lies_behind(rays, patch, block_surface):  # what is handed over has to lie towards the sun
+    windows: dict[int, list[Window]] = {0: [(block.row0, block.col0, block.height_m)]}
+    for patch in patches:
+        if patch.level > 0 and _lies_behind(rays, patch, block):  # what is handed over has to lie towards the sun
             continue
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
         surface = rays.scene.surface(rays.grid.coarser(patch.level))
@@ -177,7 +174,7 @@ def grounds_of_block(rays: SunRays, buffer: GeometryBuffer, casters: Casters, so
     return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
 
 
-def _lies_behind(rays: SunRays, patch: Patch, block: SurfaceWindow) -> bool:
+def _lies_behind(rays: SunRays, patch: Patch, block: HeightWindow) -> bool:
     """Whether the lines pass a patch, which lies beside a block, after the block if at all: on the turned grid they run down and to
     the right.
     """
@@ -225,6 +222,17 @@ def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> Gr
 
     sheet = TurnedGrid(turned(rays.levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     return GroundWindow(detail, row0, col0, (rows, cols), sheet, turned(rays.towards) if soft else NO_LEVELS)
+
+
+@compiled
+def _copy(values, out):
+    """Copy values (rows, cols) in blocks, for the cache: ``out`` may run down where this runs right."""
+    rows, cols = values.shape
+    for r0 in range(0, rows, 64):
+        for c0 in range(0, cols, 64):
+            for r in range(r0, min(r0 + 64, rows)):
+                for c in range(c0, min(c0 + 64, cols)):
+                    out[r, c] = values[r, c]
 
 
 @compiled

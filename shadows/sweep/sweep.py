@@ -38,8 +38,9 @@ from shadows.sweep.lines import NO_GROUND_LEVEL
 from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
 from shadows.sweep.settings import SweepSettings, resolve_sweep
 from shadows.work import Work, Workload, is_decimated
-from terrain.casters.reach import Casters
+from terrain.casters.reach import Casters, Patch, Receivers
 from terrain.facts.descriptor import Descriptor
+from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.grid import MapView
@@ -55,6 +56,9 @@ LEVEL_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 
 STRIPS = 16
 """Horizontal strips that the sun's disc is cut into for its penumbra."""
+
+LEAST_LINES = 2
+"""Lines to a column of nodes that are averaged, at least: a pixel as a whole has as many lines as it would have by itself."""
 
 CORES = os.cpu_count() or 1
 
@@ -85,9 +89,8 @@ def fill(
         angles = strips_of_sun(STRIPS) if soft else np.zeros(1)
         for angle in angles:
             visibility += _seen(rays, grounds, targets, settings.lines, angle)
-        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer)
-        sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
-        record.bytes = max(record.bytes, sheets + 33 * targets.row.size + grounds[-1].sheet.level.size)
+        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
         return visibility / np.float32(len(angles))
 
 
@@ -106,6 +109,37 @@ def _over_columns(
     log.keep("shadow-height", light, shadow_height_m)
     record.bytes = max(record.bytes, over.nbytes)
     return visibility / np.float32(len(angles))
+
+
+def fill_nodes(
+    nodes: BareNodes,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    patches: tuple[Patch, ...],
+    settings: SweepSettings,
+    log: PassLog,
+) -> np.ndarray:
+    """The same of nodes of bare ground under a hard sun, from their heights alone: bool (rows, cols).
+
+    Attached shadow is in it. Where all of a node's facets are turned away, so is the one that its way to the sun leads over: it
+    rises above that way, as any ground that casts.
+    """
+    (sweep_pass,) = log.named(light, kinds, PASSES)
+    with log.run(sweep_pass) as record:
+        rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
+        grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
+        targets = _asked_of_nodes(rays, grounds[-1], nodes)
+        lines = max(settings.lines // nodes.per_pixel, LEAST_LINES)
+        lit, _, _ = _swept(grounds, targets, lines, 0.0, NO_LEVELS)
+        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, lines, nodes.height_m)
+        record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
+        return rays.turn.back(lit)[targets.window]
+
+
+def _bytes(grounds: list[GroundWindow], targets: _Asked, soft: bool) -> int:
+    sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
+    return sheets + 33 * targets.row.size + grounds[-1].sheet.level.size
 
 
 def strips_of_sun(count: int) -> np.ndarray:
@@ -142,16 +176,34 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_over(scene, view.grid, *view.centre_node)
-        return rays, grounds_of_block(rays, buffer, casters, soft)
+        assert buffer.surface is not None
+        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft)
     assert buffer.ground is not None
     rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
 
 
+def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
+    """Least and greatest t of what can be shaded, and a cell more."""
+    low, high = light_bounds(receivers.position_frame_m, receivers.there, *rays.light.from_frame(receivers.frame))
+    ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
+    return ends[0] - 1.0, ends[1] + 1.0
+
+
+def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[slice, slice]]:
+    """The rows of the turned ground, and the window of its grid, that a view's nodes lie in."""
+    top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
+    i, _ = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
+    return (int(i.min()), int(i.max()) + 1), (slice(top, top + view.rows), slice(left, left + view.cols))
+
+
+def _asked_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Asked:
+    none, every = np.zeros(0), np.ones((nodes.view.rows, nodes.view.cols), np.bool_)
+    return _Asked(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), ~every, none, none, none, none, none)
+
+
 def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Asked:
     view = buffer.view
-    low, high = light_bounds(buffer.position_frame_m, buffer.there, *rays.light.from_frame(buffer.frame))
-    ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     on_nodes = isinstance(view, MapView) and view.on_nodes
     on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
     nodes = buffer.there & on_triangles & on_nodes
@@ -161,16 +213,14 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     t, level_m, towards_m = rays.t_level_towards(points, buffer.frame)
     if isinstance(view, MapView):
         if nodes.any():
-            top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
-            i, _ = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
-            rows, window = (int(i.min()), int(i.max()) + 1), (slice(top, top + view.rows), slice(left, left + view.cols))
+            rows, window = _window_of(rays, ground, view)
         pixels = np.nonzero(others)
         row, col = view.row0 + pixels[0] * view.row_step, view.col0 + pixels[1] * view.col_step
     else:
         row, col = rays.rows_and_columns(points, buffer.frame)
     turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
     level_m[on_triangles[others]] = np.nan
-    return _Asked((ends[0] - 1.0, ends[1] + 1.0), nodes, rows, window, others, turned_row, turned_col, t, level_m, towards_m)
+    return _Asked(_t_range(rays, buffer), nodes, rows, window, others, turned_row, turned_col, t, level_m, towards_m)
 
 
 def _swept(
@@ -200,7 +250,7 @@ def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: in
     return sunlit
 
 
-def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, buffer: GeometryBuffer) -> np.ndarray:
+def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, height_m: np.ndarray) -> np.ndarray:
     """The height (rows, cols) float32, metres, above which the sun is seen: no less than that of what is seen there."""
     level = grounds[-1].sheet.level
     shade = np.full(level.shape if targets.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
@@ -209,7 +259,7 @@ def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked
     if targets.nodes.any():
         above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[targets.window]
     above_m[targets.others] = others_above_m
-    return buffer.height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
+    return height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
@@ -257,6 +307,7 @@ ALGORITHM = Algorithm(
     about="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
+    node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
     refuses=REFUSES,
     layers=("shadow-height",),

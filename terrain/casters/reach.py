@@ -10,19 +10,21 @@ finer than the raster.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from pyproj import CRS
 
 from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
 from terrain.geo.sun import position_at
-from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, World, epsg_of, transformer
-from terrain.ground.columns import ColumnWindow
+from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, LocalFrame, World, epsg_of, transformer
+from terrain.ground.columns import ColumnWindow, PlacedOnColumns
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import SurfaceWindow
+from terrain.ground.surface import HeightWindow
 from terrain.scene import Scene
 
 PATCH_QUADS = 256
@@ -76,6 +78,28 @@ STARTS = 64
 """Points of a perspective view from which the way to the sun is followed to the end of the data."""
 
 
+class Receivers(Protocol):
+    """What can be shaded: points (rows, cols, 3) in a frame where ``there`` is one, and a map's ground. So is a geometry buffer."""
+
+    @property
+    def view(self) -> MapView | PerspectiveView: ...
+
+    @property
+    def frame(self) -> LocalFrame: ...
+
+    @property
+    def there(self) -> np.ndarray: ...
+
+    @property
+    def position_frame_m(self) -> np.ndarray: ...
+
+    @property
+    def surface(self) -> HeightWindow | None: ...
+
+    @property
+    def columns(self) -> PlacedOnColumns | None: ...
+
+
 @dataclass(frozen=True)
 class Casters:
     """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for."""
@@ -105,11 +129,18 @@ def reach_of(scene: Scene, buffer: GeometryBuffer) -> Reach:
     return _reach(scene, buffer, _towards_m(scene, buffer, _can_shade(scene, buffer)))
 
 
-def _sun_shines(scene: Scene, buffer: GeometryBuffer) -> bool:
+def casters_in_sun(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
+    """The ground outside a map's block that can throw the sun's shadow on it."""
+    if not _sun_shines(scene, receivers):
+        return ()
+    return _patches(scene, receivers, _can_shade(scene, receivers))[0]
+
+
+def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
     return scene.light is not None and scene.sun_is_up and bool(buffer.there.any())
 
 
-def _can_shade(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
+def _can_shade(scene: Scene, buffer: Receivers) -> np.ndarray:
     """Which of the overview's cells lie, as the sun sees them, before a buffer's points, bool (rows, cols)."""
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
@@ -128,7 +159,7 @@ def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
     return Reach(limit_m, unknown_m, True)
 
 
-def _on_grid(buffer: GeometryBuffer) -> tuple[Grid, SurfaceWindow | ColumnWindow]:
+def _on_grid(buffer: Receivers) -> tuple[Grid, HeightWindow | ColumnWindow]:
     """The grid of a map's block and its own ground on it: of columns, that of the raster's cells."""
     if buffer.columns is not None:
         return buffer.columns.window.columns.grid, buffer.columns.window
@@ -136,7 +167,7 @@ def _on_grid(buffer: GeometryBuffer) -> tuple[Grid, SurfaceWindow | ColumnWindow
     return buffer.view.grid, buffer.surface
 
 
-def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
+def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
     """The ground between a block and the level's lamps, on the block's own grid up to ``FULL_DETAIL_NODES`` from it."""
     grid, own = _on_grid(buffer)
     rows, cols = own.height_m.shape
@@ -158,7 +189,7 @@ def _lamp_patches(scene: Scene, buffer: GeometryBuffer) -> tuple[Patch, ...]:
     return tuple(found)
 
 
-def _towards_m(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> float:
+def _towards_m(scene: Scene, buffer: Receivers, can: np.ndarray) -> float:
     """How far the overview's cells that ``can`` shade a buffer go on towards the sun from its receivers, metres."""
     assert scene.light is not None
     if not can.any():
@@ -222,7 +253,7 @@ def _columns_round_the_earth(grid: Grid) -> float | None:
     return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
 
 
-def _patches(scene: Scene, buffer: GeometryBuffer, can: np.ndarray) -> tuple[tuple[Patch, ...], float]:
+def _patches(scene: Scene, buffer: Receivers, can: np.ndarray) -> tuple[tuple[Patch, ...], float]:
     """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres.
 
     A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
@@ -275,7 +306,7 @@ def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
     return int(np.clip(FULL_DETAIL_NODES * share, LEAST_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
-def _in_the_way(scene: Scene, buffer: GeometryBuffer, patches: list[Patch]) -> list[Patch]:
+def _in_the_way(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
     """Those of some patches of one level whose ground, if it were the level's highest, could shade the block."""
     if not patches:
         return []
@@ -306,7 +337,7 @@ def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, col
     return row >= row0 and col >= col0 and row + quads <= row0 + rows - 1 and col + quads <= col0 + cols - 1
 
 
-def _sunward_edge_m(light: LightSpace, buffer: GeometryBuffer) -> float:
+def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     """How far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
     rotation, translation = light.from_frame(buffer.frame)
     row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)

@@ -10,6 +10,7 @@ from terrain.effects.effect import Effect, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
+from terrain.gbuffer.covered_nodes import drawn_view
 from terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -32,10 +33,11 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """``drawn``: whether any tree is left of those that are thinned out as they get small."""
     if scene.objects.trees is None:
         return {}
-    if isinstance(view, MapView):
-        pixel_m = map_pixel_m(scene.world, view)
+    drawn = drawn_view(scene, view)
+    if isinstance(drawn, MapView):
+        pixel_m = map_pixel_m(scene.world, drawn)
         return {"drawn": map_draws_trees(scene.objects.trees, pixel_m)}
-    stand = tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
+    stand = tree_instances_in_perspective(scene.objects, drawn.frame(scene.world), tuple(drawn.eye_earth_m), drawn.focal_px)
     return {"drawn": stand is not None and len(stand) > 0}
 
 

@@ -20,6 +20,7 @@ from terrain.effects.effect import Effect, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact, number
+from terrain.gbuffer.covered_nodes import drawn_view
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
@@ -135,14 +136,17 @@ def _slopes_under_sun(
         assert coarse_view is not None
         ground, frame = ground_mesh(scene, view), coarse_view.buffer.frame
         return above_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
-    nodes = node_count(scene.world, scene.elevation, view.grid)
+    drawn = drawn_view(scene, view)  # a coarse map's shadows are those of finer ground
+    assert isinstance(drawn, MapView)
+    grid = drawn.grid
+    nodes = node_count(scene.world, scene.elevation, grid)
     coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
-    least, most = above_slopes(grid_slopes(scene.world, scene.elevation, view.grid.coarser(coarser)), to_sun)
+    least, most = above_slopes(grid_slopes(scene.world, scene.elevation, grid.coarser(coarser)), to_sun)
     if coarser == 0 or (least is not None and most is not None and least <= 0.0 and most >= 0.0):
         return least, most
     if nodes > MOST_NODES:
         return None, None
-    return above_slopes(grid_slopes(scene.world, scene.elevation, view.grid), to_sun)
+    return above_slopes(grid_slopes(scene.world, scene.elevation, grid), to_sun)
 
 
 @cached("scene", 256 * MIB)

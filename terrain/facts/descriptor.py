@@ -44,7 +44,9 @@ class Descriptor(Facts):
     ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent);
     ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view, of which
     ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
-    (``terrain.gbuffer.antialias``; 0 in a map). ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
+    (``terrain.gbuffer.antialias``; 0 in a map). A coarse map's pixels are cut into ``pieces`` a side, whose mean visibility they
+    show (``terrain.gbuffer.covered_nodes``): ``pixel_m``, ``node_m`` and the rest are those of the pieces, ``pixels`` a block's
+    pieces that are ground. ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
     what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
     ``moves`` whether anything does by the clock. ``receivers_light_m`` is the largest extent of a block's receivers in light
     space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows under the
@@ -66,6 +68,7 @@ class Descriptor(Facts):
     seen_share: Share = 1.0
     edge_share: Share = 0.0
     node_m: Positive
+    pieces: Annotated[int, Field(ge=1)] = 1
     casters: tuple[CasterKind, ...]
     stands: tuple[CasterFacts, ...] = ()
     lamps: tuple[LampFacts, ...] = ()

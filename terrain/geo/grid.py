@@ -69,6 +69,11 @@ class Grid:
         """The grid with 2**level times as many nodes a side, those of this one among them."""
         return replace(self, step=self.step / 2**level)
 
+    def subdivided(self, level: int) -> Grid:
+        """The grid whose pixels are this one's cut into 2**level a side: of a tile matrix that of the matrix ``level`` zooms on."""
+        step = self.step / 2**level
+        return Grid(self.crs, self.x0 - self.step / 2 + step / 2, self.y0 + self.step / 2 - step / 2, step)
+
 
 @dataclass(frozen=True)
 class MapView:

@@ -251,23 +251,23 @@ class Elevation:
         Heights are bilinear between cells of ``level`` (2**level cells of the raster a side), or those of the cells (``surface``).
         NaN where nothing is near.
         """
-        factor = 2**level
-        row, col = (row + 0.5) / factor - 0.5, self._columns_of_level(level, col)
         rows, cols = self._level_shape(level)
-        known = np.isfinite(row) & np.isfinite(col) & (row >= -0.5) & (row <= rows - 0.5)
-        if not self._wrap:
-            known &= (col >= -0.5) & (col <= cols - 0.5)
-        if not known.any():
-            return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
-        row0, row1 = int(np.floor(row[known].min())), int(np.floor(row[known].max())) + 2
-        col0, col1 = int(np.floor(col[known].min())), int(np.floor(col[known].max())) + 2
+        row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
         if self._wrap:
-            row0, row1 = max(row0, 0), min(row1, rows)
+            row, col, ends = _on_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
         else:
-            row0, row1, col0, col1 = max(row0, 0), min(row1, rows), max(col0, 0), min(col1, cols)
+            row, col, ends = _on_level(row, col, 2.0**level, rows, np.float64(cols))
+        if not np.isfinite(ends).all():
+            return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
+        (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
+        row0, row1 = max(row0, 0), min(row1, rows)
+        if not self._wrap:
+            col0, col1 = max(col0, 0), min(col1, cols)
         values, valid = self._filled(level, row0, row1, col0, col1)
-        between = cell_heights if self.surface == "blocks" else _bilinear
-        height, there = between(values, valid, np.where(known, row - row0, np.nan), np.where(known, col - col0, np.nan))
+        if self.surface == "blocks":
+            height, there = cell_heights(values, valid, row - row0, col - col0)
+        else:
+            height, there = _bilinear(values, valid, row, col, np.float64(row0), np.float64(col0))
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
@@ -332,14 +332,14 @@ class Elevation:
         return max(self._wrap // 2**level, 1)
 
     def _columns_of_level(self, level: int, col: np.ndarray) -> np.ndarray:
-        """(Fractional) columns of a level for those of level 0.
+        """(Fractional) columns of a level for those of level 0, of a raster that goes round the earth.
 
-        Round the earth less than one cell may be left out before the first one comes again: columns from the last cell's centre to
+        There less than one cell may be left out before the first one comes again: columns from the last cell's centre to
         the first one's are spread over that, so that a place is the same column, but for whole turns, however it is come to.
         """
         factor, whole = 2**level, self._columns_of_a_turn(level)
         col = (col + 0.5) / factor - 0.5
-        if not self._wrap or whole * factor == self._wrap:
+        if whole * factor == self._wrap:
             return col
         round_the_earth = self._wrap / factor
         turn = np.floor((col + 0.5) / round_the_earth)
@@ -411,15 +411,39 @@ def _open(source: str) -> rasterio.DatasetReader:
 
 
 @compiled
-def _bilinear(values, valid, row, col):
-    """Bilinear heights at (row, col) of a window, clamped beyond its outer centres; and the nearest cell's validity."""
+def _on_level(row, col, factor, rows, cols):
+    """Rows and columns on a level of ``rows`` x ``cols`` cells, for those of level 0, NaN beside it; and the least and the greatest
+    of both (2, 2), infinite without any. Where columns have no end (``cols`` infinite) they are given on the level itself.
+    """
+    out_row, out_col = np.empty(row.shape), np.empty(row.shape)
+    low_r, high_r, low_c, high_c = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            r, c = (row[i, j] + 0.5) / factor - 0.5, col[i, j]
+            known = np.isfinite(c) and r >= -0.5 and r <= rows - 0.5
+            if cols < np.inf:
+                c = (c + 0.5) / factor - 0.5
+                known = known and c >= -0.5 and c <= cols - 0.5
+            if known:
+                low_r, high_r, low_c, high_c = min(low_r, r), max(high_r, r), min(low_c, c), max(high_c, c)
+                out_row[i, j], out_col[i, j] = r, c
+            else:
+                out_row[i, j], out_col[i, j] = np.nan, np.nan
+    return out_row, out_col, np.array([[low_r, high_r], [low_c, high_c]])
+
+
+@compiled
+def _bilinear(values, valid, row, col, row0, col0):
+    """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
+    cell's validity.
+    """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.zeros(row.shape, np.bool_)
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
-            r, c = row[i, j], col[i, j]
-            if not (np.isfinite(r) and np.isfinite(c)):
+            r, c = row[i, j] - row0, col[i, j] - col0
+            if np.isnan(r):
                 out[i, j] = np.nan
                 continue
             r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)

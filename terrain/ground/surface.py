@@ -31,18 +31,26 @@ SURFACE_BAND_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceWindow:
+class HeightWindow:
     """Nodes [row0, row0 + rows) x [col0, col0 + cols) of a grid.
 
-    ``position_frame_m`` is (rows, cols, 3) float64, NaN where no surface can be (outside the data); ``height_m`` (rows,
-    cols) float32 likewise. ``there`` says where the picture shows a surface: holes are filled, but not ``there``.
-    ``centre_frame_m`` (3,) is what up points away from: the earth's centre, or in a flat world one infinitely far below.
+    ``height_m`` is (rows, cols) float32, NaN where no surface can be (outside the data). ``there`` says where the picture shows a
+    surface: holes are filled, but not ``there``.
     """
 
     row0: int
     col0: int
     height_m: np.ndarray
     there: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceWindow(HeightWindow):
+    """The same with the nodes' points: ``position_frame_m`` (rows, cols, 3) float64, NaN where there is no height.
+
+    ``centre_frame_m`` (3,) is what up points away from: the earth's centre, or in a flat world one infinitely far below.
+    """
+
     position_frame_m: np.ndarray
     centre_frame_m: np.ndarray
 
@@ -85,6 +93,15 @@ class Surface:
         centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
         return SurfaceWindow(row0, col0, height, there, position, centre)
 
+    def height_window(self, row0: int, col0: int, rows: int, cols: int) -> HeightWindow:
+        """The nodes of a window without their points, in bands: windows may be large."""
+        height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
+        for start in range(0, rows, SURFACE_BAND_ROWS):
+            band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
+            height[band], there[band] = self.heights(row0 + start, col0, band.stop - start, cols)
+        there &= np.isfinite(height)
+        return HeightWindow(row0, col0, height, there)
+
     def positions(self, row: np.ndarray, col: np.ndarray, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
         """Frame points (n, 3) float64 of single nodes with their heights: the same as a window's."""
         if not len(row):
@@ -107,7 +124,7 @@ class Surface:
             band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
             count = band.stop - start
             placed = interpolated(exact, first_row, first_col, self.stride, row0 + start, col0, count, cols)
-            out[band] = placed[..., 0] + height_m[band] * placed[..., 1]
+            _add_height(placed, height_m[band], out[band])
         return out
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -196,6 +213,9 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
     kinds = exact.shape[2]
     out = np.empty((rows, cols, kinds))
     along = np.empty((exact.shape[1], kinds))
+    weights = np.empty((stride, 4))  # of the nodes between two exact ones
+    for n in range(stride):
+        weights[n, 0], weights[n, 1], weights[n, 2], weights[n, 3] = cubic_weights(n / stride)
     for i in range(rows):
         coarse = (row0 + i) // stride
         w = cubic_weights((row0 + i - coarse * stride) / stride)
@@ -208,16 +228,26 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
                     along[n, k] = (
                         w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
                     )
-        for j in range(cols):
-            coarse = (col0 + j) // stride
-            v = cubic_weights((col0 + j - coarse * stride) / stride)
-            n = coarse - first_col
+        for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
+            n, at = coarse - first_col, coarse * stride - col0
+            begin, end = max(at, 0), min(at + stride, cols)
             for k in range(kinds):
-                if v[1] == 1.0:
-                    out[i, j, k] = along[n, k]
-                else:
-                    out[i, j, k] = v[0] * along[n - 1, k] + v[1] * along[n, k] + v[2] * along[n + 1, k] + v[3] * along[n + 2, k]
+                a, b = along[n - 1, k], along[n, k]
+                c, d = along[n + 1, k], along[n + 2, k]
+                if begin == at:
+                    out[i, at, k] = b
+                for j in range(max(begin, at + 1), end):
+                    v = weights[j - at]
+                    out[i, j, k] = v[0] * a + v[1] * b + v[2] * c + v[3] * d
     return out
+
+
+@compiled
+def _add_height(placed, height, out):
+    """Put coordinates (rows, cols) at the ends of heights: of their feet, and by how much they change per metre (rows, cols, 2)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = placed[i, j, 0] + np.float64(height[i, j]) * placed[i, j, 1]
 
 
 @compiled

@@ -108,7 +108,7 @@ def figures_on_ground(seen: Seen, hulls: Sequence[shapely.Polygon]) -> dict[str,
     truth, view = true_shade(seen, hulls), seen.view
     assert isinstance(view, PerspectiveView)
     steps = seen.plan.steps_under(seen.light)
-    pixel_m = describe(seen.scene, view).pixel_m
+    pixel_m = describe(seen.scene, view, pixels_show="points").pixel_m
     texels_px = np.max([texel_footprint_px(seen.scene, step, seen.buffer, pixel_m) for step in steps], axis=0)
     dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit
     far = interior(truth.decidable & (dark != true_dark), true_dark, truth.there, np.maximum(INTERIOR_PX, 2.0 * texels_px))

@@ -80,7 +80,7 @@ class Seen:
     @cached_property
     def errors(self) -> Errors:
         """Every figure of ``shadows.truth.metrics`` against truth."""
-        pixel_m = describe(self.scene, self.view).pixel_m
+        pixel_m = describe(self.scene, self.view, pixels_show="points").pixel_m
         steps = self.plan.steps_under(self.light)
         texels = [texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]]
         return errors_of(self.visibility, self.truth, pixel_m, np.max(texels, axis=0))
@@ -138,7 +138,7 @@ class Trial:
         level = scene.loaded.level
         if scene.sun_is_up and level.effects == "auto":
             level = level.model_copy(update={"effects": {"cast_shadows": "on", "alpha_test": "on"}})
-        plan = make_plan(describe(scene, view), level, {"algorithm": self.algorithm, **asked})
+        plan = make_plan(describe(scene, view, pixels_show="points"), level, {"algorithm": self.algorithm, **asked})
         light = light or scene.light_names[0]
         buffer = geometry_of(scene, view)
         casters, log = casters_of(scene, buffer), PassLog()

@@ -142,7 +142,17 @@ def _chords_shade_the_bulge() -> None:
     visibility.on_smooth_ground = lambda buffer, light: buffer
 
 
+def _own_points() -> None:
+    from shadows import render
+
+    render.coarse_pixels = lambda scene, view, plan: None  # type: ignore[assignment]
+
+
 MUTANTS = {
+    "own_points": Mutant(
+        "pixels of coarse maps go by their own points", _own_points,
+        (("test_zooms", "test_share_of_shadow", "sweep"), ("test_zooms", "test_share_of_shadow", "shadow_map")),
+    ),
     "one_diagonal": Mutant(
         "quads are cut from south-west to north-east, all of them", _one_diagonal,
         (("test_every_side", "test_eight_symmetries", "shadow_volume"), ("test_every_side", "test_eight_symmetries", "truth")),

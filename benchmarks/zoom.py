@@ -1,0 +1,187 @@
+"""How much of a mountain map lies in shadow, zoom by zoom, what a block of coarse pixels takes, and what far casters lose.
+
+    python -m benchmarks.zoom FOLDER [--raster mountain/bigtujunga_30m_utm11.tif] [--sun 113 20] [--repeats 5] [--far-suns 0.7 3]
+
+**Shares.** Mean shadow of the raster below FOLDER in tiles of its own zoom and of those below: as drawn, by the pixels' own points
+over ground averaged to their size (as drawn before coarse pixels showed means), and as a mask.
+
+**Time and memory.** The raster, mirrored and repeated until blocks two zooms below are full of ground. A block as drawn and one by
+own points take turns; medians, in one process.
+
+**Far casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read ever more coarsely. A block at the data's own zoom with
+and without that, under suns so low that shadows are long; and with a quarter and an eighth of that distance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from morecantile import tms as matrix_sets
+
+from selector.planner.planner import make_plan
+from shadows.passes import PassLog
+from shadows.render import _render_block, render_frame
+from terrain.cache import clear_caches
+from terrain.casters import reach
+from terrain.casters.slopes import extent_on_grid
+from terrain.describe import describe
+from terrain.gbuffer.covered_nodes import PixelsShow, halvings
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+MERCATOR = matrix_sets.get("WebMercatorQuad")
+
+ZOOMS_BELOW = 5
+
+MOSAIC_CELLS = 4608
+"""Cells a side of the ground that blocks are timed on."""
+
+
+def scene_of(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
+    """The scene of a raster under a sun (azimuth, altitude)."""
+    level = {"version": 1, "terrain": {"source": str(raster.resolve())}, "sun": {"azimuth": sun[0], "altitude": sun[1]}}
+    (folder / "level.yaml").write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
+    return build_scene(load_level(folder / "level.yaml"))
+
+
+def mosaic_of(raster: Path, folder: Path) -> Path:
+    """A raster's middle, mirrored and repeated."""
+    with rasterio.open(raster) as dataset:
+        rows, cols = (size // 2 * 2 for size in dataset.shape)
+        heights, profile = dataset.read(1)[4 : rows - 4, 4 : cols - 4].astype(np.float32), dataset.profile
+    mirrored = np.block([[heights, heights[:, ::-1]], [heights[::-1], heights[::-1, ::-1]]])
+    times = [-(-MOSAIC_CELLS // size) for size in mirrored.shape]
+    profile.update(width=MOSAIC_CELLS, height=MOSAIC_CELLS, dtype="float32", nodata=None, tiled=True)
+    with rasterio.open(folder / "mosaic.tif", "w", **profile) as dataset:
+        dataset.write(np.tile(mirrored, times)[:MOSAIC_CELLS, :MOSAIC_CELLS], 1)
+    return folder / "mosaic.tif"
+
+
+def own_zoom(scene: Scene) -> int:
+    """The coarsest zoom of Web Mercator whose pixels go by their own points."""
+    return next(zoom for zoom in range(25) if halvings(scene, block_of(scene, zoom)) == 0 and narrow(scene, zoom))
+
+
+def narrow(scene: Scene, zoom: int) -> bool:
+    """Whether pixels of a zoom are less than 1.5 cells wide."""
+    return scene.surface(tile_grid(MERCATOR, zoom)).cells_per_step < 1.5
+
+
+def whole_view(scene: Scene, zoom: int) -> MapView:
+    """All of a level in pixels of a zoom."""
+    grid = tile_grid(MERCATOR, zoom)
+    (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
+    row, col = int(np.floor(north)), int(np.floor(west))
+    return MapView(grid, float(row), float(col), 1.0, 1.0, int(np.ceil(south)) - row + 1, int(np.ceil(east)) - col + 1)
+
+
+def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
+    """As many pixels of a zoom as a block of tiles has, round the level's middle or a share of its width further on."""
+    view = whole_view(scene, zoom)
+    row, col = view.row0 + view.rows // 2 - BLOCK_PX // 2, view.col0 + int(view.cols * east) - BLOCK_PX // 2
+    return MapView(view.grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+
+
+def visibility_of(scene: Scene, view: MapView, pixels_show: PixelsShow, algorithm: str) -> np.ndarray:
+    """Visibility (n,) of the pixels that show ground."""
+    asked = {} if algorithm == "auto" else {"algorithm": algorithm}
+    plan = make_plan(describe(scene, view, pixels_show=pixels_show), scene.loaded.level, asked)
+    frame = render_frame(scene, view, plan, pixels_show=pixels_show)
+    return frame.visibility[frame.there]
+
+
+def shares(scene: Scene, algorithm: str) -> None:
+    """Print mean shadow by zoom."""
+    own = own_zoom(scene)
+    print("| zoom | pieces of a pixel | shadow, % | own points, % | mask, % |\n| --- | --- | --- | --- | --- |")
+    for zoom in range(own, own - ZOOMS_BELOW - 1, -1):
+        view = whole_view(scene, zoom)
+        shown, points = (visibility_of(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
+        side = 2 ** halvings(scene, view)
+        mask = (shown < 0.5).mean()
+        print(
+            f"| {zoom} | {side} x {side} | {100 * (1 - shown.mean()):.2f} | {100 * (1 - points.mean()):.2f} | {100 * mask:.2f} |",
+            flush=True,
+        )
+
+
+def times(scene: Scene, repeats: int) -> None:
+    """Print what blocks of coarse pixels take."""
+    own = own_zoom(scene)
+    print("| zoom | pieces of a pixel | block, ms | by own points, ms | ratio |\n| --- | --- | --- | --- | --- |")
+    for zoom in range(own - 1, own - 5, -1):
+        view, found = block_of(scene, zoom), {}
+        ways: tuple[PixelsShow, ...] = ("means", "points")
+        plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
+        for repeat in range(repeats + 1):
+            for show in ways:
+                clear_caches("light")
+                log, start = PassLog(), time.perf_counter()
+                _render_block(scene, view, plan, log, show)
+                if repeat:  # the first one compiles
+                    found.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
+        ms = {show: float(np.median([each for each, _ in runs])) for show, runs in found.items()}
+        ratio = float(np.median([a / b for (a, _), (b, _) in zip(found["means"], found["points"], strict=True)]))
+        side = 2 ** halvings(scene, view)
+        print(f"| {zoom} | {side} x {side} | {ms['means']:.0f} | {ms['points']:.0f} | {ratio:.2f} |", flush=True)
+        if zoom == own - 2:
+            for show in ways:
+                log = found[show][-1][1]
+                print(f"  {show}: " + ", ".join(f"{name} {record.ms:.0f} ms" for name, record in log.records.items()))
+    print(f"peak of the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+
+
+def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
+    """Print what averaged casters far away miss, and what they invent."""
+    scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    view = block_of(scene, own_zoom(scene), east=0.12)
+    plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
+    seen, nodes = [], reach.FULL_DETAIL_NODES
+    limits = nodes, nodes // 4, nodes // 8
+    for limit in (*limits, 2**20):
+        reach.FULL_DETAIL_NODES = limit
+        clear_caches("light")
+        seen.append(_render_block(scene, view, plan, PassLog(), "means").visibility < 0.5)
+    reach.FULL_DETAIL_NODES = nodes
+    truth = seen.pop()
+    print(f"sun {sun[1]:g} degrees high, {100 * truth.mean():.1f} % in shadow")
+    for limit, dark in zip(limits, seen, strict=True):
+        missed, false = (truth & ~dark).mean(), (dark & ~truth).mean()
+        print(f"full detail up to {limit} nodes: {100 * (missed + false):.4f} % of the pixels differ, "
+              f"{100 * missed:.4f} % missed and {100 * false:.4f} % false shadow")  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--raster", default="mountain/bigtujunga_30m_utm11.tif")
+    parser.add_argument("--sun", type=float, nargs=2, default=(113.0, 20.0))
+    parser.add_argument("--far-suns", type=float, nargs="+", default=(0.7, 3.0), help="altitudes in the east, degrees")
+    parser.add_argument("--algorithm", default="auto")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--only", choices=("shares", "times", "far"), help="one of the three parts")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        raster = args.folder / args.raster
+        if args.only in (None, "shares"):
+            shares(scene_of(raster, Path(folder), tuple(args.sun)), args.algorithm)
+        if args.only != "shares":
+            scene = scene_of(mosaic_of(raster, Path(folder)), Path(folder), tuple(args.sun))
+            if args.only in (None, "times"):
+                times(scene, args.repeats)
+            if args.only in (None, "far"):
+                for altitude_deg in args.far_suns:
+                    far_casters(scene, (90.0, altitude_deg))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground that it covers.
+
+So it does not depend on the zoom how much lies in shadow. Which ground that is, ``terrain.gbuffer.covered_nodes`` says. Its nodes
+are drawn like the pixels of any finer map, by the plan's own steps, and are averaged, attached shadow included; colours, heights
+and normals stay those of the pixel's own point. Bare ground under the sweep goes by its heights alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from shadows.layer_collector import LayerCollector, PixelWindow
+from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
+from shadows.plan import Plan
+from shadows.registry import ALGORITHMS
+from shadows.visibility import visibilities_at
+from terrain.casters.reach import casters_in_sun, casters_of
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.gbuffer.covered_nodes import (
+    WIDE_M,
+    covered_nodes,
+    halvings,
+    is_bare,
+    largest_in_pixels,
+    means_in_pixels,
+)
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.level.level import SUN
+from terrain.scene import Scene
+
+MOST_BARE_AT_ONCE = 18 * BLOCK_PX**2
+"""Most nodes of bare ground that are seen to at a time, ..."""
+
+MOST_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
+"""... and of which a geometry buffer is made: about a block's. Both take about half a gigabyte."""
+
+Visibilities = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class CoarsePixels:
+    """The pixels of a coarse map under a plan: cut into 2**``halvings`` a side; ``bare`` if heights alone say what is seen."""
+
+    scene: Scene
+    plan: Plan
+    halvings: int
+    bare: bool
+
+    def nodes(self, view: MapView) -> MapView:
+        """The nodes that some pixels cover."""
+        found = covered_nodes(self.scene, view)
+        assert found is not None
+        return found
+
+    def most_at_once(self, nodes: MapView) -> tuple[int, int]:
+        """Most nodes that are seen to at a time, in all and along a side."""
+        if not self.bare:
+            return MOST_POINTS_AT_ONCE, BLOCK_PX * 8
+        along = BLOCK_PX * 8
+        if not self.scene.world.flat:
+            along = max(min(along, int(WIDE_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
+        return MOST_BARE_AT_ONCE, along
+
+
+def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> CoarsePixels | None:
+    """How a map's pixels show means under a plan; ``None`` where they go by their own points: where they are no larger than the
+    data's cells, and where nothing casts a shadow.
+    """
+    if not isinstance(view, MapView) or not plan.steps:
+        return None
+    count = halvings(scene, view)
+    if count == 0:
+        return None
+    steps = plan.steps
+    bare = is_bare(scene) and scene.sun_is_up and all(ALGORITHMS[step.algorithm].node_fill(step.settings) for step in steps)
+    return CoarsePixels(scene, plan, count, bare)
+
+
+def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -> Visibilities:
+    """Each light's mean visibility (rows, cols) float32 in the pixels of a map's block; 1 where none of the nodes in a pixel shows
+    ground. The layers that are kept are the nodes' means, too; of counts and marks, the largest in a pixel.
+    """
+    view = own.view
+    assert isinstance(view, MapView)
+    visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
+    layers = LayerCollector(own.there.shape)
+    for window in _parts(pixels, own):
+        part = _part(view, window)
+        nodes = pixels.nodes(part)
+        there, filled = _of_bare_nodes(pixels, nodes, log) if pixels.bare else _of_points(pixels, nodes, log)
+        with log.run(ATTACHED_PASS):
+            for light, values in filled.items():
+                means = means_in_pixels(part, nodes, values, there)
+                visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
+        kept = {
+            key: [_in_pixels(part, nodes, picture, there) if key[0] in OF_PIXELS else picture for picture in pictures]
+            for key, pictures in log.take().items()
+        }
+        layers.add(kept, window, (slice(None), slice(None)))
+    log.layers = layers.pictures
+    return visibilities
+
+
+def _part(view: MapView, window: PixelWindow) -> MapView:
+    down, right = window
+    return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
+
+
+def _parts(pixels: CoarsePixels, own: GeometryBuffer) -> Iterator[PixelWindow]:
+    """The pixels of a block that show a surface, in rectangles whose nodes are seen to at a time."""
+    view = own.view
+    assert isinstance(view, MapView)
+    rows, cols = np.flatnonzero(own.there.any(axis=1)), np.flatnonzero(own.there.any(axis=0))
+    if not len(rows):
+        return
+    todo = [(slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))]
+    while todo:
+        window = todo.pop()
+        if not own.there[window].any():
+            continue
+        nodes, sides = pixels.nodes(_part(view, window)), [side.stop - side.start for side in window]
+        most, along = pixels.most_at_once(nodes)
+        if (nodes.rows * nodes.cols <= most and max(nodes.rows, nodes.cols) <= along) or max(sides) == 1:
+            yield window
+            continue
+        axis = int(sides[1] > sides[0])
+        middle = window[axis].start + sides[axis] // 2
+        for half in (slice(middle, window[axis].stop), slice(window[axis].start, middle)):
+            todo.append((half, window[1]) if axis == 0 else (window[0], half))
+
+
+def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+    """Which nodes show ground, and the sun's visibility there."""
+    scene, plan = pixels.scene, pixels.plan
+    with log.run(GEOMETRY_PASS):
+        nodes = bare_nodes(scene, view, 2**pixels.halvings)
+    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
+        patches = casters_in_sun(scene, nodes)
+    lit = np.ones(nodes.shown.shape, np.bool_)
+    for step in plan.steps_under(SUN):
+        fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
+        assert fill is not None, step.algorithm
+        lit &= fill(nodes, scene, step.light, step.kinds, patches, step.settings, log)
+    return nodes.shown, {SUN: lit}
+
+
+def _of_points(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+    """Which nodes show a surface, and each light's visibility there."""
+    scene, plan = pixels.scene, pixels.plan
+    with log.run(GEOMETRY_PASS):
+        buffer = geometry_of(scene, view)
+    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
+        casters = casters_of(scene, buffer)
+    return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
+
+
+def _in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, there: np.ndarray) -> np.ndarray:
+    return means_in_pixels(view, nodes, picture, there) if picture.dtype.kind == "f" else largest_in_pixels(view, nodes, picture)

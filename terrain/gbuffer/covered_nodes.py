@@ -1,0 +1,161 @@
+"""What the pixels of a coarse map cover: the nodes of a finer grid, whose mean a pixel shows.
+
+Heights that are averaged over a pixel lose the ridges that throw shadows. So where a map's pixels are larger than the raster's
+cells (or than the level's ``resolution``, if that is coarser), shadows are found on nodes that lie closer: pixels are cut into
+2 x 2, 4 x 4, 8 x 8 ... until the pieces are nearest to the data's size, but for the bound on the nodes of a block. The nodes are
+the centres of the pieces: of a tile the centres of the pixels of tiles one, two, three zooms on. Pixels that are no tile's cut
+through nodes' squares, which count by the share that lies in the pixel.
+
+All is counted from the level's raster, its anchor and the pixels' size: the same in every tile.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.ground.surface import map_pixel_m
+from terrain.level.level import SUN
+from terrain.scene import Scene
+
+PixelsShow = Literal["means", "points"]
+"""What pixels of a coarse map show: the means of what they cover, or their own points, by which accuracy is measured."""
+
+MOST_BARE_NODES = 16 * BLOCK_PX**2
+"""Most nodes in a block of tiles on bare ground under the sun alone, where heights say all: 4 x 4 in a pixel of a block that is
+full of ground, more where the level is smaller, ..."""
+
+MOST_POINTS = 4 * BLOCK_PX**2
+"""... and most where something stands on the ground, where there are lamps, and where as many pixels as a block's, but of the
+pieces' size, are ..."""
+
+WIDE_M = 150e3
+"""... wider than this: the sun's rays bend across them, and shadow maps serve them."""
+
+ON_SIDE = 1e-6
+"""How near to a node's square, in nodes, a pixel's side lies on its side."""
+
+
+def is_bare(scene: Scene) -> bool:
+    """Whether a level has nothing but smooth ground, and no light but the sun."""
+    smooth = scene.elevation.surface == "smooth"
+    return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.kinds) <= {"relief"}
+
+
+def ground_pixels(scene: Scene, view: MapView) -> float:
+    """How many pixels of a map's block show ground, at most."""
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    return min(BLOCK_PX**2, scene.elevation.rows * scene.elevation.cols * (cell_m / map_pixel_m(scene.world, view)) ** 2)
+
+
+def halvings(scene: Scene, view: MapView) -> int:
+    """How many times a map's pixels are halved until their sides are nearest to the data's; fewer where a block would have too
+    many nodes.
+    """
+    pixel_m, cell_m = map_pixel_m(scene.world, view), scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    block = ground_pixels(scene, view)
+    count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
+    while count > 0:
+        narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= WIDE_M
+        if 4.0**count * block <= (MOST_BARE_NODES if narrow and is_bare(scene) else MOST_POINTS):
+            break
+        count -= 1
+    return count
+
+
+def covered_nodes(scene: Scene, view: MapView) -> MapView | None:
+    """The nodes of a finer grid that a map's pixels cover, as pixels of a view; ``None`` where pixels go by their own points."""
+    count = halvings(scene, view)
+    if count == 0:
+        return None
+    own = np.log2(np.sqrt(view.row_step * view.col_step))  # pixels may be larger than their grid's
+    grid = view.grid.subdivided(max(int(np.rint(count - own)), 0))
+    ends = []
+    for sides in _sides(view, view.grid.step / grid.step):
+        first, last = int(np.floor(sides[0] + ON_SIDE)), int(np.ceil(sides[-1] - ON_SIDE))
+        ends.append((first, last - first))
+    (row0, rows), (col0, cols) = ends
+    return MapView(grid, float(row0), float(col0), 1.0, 1.0, rows, cols)
+
+
+def drawn_view(scene: Scene, view: MapView | PerspectiveView, pixels_show: PixelsShow = "means") -> MapView | PerspectiveView:
+    """The view whose pixels' visibility is filled for a view: of a coarse map the nodes that it covers, of any other itself."""
+    covered = covered_nodes(scene, view) if isinstance(view, MapView) and pixels_show == "means" else None
+    return covered or view
+
+
+def _sides(view: MapView, nodes_per_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the sides of a map's pixels lie across the rows (rows + 1,) and columns (cols + 1,) of squares, one round each node of
+    a subdivided grid: node n has the square from n to n + 1.
+    """
+    steps = float(np.rint(nodes_per_step))
+    axes = (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
+    row, col = ((first + (np.arange(count + 1) - 0.5) * step + 0.5) * steps for first, step, count in axes)
+    return row, col
+
+
+def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Means (rows, cols) float32 of values at the nodes that a map's pixels cover, where they are ``there``; NaN without any."""
+    return _means(values, there, *_sides_in(view, nodes))
+
+
+def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
+    """The largest (rows, cols) of values at the nodes that a map's pixels cover."""
+    return _largest(values, *_sides_in(view, nodes))
+
+
+def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
+    row, col = _sides(view, view.grid.step / nodes.grid.step)
+    return row - nodes.row0, col - nodes.col0
+
+
+@compiled
+def _squares(sides, i):
+    """The first square and the one after the last that lie between two sides."""
+    return int(np.floor(sides[i] + ON_SIDE)), int(np.ceil(sides[i + 1] - ON_SIDE))
+
+
+@compiled
+def _share(sides, i, n):
+    """The share of square ``n`` between two sides; 1 where it lies between them but for rounding."""
+    share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
+    return 1.0 if share > 1.0 - ON_SIDE else share
+
+
+@compiled
+def _means(values, there, row, col):
+    rows, cols = row.size - 1, col.size - 1
+    out = np.full((rows, cols), np.nan, np.float32)
+    for i in range(rows):
+        first_r, end_r = _squares(row, i)
+        for j in range(cols):
+            first_c, end_c = _squares(col, j)
+            whole, total = 0.0, 0.0
+            for r in range(first_r, end_r):
+                down = _share(row, i, r)
+                for c in range(first_c, end_c):
+                    if there[r, c]:
+                        weight = down * _share(col, j, c)
+                        whole += weight
+                        total += weight * values[r, c]
+            if whole > 0.0:
+                out[i, j] = total / whole
+    return out
+
+
+@compiled
+def _largest(values, row, col):
+    rows, cols = row.size - 1, col.size - 1
+    out = np.zeros((rows, cols), values.dtype)
+    for i in range(rows):
+        first_r, end_r = _squares(row, i)
+        for j in range(cols):
+            first_c, end_c = _squares(col, j)
+            for r in range(first_r, end_r):
+                for c in range(first_c, end_c):
+                    out[i, j] = max(out[i, j], values[r, c])
+    return out

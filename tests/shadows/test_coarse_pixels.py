@@ -1,0 +1,183 @@
+"""Pixels larger than the data's cells show the mean visibility of the ground that they cover."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from morecantile import tms
+
+from shadows.coarse_pixels import _of_bare_nodes, _of_points, coarse_pixels
+from shadows.passes import PassLog
+from shadows.render import render_frame
+from terrain.describe import describe
+from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels
+from terrain.geo.grid import Grid, MapView, tile_grid
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+from tests.render import block_at, plan_of, render
+
+MERCATOR = tms.get("WebMercatorQuad")
+
+SIDE, PERIOD, CREST = 64, 8, 4
+"""Cells of 1 m; ridges run from north to south, one every ``PERIOD`` columns, and lie in the column ``CREST`` of each."""
+
+DARK = np.isin(np.arange(SIDE) % PERIOD, (CREST - 1, CREST - 2))
+"""Under a sun in the east, 45 degrees high, crests of 2.5 m shade the nodes one and two metres west of them, and no others."""
+
+
+@pytest.fixture
+def ridges(tmp_path):
+    """Ridges that are lost where 8 cells are averaged."""
+    heights = np.zeros((SIDE, SIDE), np.float32)
+    heights[:, CREST::PERIOD] = 2.5
+    write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
+    level = {"version": 1, "terrain": {"source": "dem.tif"}, "sun": {"azimuth": 90.0, "altitude": 45.0}}
+    (tmp_path / "level.yaml").write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(tmp_path / "level.yaml"))
+
+
+@pytest.fixture(scope="module")
+def jacksboro():
+    scene = build_scene(load_level(Path(__file__).parents[2] / "configs" / "jacksboro.yaml"))
+    return scene.with_sun(SunSpec(azimuth=250.0, altitude=12.0))
+
+
+def view_of(scene, pixels: int) -> MapView:
+    return scene.view(bounds=(0.0, 0.0, float(SIDE), float(SIDE)), size=(pixels, pixels))
+
+
+@pytest.mark.parametrize("pixels", [32, 16, 8, 4, 12, 20])
+def test_a_coarse_pixel_shows_the_share_of_its_ground_that_is_lit(ridges, pixels):
+    """12 and 20 pixels cut through nodes' squares: these count by the share that lies in the pixel."""
+    width = SIDE / pixels
+    expected = []
+    for i in range(pixels):
+        inside = np.clip(np.minimum((i + 1) * width, np.arange(SIDE) + 1.0) - np.maximum(i * width, np.arange(SIDE)), 0.0, 1.0)
+        expected.append(1.0 - (inside * DARK).sum() / inside.sum())
+    frame = render(ridges, view_of(ridges, pixels), algorithm="sweep")
+    assert frame.there.all()
+    np.testing.assert_allclose(frame.visibility, np.broadcast_to(expected, (pixels, pixels)), atol=1e-6)
+
+
+@pytest.mark.parametrize("algorithm", ["sweep", "shadow_map", "shadow_volume", "truth"])
+def test_by_every_algorithm(ridges, algorithm):
+    frame = render(ridges, view_of(ridges, 8), algorithm=algorithm)
+    np.testing.assert_allclose(frame.visibility, 0.75, atol=0.02)
+
+
+def test_its_own_point_says_otherwise(ridges):
+    """What the rule is there for: on ground that is averaged over 8 cells nothing casts a shadow."""
+    view = view_of(ridges, 8)
+    frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), pixels_show="points")
+    assert (frame.visibility == 1.0).all()
+
+
+def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
+    for pixels in (64, 128, 50):
+        view = view_of(ridges, pixels)
+        plan = plan_of(ridges, view, algorithm="sweep")
+        assert covered_nodes(ridges, view) is None and coarse_pixels(ridges, view, plan) is None
+        shown, own = (render_frame(ridges, view, plan, pixels_show=show).visibility for show in ("means", "points"))
+        np.testing.assert_array_equal(shown, own)
+        assert set(np.unique(shown)) == {0.0, 1.0}
+
+
+def test_a_level_resolution_counts_as_the_size_of_cells(ridges, tmp_path):
+    level = json.loads((tmp_path / "level.yaml").read_text())
+    level["terrain"]["resolution"] = 4
+    (tmp_path / "rough.yaml").write_text(json.dumps(level), encoding="utf-8")
+    rough = build_scene(load_level(tmp_path / "rough.yaml"))
+    assert [halvings(ridges, view_of(ridges, pixels)) for pixels in (64, 32, 16, 8)] == [0, 1, 2, 3]
+    assert [halvings(rough, view_of(rough, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
+
+
+def test_the_descriptor_is_that_of_the_finer_map(ridges):
+    coarse, fine, own = describe(ridges, view_of(ridges, 8)), describe(ridges, view_of(ridges, 64)), view_of(ridges, 8)
+    assert (coarse.pieces, fine.pieces, describe(ridges, own, pixels_show="points").pieces) == (8, 1, 1)
+    assert coarse.pixel_m == fine.pixel_m == 1.0 and describe(ridges, own, pixels_show="points").pixel_m == 8.0
+    assert coarse.pixels == fine.pixels == SIDE**2
+    assert coarse.facts["cast_shadows"] == fine.facts["cast_shadows"]
+    assert any(reason.name == "coarse pixels" and "8 x 8" in reason.reason for reason in plan_of(ridges, own).reasons)
+
+
+def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
+    view = block_at(-84.25, 36.6, 9)
+    nodes = covered_nodes(jacksboro, view)
+    grid = tile_grid(MERCATOR, 11)
+    assert nodes.rows == 4096 and (nodes.row0, nodes.col0) == (4 * view.row0, 4 * view.col0)
+    assert abs(nodes.grid.x0 - grid.x0) < 1e-6 and abs(nodes.grid.y0 - grid.y0) < 1e-6
+    assert abs(nodes.grid.step - grid.step) < 1e-9
+
+
+def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
+    """Across blocks, too: those of the finer map begin and end elsewhere."""
+    fine, coarse = (around_middle(jacksboro, zoom) for zoom in (11, 9))
+    fine_frame, coarse_frame = (render(jacksboro, view, algorithm="sweep") for view in (fine, coarse))
+    visibility = fine_frame.visibility.reshape(coarse.rows, 4, coarse.cols, 4)
+    known = ~np.isnan(visibility).any(axis=(1, 3)) & coarse_frame.there
+    away = np.abs(coarse_frame.visibility - visibility.mean(axis=(1, 3)))[known]
+    assert known.sum() > 5000 and 0.2 < coarse_frame.visibility[known].mean() < 0.9
+    assert away.mean() < 1e-3 and (away > 1e-6).mean() < 0.02
+
+
+def around_middle(scene, zoom: int) -> MapView:
+    """96 x 96 pixels of zoom 9, or the same ground in pixels of another one."""
+    grid, side = tile_grid(MERCATOR, 9), 96
+    x, y, _ = scene.world.map_position(grid.crs, scene.world.anchor_earth_m)
+    row, col = round((grid.y0 - float(y)) / grid.step) - side // 2, round((float(x) - grid.x0) / grid.step) - side // 2
+    k = 2 ** (zoom - 9)
+    return MapView(tile_grid(MERCATOR, zoom), float(row * k), float(col * k), 1.0, 1.0, side * k, side * k)
+
+
+def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
+    view = around_middle(jacksboro, 9)
+    pixels = coarse_pixels(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
+    assert pixels is not None and pixels.bare
+    nodes = pixels.nodes(view)
+    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, PassLog()), _of_points(pixels, nodes, PassLog())
+    np.testing.assert_array_equal(shown, there)
+    assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
+
+
+def test_penumbras_are_averaged(ridges):
+    view = view_of(ridges, 8)
+    soft = render(ridges, view, algorithm="sweep", filter="sun")
+    np.testing.assert_allclose(soft.visibility, 0.75, atol=0.02)
+
+
+def test_layers_have_the_map_s_size(ridges):
+    view = view_of(ridges, 8)
+    frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), layers=frozenset({"shadow-height"}))
+    height = frame.layers["shadow-height"]["sun"]
+    assert height.shape == (8, 8) and np.isfinite(height).all()
+    # Of the eight nodes across: 2.5 m on the crest, 1.5 m and 0.5 m in its shadow.
+    np.testing.assert_allclose(height, 4.5 / 8, atol=1e-3)
+
+
+@pytest.mark.parametrize("algorithm", ["hybrid", "shadow_volume"])
+def test_layers_of_marks_have_it_too(ridges, algorithm):
+    view = view_of(ridges, 8)
+    frame = render_frame(ridges, view, plan_of(ridges, view, algorithm=algorithm), layers=frozenset({"silhouettes"}))
+    assert frame.layers["silhouettes"]["sun"].shape == (8, 8)
+
+
+def test_means_leave_out_what_is_not_there():
+    grid = Grid(None, 2.0, -2.0, 4.0)
+    view = MapView(grid, 0.0, 0.0, 1.0, 1.0, 1, 3)
+    nodes = MapView(grid.subdivided(2), 0.0, 0.0, 1.0, 1.0, 4, 12)
+    assert (nodes.grid.x0, nodes.grid.y0, nodes.grid.step) == (0.5, -0.5, 1.0)
+    values, there = np.zeros((4, 12), np.float32), np.ones((4, 12), bool)
+    values[:, :2] = 1.0
+    there[:, 1:4], there[:, 8:] = False, False
+    np.testing.assert_array_equal(means_in_pixels(view, nodes, values, there), [[1.0, 0.0, np.nan]])
+    np.testing.assert_array_equal(largest_in_pixels(view, nodes, (2 * values).astype(np.uint8)), [[2, 0, 0]])
+
+
+def test_by_night_all_is_dark(ridges):
+    night = ridges.with_sun(SunSpec(azimuth=90.0, altitude=-10.0))
+    assert (render(night, view_of(night, 8)).visibility == 0.0).all()
