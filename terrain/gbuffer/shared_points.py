@@ -32,6 +32,11 @@ GRAZING = 2.0**-20
 say which side it is on, and what it would give is a millionth of its light.
 """
 
+LEAST_LIFT_M = 1e-3
+"""Least lift that takes a point off its facet for float32. Where the smooth ground lies no higher, as in a hollow, a facet that is
+turned away shades it.
+"""
+
 PARALLEL = 1e-6
 """Tangent of the angle below which light comes along a side of a facet, seen from above."""
 
@@ -42,8 +47,8 @@ class FacingNormals(NamedTuple):
     Attributes
     ----------
     normal_frame
-        float32 (rows, cols, 3), the unit normal of the facet that faces the light most; the smooth one where only that faces the
-        light, and where it does not.
+        float32 (rows, cols, 3), the unit normal of the facet that faces the light most; the smooth one where that does not face
+        the light, and where the point is lifted.
     crease
         float32 (rows, cols), as a ``GeometryBuffer`` has it, from that normal.
     lift_frame
@@ -53,7 +58,7 @@ class FacingNormals(NamedTuple):
     blocked
         bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
     lifted
-        bool (rows, cols): where the smooth normal faces the light and no facet does.
+        bool (rows, cols): where the smooth normal faces the light, no facet does, and the smooth ground lies above.
     """
 
     normal_frame: np.ndarray
@@ -76,7 +81,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
         _turn_to(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
-        _go_by_smooth(ground & ~np.isnan(buffer.lift_m), buffer.shading_normal_frame, buffer.position_frame_m, light, facing)
+        _go_by_smooth(ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing)
     return facing
 
 
@@ -117,19 +122,20 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
 
 
 @compiled
-def _go_by_smooth(where, smooth, position, light, facing):
-    """Put in what holds for the smooth ground: its normal where it does not face a light, or no facet does."""
+def _go_by_smooth(ground, smooth, lift, position, light, facing):
+    """Put in what holds for the smooth ground: its normal where it does not face a light, or it alone does from above the facet."""
     normal, crease, _, blocked, lifted = facing
-    for i in range(where.shape[0]):
-        for j in range(where.shape[1]):
-            if not where[i, j]:
+    for i in range(ground.shape[0]):
+        for j in range(ground.shape[1]):
+            if not ground[i, j] or np.isnan(lift[i, j]):
                 continue
             p, n, s = position[i, j], normal[i, j], smooth[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
             least = GRAZING * np.sqrt(x * x + y * y + z * z)
+            smooth_faces = s[0] * x + s[1] * y + s[2] * z > least
             facet_faces = n[0] * x + n[1] * y + n[2] * z > least
-            lifted[i, j] = s[0] * x + s[1] * y + s[2] * z > least and not facet_faces
-            if not facet_faces or not s[0] * x + s[1] * y + s[2] * z > least:
+            lifted[i, j] = smooth_faces and not facet_faces and lift[i, j] > LEAST_LIFT_M
+            if lifted[i, j] or not smooth_faces:
                 apart = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
                 crease[i, j] += np.sqrt(apart)
                 blocked[i, j] = False

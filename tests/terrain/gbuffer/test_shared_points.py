@@ -138,14 +138,15 @@ def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitu
     normals, touched = facets_of(buffer)
     most = np.where(touched, normals @ to_light, -np.inf).max(axis=-1)
     assert buffer.lift_m is not None
-    by_facets = np.isnan(buffer.lift_m) | ((most > 1e-5) & (smooth @ to_light > 1e-5))
-    by_smooth = ~np.isnan(buffer.lift_m) & ((most < -1e-5) | (smooth @ to_light < -1e-5))
+    lift_m, towards = buffer.lift_m, smooth @ to_light
+    by_facets = np.isnan(lift_m) | ((towards > 1e-5) & ((most > 1e-5) | (lift_m == 0.0)))
+    by_smooth = ~np.isnan(lift_m) & ((towards < -1e-5) | (most < -1e-5) & (lift_m > 0.01))
     np.testing.assert_allclose((chosen @ to_light)[by_facets], most[by_facets], atol=1e-6)
     apart = np.linalg.norm(normals - chosen[:, :, None], axis=-1)
     assert np.where(touched, apart, np.inf).min(axis=-1)[by_facets].max(initial=0.0) < 1e-6  # it is one of them
     np.testing.assert_array_equal(chosen[by_smooth], smooth[by_smooth])
     assert not facing.lifted[by_facets].any()
-    assert (facing.lifted == (smooth @ to_light > 0.0))[by_smooth & (np.abs(smooth @ to_light) > 1e-5)].all()
+    assert (facing.lifted == (towards > 0.0))[by_smooth & (np.abs(towards) > 1e-5)].all()
 
 
 @each_example
