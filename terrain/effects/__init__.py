@@ -23,7 +23,7 @@ SWITCHES: dict[EffectName, str] = {
     "cast_shadows": "algorithms fill the lights' visibility at all (selector/planner/planner.py)",
     "alpha_test": "forest is among the kinds of casters that algorithms are given (selector/planner/planner.py)",
     "soft_edges": "a filter that is left open takes three taps a side, not one (selector/planner/planner.py)",
-    "outside_casters": "ground beyond a map's block is looked for and casts into it (shadows/render.py)",
+    "outside_casters": "ground beyond a map's block is looked for and casts into it (shadows/passes.py)",
 }
 """Effects without a part of their own: switches of the pipeline, each with what it switches, and where. They are planned, forced
 and told like all others; what they do is done by the code that is named here.

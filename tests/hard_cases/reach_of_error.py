@@ -8,6 +8,7 @@ answers for lines that pass a node's width beside the point. Rays from all over 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -19,6 +20,7 @@ from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
 from shadows.plan import Step
 from shadows.truth.truth import ALL_KINDS, ray_scene
+from shadows.visibility import receivers_of
 from terrain.casters.casting import caster_trees
 from terrain.describe import describe
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -52,10 +54,12 @@ FLOAT_ULPS = 32.0 * 2.0**-24
 
 def beyond(seen: Seen) -> np.ndarray:
     """Wrong decidable pixels (rows, cols) under the sun that nothing within the algorithm's reach explains."""
-    real, buffer = seen.truth, seen.buffer
+    real = seen.truth
     wrong = real.decidable & (seen.dark == real.lit) & ~real.attached
     left = np.flatnonzero(wrong)
     if len(left):
+        seen = replace(seen, buffer=receivers_of(seen.buffer, seen.scene, seen.light))
+        buffer = seen.buffer
         assert seen.scene.sun is not None
         towards = buffer.frame.frame_from_earth @ seen.scene.sun.to_sun_earth
         rays = ray_scene(buffer, seen.scene, seen.casters, ALL_KINDS)
