@@ -193,7 +193,9 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 for k in range(3):
                     to_eye[k] = -ray[k] / length
                 n, lift[i, j] = normal[i, j], np.nan
-                if is_smooth(n, ground_normal[a]) and is_smooth(n, ground_normal[b]) and is_smooth(n, ground_normal[c]):
+                seen_from_above = n[0] * to_eye[0] + n[1] * to_eye[1] + n[2] * to_eye[2] > 0.0
+                smooth = is_smooth(n, ground_normal[a]) and is_smooth(n, ground_normal[b]) and is_smooth(n, ground_normal[c])
+                if seen_from_above and smooth:
                     lift[i, j] = (
                         (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
                         + u * lift_to(p[1], ground_normal[b], point[i, j], to_eye)
