@@ -90,6 +90,8 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -
     assert isinstance(view, MapView)
     visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
     layers = LayerCollector(own.there.shape)
+    if not own.there.any():  # the plan's passes have nothing to do, and do it
+        return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
     for window in _parts(pixels, own):
         part = _part(view, window)
         nodes = pixels.nodes(part)
