@@ -31,7 +31,7 @@ A_LAYER: Edits = {
             "LAYERS: dict[str, Layer] = {\n"
             '    "dusk": Layer(\n'
             '        about="gray by a layer more", suffixes=(".png", ".webp"),\n'
-            "        picture=lambda part: np.where(part.there, 400 * part.visibility, 7).astype(np.uint8),\n"
+            "        picture=lambda part: np.where(part.there, np.minimum(400 * part.visibility, 255), 7).astype(np.uint8),\n"
             "    ),\n",
         ),
     ),
@@ -122,7 +122,7 @@ def test_a_setting_more_is_everywhere(said):
 def test_a_layer_more_is_everywhere(said):
     found = said(A_LAYER, "layer")
     (status, _, err), brightest = found["render"]
-    assert status == 0 and brightest == 400 % 256, err
+    assert status == 0 and brightest == 255, err
     status, _, err = found["refused"]
     assert status == 2 and "for layer dusk: .png, .webp" in err
     assert "dusk, color, shadow" in found["help"]
