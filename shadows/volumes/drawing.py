@@ -27,11 +27,9 @@ from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
 from shadows.volumes.volumes import Volumes
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.smooth_ground import off_own_edges
 from terrain.geo.grid import MapView
 from terrain.gl.device import Device, device
 from terrain.gl.stencil import MARK_BIT, Counting, Side
-from terrain.lights import LightPosition
 from terrain.scene import Scene
 
 COUNT_BITS = ~MARK_BIT & 0xFF
@@ -68,7 +66,6 @@ def count(
     counts = np.zeros(wanted.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
-    buffer = off_own_edges(buffer, LightPosition(*(float(v) for v in light)))
     near_m = near_plane_m(buffer)
     along_pixels = _along_pixels(buffer, scene, light)
     for points in own_points(buffer, scene, wanted, near_m):

@@ -59,9 +59,6 @@ class FacingNormals(NamedTuple):
         bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
     lifted
         bool (rows, cols): where the smooth normal faces the light, no facet does, and the smooth ground lies above.
-    on_edge
-        bool (rows, cols): where the smooth ground faces the light and lies above a shared point, and some of its facets face the
-        light but not all: an edge of what casts, as the light sees it, runs through the point.
     """
 
     normal_frame: np.ndarray
@@ -69,14 +66,13 @@ class FacingNormals(NamedTuple):
     lift_frame: np.ndarray
     blocked: np.ndarray
     lifted: np.ndarray
-    on_edge: np.ndarray
 
 
 @cached("light", 512 * MIB)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
     """Which normals a light goes by. The last ones are kept."""
     normal, nowhere = buffer.normal_frame.copy(), np.zeros(buffer.there.shape, bool)
-    facing = FacingNormals(normal, buffer.crease.copy(), normal.copy(), nowhere, nowhere.copy(), nowhere.copy())
+    facing = FacingNormals(normal, buffer.crease.copy(), normal.copy(), nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.there & (buffer.kind == RELIEF)
     if surface is not None and isinstance(view, MapView):
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
@@ -84,19 +80,15 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         sheet, points = surface.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
         _turn_to(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
-    if buffer.lift_m is None:
-        facing.on_edge[:] = False
-    else:
+    if buffer.lift_m is not None:
         _go_by_smooth(ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing)
     return facing
 
 
 @compiled
 def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, facing):
-    """Put in what holds for the facet that faces a light most, where several share a point of the ground; and as ``on_edge``
-    whether one of them faces away.
-    """
-    normal, crease, lift, blocked, _, on_edge = facing
+    """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
+    normal, crease, lift, blocked, _ = facing
     found, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
     for i in range(row.size):
         for j in range(col.size):
@@ -116,7 +108,6 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
                     towards = n[0] * x + n[1] * y + n[2] * z
                     if towards < 0.0 and _leads_over(nodes, falls, found[k], p, axes, east, north):
                         blocked[i, j] = True
-                    on_edge[i, j] |= towards <= 0.0
                     if towards > most:
                         most, best = towards, k
                     flattest = min(flattest, _along(n, up)) if k > 0 else _along(n, up)
@@ -133,11 +124,10 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
 @compiled
 def _go_by_smooth(ground, smooth, lift, position, light, facing):
     """Put in what holds for the smooth ground: its normal where it does not face a light, or it alone does from above the facet."""
-    normal, crease, _, blocked, lifted, on_edge = facing
+    normal, crease, _, blocked, lifted = facing
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
             if not ground[i, j] or np.isnan(lift[i, j]):
-                on_edge[i, j] = False
                 continue
             p, n, s = position[i, j], normal[i, j], smooth[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
@@ -145,7 +135,6 @@ def _go_by_smooth(ground, smooth, lift, position, light, facing):
             smooth_faces = s[0] * x + s[1] * y + s[2] * z > least
             facet_faces = n[0] * x + n[1] * y + n[2] * z > least
             lifted[i, j] = smooth_faces and not facet_faces and lift[i, j] > LEAST_LIFT_M
-            on_edge[i, j] &= smooth_faces and facet_faces and lift[i, j] > LEAST_LIFT_M
             if lifted[i, j] or not smooth_faces:
                 apart = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
                 crease[i, j] += np.sqrt(apart)

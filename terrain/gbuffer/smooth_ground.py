@@ -20,21 +20,9 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
     """
     if buffer.lift_m is None or buffer.lifted is not None:
         return buffer
-    return _moved(buffer, facing_normals(buffer, light).lifted)
-
-
-def off_own_edges(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
-    """A buffer whose points through which edges of what casts run lie on the smooth ground, too: on the edges themselves rounding
-    would say which side of them they are on.
-    """
-    return buffer if buffer.lift_m is None else _moved(buffer, facing_normals(buffer, light).on_edge)
-
-
-def _moved(buffer: GeometryBuffer, lifted: np.ndarray) -> GeometryBuffer:
-    """A buffer with some points on the smooth ground."""
+    lifted = facing_normals(buffer, light).lifted
     if not lifted.any():
         return buffer
-    assert buffer.lift_m is not None
     position = buffer.position_frame_m.copy()
     if isinstance(buffer.view, MapView):
         assert buffer.surface is not None
@@ -46,8 +34,7 @@ def _moved(buffer: GeometryBuffer, lifted: np.ndarray) -> GeometryBuffer:
     corners = None if buffer.corners_frame_m is None else buffer.corners_frame_m.copy()
     if corners is not None:
         corners[lifted] = np.tile(position[lifted], 3)
-    every = lifted if buffer.lifted is None else lifted | buffer.lifted
-    return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=every)
+    return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)
 
 
 @compiled

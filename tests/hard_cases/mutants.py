@@ -122,10 +122,10 @@ def _first_facet() -> None:
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
         nowhere = np.zeros(buffer.there.shape, bool)
         if buffer.surface is None or buffer.triangle is None:
-            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, nowhere, nowhere, nowhere)
+            return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, nowhere, nowhere)
         row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)
         normal = np.where(buffer.triangle[..., :1] < 0, buffer.normal_frame, buffer.surface.sheet.normals_frame[row, col, half])
-        return FacingNormals(normal, buffer.crease, normal, nowhere, nowhere, nowhere)
+        return FacingNormals(normal, buffer.crease, normal, nowhere, nowhere)
 
     attached.facing_normals = truth.facing_normals = facing_normals
 
