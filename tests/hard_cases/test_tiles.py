@@ -30,8 +30,8 @@ def test_tiles_join(trial: Trial) -> dict[str, float]:
 
     Volumes, which are drawn in the tile's own camera, and lines, which are laid through its middle, are held to pixels that are
     decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
-    its own edge a node lies on is a matter of rounding. So are nodes through which edges run, as the sun sees them. That leaves most
-    of it out and not all: 5 of 51,200 pixels.
+    its own edge a node lies on is a matter of rounding. So are nodes through which edges run, as the sun sees them. That leaves
+    most of it out and not all: 5 of 51,200 pixels.
     """
     px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)
