@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from shadows.bent_rays import rays_bend
 from shadows.passes import PassLayer
 from shadows.work import Work, Workload
 from terrain.cache import caches
@@ -26,8 +27,16 @@ ViewKind = Literal["map", "bent map", "perspective"]
 GroundKind = Literal["level", "uneven"]
 """``level`` is one plane: without relief, in a flat world."""
 
-Requirement = ViewKind | LightKind | CasterKind | GroundKind
-"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground."""
+RayKind = Literal["bent rays"]
+"""``bent rays``: what is drawn at once is so wide that the sun's rays are no straight lines in it."""
+
+Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind
+"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground, rays."""
+
+GIVES_WAY_TO: Requirement = "bent rays"
+"""What is no error where an algorithm is asked for by name: ``shadow_map`` takes its place. For it depends on how far one zooms
+out, and a level that asks for a sweep has all zooms.
+"""
 
 MOST_BEND_PX = 0.25
 """How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
@@ -46,7 +55,8 @@ def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind
     view: tuple[Requirement, ...] = (
         (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
     )
-    return (*view, light, caster, "level" if level_ground else "uneven")
+    rays: tuple[Requirement, ...] = ("bent rays",) if light == "sun" and rays_bend(descriptor) else ()
+    return (*view, light, caster, "level" if level_ground else "uneven", *rays)
 
 
 class Reasoned(BaseModel):

@@ -192,9 +192,10 @@ in a flat world, on a grid whose north is true north.
 **Suns** (azimuth/altitude, degrees): {on} on the grid's axes and diagonals, {off} off them.
 Only at multiples of 45 degrees does a line from cell to cell meet nothing but cell centres. A test of such suns alone hides errors.
 
-**Truth.** Rays from the nodes through the triangles between them. A cell is decided if the answer depends neither on the rays'
-offset, nor on a hundredth of a degree of the sun's altitude, nor on the diagonal along which quads are cut. By raster and sun,
-{undecided} % of the cells are not decided. Of the decided cells, {shadow} % lie in shadow.
+**Truth.** Rays from the nodes through the triangles between them; quads are cut along their higher diagonals, as Skugga's are.
+A cell is decided if the answer depends neither on the rays' offset, nor on a hundredth of a degree of the sun's altitude. For the
+other tools, which cut quads in ways of their own, it must not depend on the diagonal either: by raster and sun, that leaves out
+{undecided} % of the cells. Of the decided cells, {shadow} % lie in shadow.
 
 **Time.** *Computing* is the time of the tool's call by its own clock, with compiled code warm. *Whole process* is wall-clock time:
 start, imports, reading, computing, writing. Times are medians of {found.repeats}; a tool that takes over {found.slow_s:g} s runs

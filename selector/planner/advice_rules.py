@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shadows.bent_rays import sun_extent_m
 from shadows.maps.settings import ShadowMapSettings
-from shadows.sweep.extent import MAX_SWEEP_EXTENT_M, sweep_extent_m
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
 from terrain.level.algorithm_names import AlgorithmName
@@ -111,8 +111,7 @@ def _settings_of_maps(case: RuleInput) -> str | None:
 
 
 def _heightfield(case: RuleInput) -> str | None:
-    across_m = sweep_extent_m(case.descriptor)
-    if case.light != SUN or case.kind != "relief" or across_m is None or across_m > MAX_SWEEP_EXTENT_M:
+    if case.light != SUN or case.kind != "relief" or sun_extent_m(case.descriptor) is None:
         return None
     return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
 from selector.planner.advice import choices_by_rules
-from shadows.algorithm import AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
+from shadows.algorithm import GIVES_WAY_TO, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step, Target, plan_steps
 from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
@@ -150,8 +150,11 @@ class Planner:
                 requirements_of(self.descriptor, kind_of_light, caster),
             )
             name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
+            asked_for, too_much = name, _gives_way(name, parts)
+            if too_much is not None:
+                name, why = FALLBACK, f"{requester} sets {asked_for}, but {too_much}"
             _check(name, light, caster, parts, requester)
-            assignments.append(_Assignment(light, caster, name, why, is_free, parts))
+            assignments.append(_Assignment(light, caster, name, why, is_free, parts, asked_for))
         return assignments
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
@@ -183,7 +186,9 @@ class Planner:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice."""
+    """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice. ``asked_for`` is what
+    was chosen or asked for, which may have had to give way.
+    """
 
     light: str
     kind: CasterKind
@@ -191,6 +196,7 @@ class _Assignment:
     why: str
     free: bool
     parts: tuple[Requirement, ...]
+    asked_for: AlgorithmName
 
 
 def _who(overrides: Mapping[str, Any], key: str) -> str:
@@ -283,6 +289,12 @@ def _algorithm(
     return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
+def _gives_way(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
+    """Why an algorithm that is asked for gives way to ``FALLBACK``; ``None`` where it serves, or where it is an error."""
+    others = [part for part in parts if part != GIVES_WAY_TO]
+    return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
+
+
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], requester: str) -> None:
     """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
     why = ALGORITHMS[name].refusal(parts)
@@ -298,8 +310,10 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
     free_assignments = [assignment for assignment in assignments if assignment.free]
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
+    if any(assignment.asked_for == name for assignment in assignments):
+        return ALGORITHMS[name].refuses[GIVES_WAY_TO]
     if not free_assignments:
-        return f"{requester} sets {', '.join(sorted({assignment.name for assignment in assignments}))}"
+        return f"{requester} sets {', '.join(sorted({assignment.asked_for for assignment in assignments}))}"
     if name == NO_SHADOWS:
         return "there are casters and light, so there are shadows to draw"
     if name in rejected:

@@ -26,7 +26,7 @@ LATTICE = 17
 BENT_CELLS = 0.1
 """How far, in cells, the lines may leave the cubics that stand for them."""
 
-RAYS_BEND_REASON = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
+RAYS_BEND = "the view is too wide: the sun's rays bend across it"
 
 CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
@@ -124,7 +124,7 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
     if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2, len(i), 4))
     for n, values in enumerate(t):
@@ -139,7 +139,7 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
         [np.polynomial.polynomial.polyval(values, t_cubics[n]) for n, values in zip(checked_rows, exact, strict=True)]
     )
     if np.abs(fitted - columns - 1.0).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
     return t_cubics, column_cubics
 
 

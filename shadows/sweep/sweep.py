@@ -32,8 +32,7 @@ import numpy as np
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from shadows.passes import PassLog, PassRecord
 from shadows.sweep.columns import column_sweep
-from shadows.sweep.extent import MAX_SWEEP_EXTENT_M, sweep_extent_m
-from shadows.sweep.grid import NO_LEVELS, SweepPoints, state_after, sweep_nodes
+from shadows.sweep.grid import NO_LEVELS, RAYS_BEND, SweepPoints, state_after, sweep_nodes
 from shadows.sweep.lines import NO_GROUND_LEVEL
 from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
 from shadows.sweep.settings import SweepSettings, resolve_sweep
@@ -286,10 +285,6 @@ def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Algor
         yield SweepSettings(filter="sun")
 
 
-def _too_wide(descriptor: Descriptor, kind: CasterKind) -> bool:
-    return (sweep_extent_m(descriptor) or 0.0) > MAX_SWEEP_EXTENT_M
-
-
 ONE_AZIMUTH = "a lamp's rays spread: the lines of the sweep run along one azimuth"
 
 REFUSES: dict[Requirement, str] = {
@@ -297,6 +292,7 @@ REFUSES: dict[Requirement, str] = {
     "omni": ONE_AZIMUTH,
     "meshes": "meshes are no heightfield: the sweep knows one height per place",
     "forest": "trees are no heightfield: light passes under crowns and between leaves",
+    "bent rays": RAYS_BEND,
 }
 
 FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
@@ -315,7 +311,7 @@ ALGORITHM = Algorithm(
     settings=(SweepSettings,),
     resolve=resolve_sweep,
     keeps=("shadows.sweep.rays.ground_of_level",),
-    search=Search(hopeless=_too_wide, variants=({"filter": "sun"},)),
+    search=Search(variants=({"filter": "sun"},)),
     cost=Cost(_work, calibrated=_calibrated),
     accuracy=Accuracy(
         groups=(FULL_DETAIL, DECIMATED), group_of=lambda descriptor: DECIMATED if is_decimated(descriptor) else FULL_DETAIL

@@ -20,7 +20,7 @@ from api.http.app import create_app
 from api.settings import Settings
 from selector.candidates import MAX_CANDIDATES, candidates
 from selector.planner.planner import make_plan
-from shadows.algorithm import GroundKind, Requirement, ViewKind
+from shadows.algorithm import GroundKind, RayKind, Requirement, ViewKind
 from shadows.registry import ALGORITHMS, algorithms_serving
 from shadows.render import render_frame
 from terrain.describe import describe
@@ -137,7 +137,7 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
 
 
 def test_every_refusal_is_of_something_that_can_be_asked_for():
-    known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS}
+    known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind)}
     for algorithm in ALGORITHMS.values():
         assert set(algorithm.refuses) <= known
         assert all(why and why[0].islower() and not why.endswith(".") for why in algorithm.refuses.values())
@@ -176,6 +176,30 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
     scene = build_scene(load_level(level_file("uneven", shadows={"algorithm": "planar"})))
     with pytest.raises(UnsupportedError, match=r"^shadows.algorithm: 'planar for relief under sun'"):
         make_plan(describe(scene, scene.view("map")), scene.loaded.level)
+
+
+WIDE, NARROW = (-86.0, 35.0, -82.5, 37.5), (-84.3, 36.2, -84.25, 36.2375)
+
+
+@pytest.mark.parametrize("asked", ["level", "request"])
+def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, level_file, asked):
+    """A level that asks for a sweep has all zooms, and the widest of them are no error."""
+    shadows = {"algorithm": {"relief": "sweep"}} if asked == "level" else {}
+    scene = build_scene(load_level(level_file("earth", forest=[], shadows=shadows)))
+    overrides = {} if asked == "level" else {"algorithm": {"relief": "sweep", "meshes": "shadow_map"}}
+    for bounds, name in ((WIDE, "shadow_map"), (NARROW, "sweep")):
+        view = scene.view(bounds=bounds, size=(40, 30), crs="EPSG:4326")
+        plan = plan_of(scene, view, **overrides)
+        assert plan.algorithm["sun"]["relief"] == name
+        frame = render_frame(scene, view, plan)
+        assert [record.name for record in frame.passes] == plan.passes
+        (why,) = [each.reason for each in plan.reasons if each.name == f"sun/relief: {name}"]
+        bends = "the view is too wide: the sun's rays bend across it"
+        assert why == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
+        rejected = {each.name: each.reason for each in plan.rejected}
+        assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
+    with pytest.raises(UnsupportedError, match="meshes are no heightfield"):
+        plan_of(scene, scene.view(bounds=WIDE, size=(40, 30), crs="EPSG:4326"), algorithm="sweep")
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):

@@ -29,8 +29,8 @@ from selector.planner.advice_rules import (
     RuleInput,
 )
 from selector.planner.planner import make_plan
+from shadows.bent_rays import MAX_STRAIGHT_M
 from shadows.registry import can_serve
-from shadows.sweep.extent import MAX_SWEEP_EXTENT_M
 from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import CasterFacts, LightFacts
@@ -111,12 +111,12 @@ def test_lamps_are_not_swept():
 
 def test_ground_is_swept_as_far_as_rays_are_straight():
     """A block of 1024 pixels and the way of its longest shadow, 50 m / tan 30 degrees and a trifle less on a round earth."""
-    fits = (MAX_SWEEP_EXTENT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
+    fits = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
     for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
         assert taken(map_over("relief", flat_world=False, pixel_m=pixel_m), "relief") == algorithm
     assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
     # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
-    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / MAX_SWEEP_EXTENT_M**2
+    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
     for share, algorithm in ((1.001 * seen, "sweep"), (0.999 * seen, "perspective_shadow_map")):
         assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
 

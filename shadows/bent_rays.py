@@ -1,4 +1,4 @@
-"""How wide a piece of the earth the lines of a sweep cross at once."""
+"""Across how wide a piece of the round earth the sun's rays are taken as straight lines of a map."""
 
 from __future__ import annotations
 
@@ -9,14 +9,19 @@ from terrain.facts.descriptor import Descriptor
 from terrain.geo.grid import BLOCK_PX
 from terrain.level.level import SUN
 
-MAX_SWEEP_EXTENT_M = 200e3
-"""As wide a piece of the round earth is swept at once: across a wider one the sun's rays bend too much for the lines. In Web
-Mercator windows of 300 km were swept up to 72 degrees of latitude and of 150 km up to 78, all that were tried.
+MAX_STRAIGHT_M = 200e3
+"""Across a wider piece of the round earth the sun's rays bend too much for lines that run side by side. In Web Mercator the lines
+of a sweep follow the rays across 250 km at 84 degrees of latitude and across 1,000 km at 65, in windows of 1,024 nodes a side.
 """
 
 
-def sweep_extent_m(descriptor: Descriptor) -> float | None:
-    """How far across the ground is that the sun's lines cross at once, if that is known: a map's block and the way of its longest
+def rays_bend(descriptor: Descriptor) -> bool:
+    """Whether what is drawn at once is too wide; not where that is unknown."""
+    return (sun_extent_m(descriptor) or 0.0) > MAX_STRAIGHT_M
+
+
+def sun_extent_m(descriptor: Descriptor) -> float | None:
+    """How far across the ground is that the sun's rays cross at once, if that is known: a map's block and the way of its longest
     shadow, in perspective all of the level, whose area follows from the share of it that is seen. A flat world bends nothing.
     """
     seen = descriptor.lights.get(SUN)
