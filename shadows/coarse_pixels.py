@@ -26,11 +26,13 @@ from terrain.gbuffer.covered_nodes import (
     is_bare,
     largest_in_pixels,
     means_in_pixels,
+    pieces_grid,
 )
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, Grid, MapView
+from terrain.ground.surface import map_pixel_m
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
@@ -45,18 +47,19 @@ Visibilities = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class CoarsePixels:
-    """The pixels of a coarse map under a plan: cut into 2**``halvings`` a side; ``bare`` if heights alone say what is seen."""
+    """The pixels of a map under a plan, which show means over the nodes of a finer ``grid``, about ``per_pixel`` of them along a side;
+    ``bare`` if heights alone say what is seen.
+    """
 
     scene: Scene
     plan: Plan
-    halvings: int
+    grid: Grid
+    per_pixel: int
     bare: bool
 
     def nodes(self, view: MapView) -> MapView:
         """The nodes that some pixels cover."""
-        found = covered_nodes(self.scene, view)
-        assert found is not None
-        return found
+        return covered_nodes(view, self.grid)
 
     def most_at_once(self, nodes: MapView) -> tuple[int, int]:
         """Most nodes that are seen to at a time, in all and along a side."""
@@ -77,9 +80,22 @@ def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     count = halvings(scene, view)
     if count == 0:
         return None
-    steps = plan.steps
-    bare = is_bare(scene) and scene.sun_is_up and all(ALGORITHMS[step.algorithm].node_fill(step.settings) for step in steps)
-    return CoarsePixels(scene, plan, count, bare)
+    return CoarsePixels(scene, plan, pieces_grid(view, count), 2**count, bare=_heights_say_all(scene, plan))
+
+
+def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | None:
+    """How the pixels of a map that is not coarse show means over nodes half a pixel apart, their own among them, so that edges are
+    anti-aliased; ``None`` where heights alone do not say what is seen.
+    """
+    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= WIDE_M
+    if not (narrow and plan.steps and _heights_say_all(scene, plan)):
+        return None
+    return CoarsePixels(scene, plan, view.grid.refined(), 2, bare=True)
+
+
+def _heights_say_all(scene: Scene, plan: Plan) -> bool:
+    fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
+    return is_bare(scene) and scene.sun_is_up and all(fills)
 
 
 def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -> Visibilities:
@@ -141,7 +157,7 @@ def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[n
     """Which nodes show ground, and the sun's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
-        nodes = bare_nodes(scene, view, 2**pixels.halvings)
+        nodes = bare_nodes(scene, view, pixels.per_pixel)
     with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
         patches = casters_in_sun(scene, nodes)
     lit = np.ones(nodes.shown.shape, np.bool_)

@@ -13,7 +13,7 @@ from shadows.coarse_pixels import _of_bare_nodes, _of_points, coarse_pixels
 from shadows.passes import PassLog
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels
+from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels, pieces_grid
 from terrain.geo.grid import Grid, MapView, tile_grid
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
@@ -81,7 +81,7 @@ def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
     for pixels in (64, 128, 50):
         view = view_of(ridges, pixels)
         plan = plan_of(ridges, view, algorithm="sweep")
-        assert covered_nodes(ridges, view) is None and coarse_pixels(ridges, view, plan) is None
+        assert halvings(ridges, view) == 0 and coarse_pixels(ridges, view, plan) is None
         shown, own = (render_frame(ridges, view, plan, pixels_show=show).visibility for show in ("means", "points"))
         np.testing.assert_array_equal(shown, own)
         assert set(np.unique(shown)) == {0.0, 1.0}
@@ -107,7 +107,7 @@ def test_the_descriptor_is_that_of_the_finer_map(ridges):
 
 def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
     view = block_at(-84.25, 36.6, 9)
-    nodes = covered_nodes(jacksboro, view)
+    nodes = covered_nodes(view, pieces_grid(view, halvings(jacksboro, view)))
     grid = tile_grid(MERCATOR, 11)
     assert nodes.rows == 4096 and (nodes.row0, nodes.col0) == (4 * view.row0, 4 * view.col0)
     assert abs(nodes.grid.x0 - grid.x0) < 1e-6 and abs(nodes.grid.y0 - grid.y0) < 1e-6
