@@ -74,9 +74,13 @@ def test_seams_throw_nothing(trial: Trial) -> dict[str, float]:
     "mountains under a sun at 10 degrees at all whole azimuths (quick: 12 of them), drawn in two windows",
     {"edge_p95_px": 1.0, "interior": 2e-4, "wrong at the seam": 0.01},
     algorithms=("sweep",),
+    falls_short={("sweep", "interior"): 2.77e-4},
 )
 def test_every_azimuth(trial: Trial) -> dict[str, float]:
-    """A pixel is a cell. Off the axes and diagonals lines run between nodes, so that the octants differ."""
+    """A pixel is a cell. Off the axes and diagonals lines run between nodes, so that the octants differ.
+
+    At one azimuth of the 360 a single pixel of 3,614 differs from the rays.
+    """
     cells, pixels = 128, 64
     scene = trial.scene(trial.raster(hills(cells, 1200.0, seed=11, rough_m=6.0), UTM, *CORNER_M, CELL_M), (0, 10))
     edge_px = interior = at_the_seam = 0.0
