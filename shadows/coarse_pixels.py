@@ -47,8 +47,8 @@ Visibilities = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class CoarsePixels:
-    """The pixels of a map under a plan, which show means over the nodes of a finer ``grid``, about ``per_pixel`` of them along a side;
-    ``bare`` if heights alone say what is seen.
+    """The pixels of a map under a plan, which show means over nodes of a finer ``grid``, about ``per_pixel`` of them a side.
+    ``bare``: heights alone say what is seen.
     """
 
     scene: Scene

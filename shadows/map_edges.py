@@ -1,8 +1,9 @@
 """Anti-aliased edges in maps: a pixel through which an edge runs shows a mean of what it covers.
 
 Masks, and all that accuracy is measured by, keep to the pixels' own points. Where heights alone say what is seen, all pixels show
-means over nodes half a pixel apart, as those of coarse maps do (``shadows.coarse_pixels``). Elsewhere only pixels through which edges run get
-more points: those of a finer view, cut from the same ground, which the plan's own steps fill, and which are shaded one by one.
+means over nodes half a pixel apart, as those of coarse maps do (``shadows.coarse_pixels``). Elsewhere only pixels through which
+edges run get more points: those of a finer view, cut from the same ground, which the plan's own steps fill, and which are shaded
+one by one. Where nothing ends after all a pixel keeps its own.
 
 Edges run where a light's visibility, or what kind of thing is seen, changes from a pixel to one beside it. That is told within a
 block, whatever lies beside it: the pixels along its sides all get more points.
