@@ -112,8 +112,9 @@ class GeometryBuffer:
         return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
-def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame: of the pixels ``wanted`` (rows, cols)."""
+def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
+    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols)."""
+    wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step

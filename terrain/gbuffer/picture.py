@@ -71,7 +71,7 @@ def geometry_of(
     frame = frame or frame_of(scene, view)
     if isinstance(view, PerspectiveView):
         return buffer_of(scene, view, RasterisedView(scene, view, frame, max_triangles))
-    return _map_buffer(scene, view, frame, np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted)
+    return _map_buffer(scene, view, frame, wanted)
 
 
 class Unresolved(Protocol):
@@ -162,7 +162,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
     )  # fmt: skip
 
 
-def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray) -> GeometryBuffer:
+def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray | None) -> GeometryBuffer:
     geometry = column_geometry if scene.elevation.surface == "blocks" else map_geometry
     buffer = geometry(scene.surface(view.grid), view, frame, wanted)
     image = imagery_of(scene)
@@ -194,7 +194,9 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarr
         buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
-    resolve_map(np.where(wanted, seen.number, 0), solid_parts, tree_parts, seen.albedo_root, points)
+    resolve_map(
+        seen.number if wanted is None else np.where(wanted, seen.number, 0), solid_parts, tree_parts, seen.albedo_root, points
+    )
     return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
 
 
