@@ -17,7 +17,7 @@ from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at
-from terrain.casters.reach import casters_in_sun, casters_of
+from terrain.casters.reach import NO_CASTERS, casters_in_sun, casters_of
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.gbuffer.covered_nodes import (
     WIDE_M,
@@ -109,9 +109,10 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -
     if not own.there.any():  # the plan's passes have nothing to do, and do it
         return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
     for window in _parts(pixels, own):
-        part = _part(view, window)
+        part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
         nodes = pixels.nodes(part)
-        there, filled = _of_bare_nodes(pixels, nodes, log) if pixels.bare else _of_points(pixels, nodes, log)
+        seen = _of_bare_nodes(pixels, nodes, beside, log) if pixels.bare else _of_points(pixels, nodes, beside, log)
+        there, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
                 means = means_in_pixels(part, nodes, values, there)
@@ -153,13 +154,25 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer) -> Iterator[PixelWindow]:
             todo.append((half, window[1]) if axis == 0 else (window[0], half))
 
 
-def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def looks_beside(plan: Plan, own: GeometryBuffer, window: PixelWindow) -> bool:
+    """Whether ground beside a part of a map's block is looked for. Without the effect ``outside_casters`` only where the block
+    shows more than the part: one part of it casts on another.
+    """
+    return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
+
+
+def caster_pass(plan: Plan) -> str:
+    """The pass in which it is looked for: one that the plan has."""
+    return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
+
+
+def _of_bare_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show ground, and the sun's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        patches = casters_in_sun(scene, nodes)
+    with log.run(caster_pass(plan)):
+        patches = casters_in_sun(scene, nodes) if beside else ()
     lit = np.ones(nodes.shown.shape, np.bool_)
     for step in plan.steps_under(SUN):
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
@@ -168,13 +181,13 @@ def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[n
     return nodes.shown, {SUN: lit}
 
 
-def _of_points(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def _of_points(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show a surface, and each light's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         buffer = geometry_of(scene, view)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        casters = casters_of(scene, buffer)
+    with log.run(caster_pass(plan)):
+        casters = casters_of(scene, buffer) if beside else NO_CASTERS
     return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
 
 

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from shadows.coarse_pixels import halved_pixels, mean_visibilities
-from shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
+from shadows.coarse_pixels import caster_pass, halved_pixels, looks_beside, mean_visibilities
+from shadows.passes import GEOMETRY_PASS, PassLog
 from shadows.plan import Plan
 from shadows.visibility import visibilities_at
-from terrain.casters.reach import casters_of
+from terrain.casters.reach import NO_CASTERS, casters_of
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import SIDE, MultisampledBuffer
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -69,7 +69,10 @@ def _edge_sampled(
     for down, right in _parts(edges):
         part = edges[down, right]
         pixels.append(np.argwhere(part) + [down.start, right.start])
-        found.append(_samples(scene, plan, own, view.part(down.start, right.start, *part.shape), part, log))
+        finer = _finer(scene, own, view.part(down.start, right.start, *part.shape), part, log)
+        with log.run(caster_pass(plan)):
+            casters = casters_of(scene, finer) if looks_beside(plan, own, (down, right)) else NO_CASTERS
+        found.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
     if not found:
         return MultisampledBuffer(own, view.rows), visibilities
     row, col = np.concatenate(pixels).T
@@ -77,7 +80,7 @@ def _edge_sampled(
     missing = ~arrays["there"]  # beside the ground's rim: there the pixel's own point counts again
     differ = arrays["kind"] != own.kind[row, col][:, None]
     for light, visibility in visibilities.items():
-        differ |= np.abs(arrays[light] - visibility[row, col][:, None]) > EDGE
+        differ |= arrays[light] != visibility[row, col][:, None]
     ends = (differ & ~missing).any(axis=1)
     row, col, missing, arrays = row[ends], col[ends], missing[ends], {name: value[ends] for name, value in arrays.items()}
     if not len(row):
@@ -113,15 +116,19 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
                 yield down, right
 
 
-def _samples(scene: Scene, plan: Plan, own: GeometryBuffer, view: MapView, edges: np.ndarray, log: PassLog) -> Arrays:
-    """What shading takes of the samples of a part's pixels, each array (pixels, ``EACH``, ...), and each light's visibility."""
+def _finer(scene: Scene, own: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
+    """The samples of some of a part's pixels."""
     with log.run(GEOMETRY_PASS):
         wanted = np.repeat(np.repeat(edges, SIDE, axis=0), SIDE, axis=1)
-        buffer = geometry_of(scene, view.finer(SIDE), own.frame, wanted=wanted)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        casters = casters_of(scene, buffer)
+        return geometry_of(scene, part.finer(SIDE), own.frame, wanted=wanted)
+
+
+def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
+    """What shading takes of the samples of some of a part's pixels, each array (pixels, ``EACH``, ...), and each light's
+    visibility.
+    """
     arrays = {name: value for name in SHADED_BY if (value := getattr(buffer, name)) is not None}
-    arrays.update(visibilities_at(scene, plan, buffer, casters, log))
+    arrays.update(visibilities)
     row, col = np.nonzero(edges)
     places = [(row * SIDE + k // SIDE, col * SIDE + k % SIDE) for k in range(EACH)]
     return {name: np.stack([value[place] for place in places], axis=1) for name, value in arrays.items()}

@@ -125,6 +125,25 @@ def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
     assert away.mean() < 1e-3 and (away > 1e-6).mean() < 0.02
 
 
+@pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
+@pytest.mark.parametrize("pixels", [8, 64], ids=["coarse", "fine"])
+def test_ground_outside_casts_where_the_plan_runs_that_effect(gl, tmp_path, pixels, algorithm):
+    """A ridge 19.5 m high and 15.5 m beside the window, under a sun 45 degrees high: its shadow ends 4 m inside."""
+    heights = np.zeros((SIDE, 2 * SIDE), np.float32)
+    heights[:, SIDE + 15] = 19.5
+    write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
+    shares = {}
+    for wish in ("on", "off"):
+        sun, effects = {"azimuth": 90.0, "altitude": 45.0}, {"outside_casters": wish}
+        keys = {"version": 1, "terrain": {"source": "dem.tif"}, "sun": sun, "effects": effects}
+        (tmp_path / "level.yaml").write_text(json.dumps(keys), encoding="utf-8")
+        scene = build_scene(load_level(tmp_path / "level.yaml"))
+        frame = render(scene, view_of(scene, pixels), algorithm=algorithm)
+        shares[wish] = float(frame.shown_visibilities["sun"].mean())
+        assert shares[wish] == pytest.approx(float(frame.visibility.mean()), abs=0.01)
+    assert shares == {"on": pytest.approx(1.0 - 4.0 / SIDE, abs=0.01), "off": 1.0}
+
+
 def around_middle(scene, zoom: int) -> MapView:
     """96 x 96 pixels of zoom 9, or the same ground in pixels of another one."""
     grid, side = tile_grid(MERCATOR, 9), 96
@@ -139,7 +158,7 @@ def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     pixels = coarse_pixels(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.bare
     nodes = pixels.nodes(view)
-    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, PassLog()), _of_points(pixels, nodes, PassLog())
+    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, True, PassLog()), _of_points(pixels, nodes, True, PassLog())
     np.testing.assert_array_equal(shown, there)
     assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
 
