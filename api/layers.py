@@ -46,6 +46,9 @@ class Pictured(Protocol):
     def visibility(self) -> np.ndarray: ...
 
     @property
+    def opacity(self) -> np.ndarray: ...
+
+    @property
     def there(self) -> np.ndarray: ...
 
     @property
@@ -86,7 +89,7 @@ def _color(frame: Pictured) -> np.ndarray:
 def _shadow(frame: Pictured) -> np.ndarray:
     """RGBA: black, alpha = 1 - visibility, transparent where there is no surface."""
     out = np.zeros((*frame.there.shape, 4), np.uint8)
-    out[..., 3] = np.rint(255.0 * (1.0 - np.where(frame.there, frame.visibility, 1.0)))
+    out[..., 3] = frame.opacity
     return out
 
 

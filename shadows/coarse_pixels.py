@@ -17,7 +17,7 @@ from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at
-from terrain.casters.reach import casters_in_sun, casters_of
+from terrain.casters.reach import NO_CASTERS, casters_in_sun, casters_of
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.gbuffer.covered_nodes import (
     WIDE_M,
@@ -26,11 +26,13 @@ from terrain.gbuffer.covered_nodes import (
     is_bare,
     largest_in_pixels,
     means_in_pixels,
+    pieces_grid,
 )
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, Grid, MapView
+from terrain.ground.surface import map_pixel_m
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
@@ -45,18 +47,19 @@ Visibilities = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class CoarsePixels:
-    """The pixels of a coarse map under a plan: cut into 2**``halvings`` a side; ``bare`` if heights alone say what is seen."""
+    """The pixels of a map under a plan, which show means over nodes of a finer ``grid``, about ``per_pixel`` of them a side.
+    ``bare``: heights alone say what is seen.
+    """
 
     scene: Scene
     plan: Plan
-    halvings: int
+    grid: Grid
+    per_pixel: int
     bare: bool
 
     def nodes(self, view: MapView) -> MapView:
         """The nodes that some pixels cover."""
-        found = covered_nodes(self.scene, view)
-        assert found is not None
-        return found
+        return covered_nodes(view, self.grid)
 
     def most_at_once(self, nodes: MapView) -> tuple[int, int]:
         """Most nodes that are seen to at a time, in all and along a side."""
@@ -77,9 +80,22 @@ def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     count = halvings(scene, view)
     if count == 0:
         return None
-    steps = plan.steps
-    bare = is_bare(scene) and scene.sun_is_up and all(ALGORITHMS[step.algorithm].node_fill(step.settings) for step in steps)
-    return CoarsePixels(scene, plan, count, bare)
+    return CoarsePixels(scene, plan, pieces_grid(view, count), 2**count, bare=_heights_say_all(scene, plan))
+
+
+def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | None:
+    """How the pixels of a map that is not coarse show means over nodes half a pixel apart, their own among them, so that edges are
+    anti-aliased; ``None`` where heights alone do not say what is seen.
+    """
+    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= WIDE_M
+    if not (narrow and plan.steps and _heights_say_all(scene, plan)):
+        return None
+    return CoarsePixels(scene, plan, view.grid.refined(), 2, bare=True)
+
+
+def _heights_say_all(scene: Scene, plan: Plan) -> bool:
+    fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
+    return is_bare(scene) and scene.sun_is_up and all(fills)
 
 
 def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -> Visibilities:
@@ -93,9 +109,10 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -
     if not own.there.any():  # the plan's passes have nothing to do, and do it
         return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
     for window in _parts(pixels, own):
-        part = _part(view, window)
+        part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
         nodes = pixels.nodes(part)
-        there, filled = _of_bare_nodes(pixels, nodes, log) if pixels.bare else _of_points(pixels, nodes, log)
+        seen = _of_bare_nodes(pixels, nodes, beside, log) if pixels.bare else _of_points(pixels, nodes, beside, log)
+        there, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
                 means = means_in_pixels(part, nodes, values, there)
@@ -137,13 +154,25 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer) -> Iterator[PixelWindow]:
             todo.append((half, window[1]) if axis == 0 else (window[0], half))
 
 
-def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def looks_beside(plan: Plan, own: GeometryBuffer, window: PixelWindow) -> bool:
+    """Whether ground beside a part of a map's block is looked for. Without the effect ``outside_casters`` only where the block
+    shows more than the part: one part of it casts on another.
+    """
+    return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
+
+
+def caster_pass(plan: Plan) -> str:
+    """The pass in which it is looked for: one that the plan has."""
+    return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
+
+
+def _of_bare_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show ground, and the sun's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
-        nodes = bare_nodes(scene, view, 2**pixels.halvings)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        patches = casters_in_sun(scene, nodes)
+        nodes = bare_nodes(scene, view, pixels.per_pixel)
+    with log.run(caster_pass(plan)):
+        patches = casters_in_sun(scene, nodes) if beside else ()
     lit = np.ones(nodes.shown.shape, np.bool_)
     for step in plan.steps_under(SUN):
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
@@ -152,13 +181,13 @@ def _of_bare_nodes(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[n
     return nodes.shown, {SUN: lit}
 
 
-def _of_points(pixels: CoarsePixels, view: MapView, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def _of_points(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show a surface, and each light's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         buffer = geometry_of(scene, view)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        casters = casters_of(scene, buffer)
+    with log.run(caster_pass(plan)):
+        casters = casters_of(scene, buffer) if beside else NO_CASTERS
     return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
 
 

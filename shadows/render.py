@@ -11,6 +11,7 @@ import numpy as np
 from shadows.coarse_pixels import coarse_pixels, mean_visibilities
 from shadows.executed_effects import executed_effects
 from shadows.layer_collector import LayerCollector
+from shadows.map_edges import anti_aliased
 from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
@@ -42,9 +43,9 @@ BAND_PIXELS = 2**21
 class Frame:
     """A rendered view. Arrays are (rows, cols, ...), row 0 the upper (in a map the northern) one.
 
-    ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``height_m`` float32
-    likewise; ``position_frame_m`` float64 (rows, cols, 3) of a perspective view in ``frame``, ``None`` in a map; ``passes`` what
-    really ran.
+    ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``shown_visibilities`` the
+    same with a map's edges anti-aliased, as ``color`` has them; ``height_m`` float32 likewise; ``position_frame_m`` float64
+    (rows, cols, 3) of a perspective view in ``frame``, ``None`` in a map; ``passes`` what really ran.
     ``layers`` are the intermediate pictures that were asked for, by layer and light (``shadows.passes``).
     """
 
@@ -52,6 +53,7 @@ class Frame:
     plan: Plan
     color: np.ndarray
     visibilities: dict[str, np.ndarray]
+    shown_visibilities: dict[str, np.ndarray]
     height_m: np.ndarray
     position_frame_m: np.ndarray | None
     frame: LocalFrame | None
@@ -63,6 +65,12 @@ class Frame:
     def visibility(self) -> np.ndarray:
         """Visibility of the first light: the sun, where there is one."""
         return next(iter(self.visibilities.values()))
+
+    @property
+    def opacity(self) -> np.ndarray:
+        """Opacity (rows, cols) uint8 of the first light's shadow as it is shown; 0 where there is no surface."""
+        shown = next(iter(self.shown_visibilities.values()))
+        return np.rint(255.0 * (1.0 - np.where(self.there, shown, 1.0))).astype(np.uint8)
 
     @cached_property
     def position_earth_m(self) -> np.ndarray | None:
@@ -92,7 +100,8 @@ class Frame:
             return self
         if light not in self.visibilities:
             raise InputError("light", light, ", ".join(self.visibilities))
-        return replace(self, visibilities={light: self.visibilities[light], **self.visibilities})
+        seen, shown = ({light: values[light], **values} for values in (self.visibilities, self.shown_visibilities))
+        return replace(self, visibilities=seen, shown_visibilities=shown)
 
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
@@ -116,8 +125,8 @@ def render_frame(
 ) -> Frame:
     """Execute a plan and keep the intermediate ``layers``; ``on_block(done, total)`` is called after each block.
 
-    Pixels of a coarse map show the means of the ground that they cover (``shadows.coarse_pixels``), or, as ``pixels_show`` says,
-    their own points, by which accuracy is measured.
+    Pixels of a coarse map show the means of the ground that they cover (``shadows.coarse_pixels``), and edges in other maps are
+    anti-aliased (``shadows.map_edges``); or, as ``pixels_show`` says, pixels show their own points, by which accuracy is measured.
 
     Raises ``UnsupportedError`` for a layer that the plan's algorithms do not have, ``RenderError`` where the work fails or
     where other passes ran than the plan lists.
@@ -127,7 +136,7 @@ def render_frame(
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
     size = view.rows, view.cols
     color = np.zeros((*size, 3), np.uint8)
-    visibilities = {light: np.full(size, np.nan, np.float32) for light in plan.lights}
+    visibilities, shown = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
     height = np.full(size, np.nan, np.float32)
     position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
     log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), LayerCollector(size)
@@ -145,8 +154,9 @@ def render_frame(
             slice(frame_window[1].start - col, frame_window[1].stop - col),
         )
         color[frame_window], height[frame_window] = block.color[block_window], block.height_m[block_window]
-        for light, frame_visibility in visibilities.items():
-            frame_visibility[frame_window] = block.visibilities[light][block_window]
+        for light in plan.lights:
+            visibilities[light][frame_window] = block.visibilities[light][block_window]
+            shown[light][frame_window] = block.shown_visibilities[light][block_window]
         if position is not None and block.position_frame_m is not None:
             position[frame_window] = block.position_frame_m[block_window]
         kept.add(log.take(), frame_window, block_window)
@@ -155,7 +165,7 @@ def render_frame(
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     passes = tuple(log.records.values())
-    return Frame(view, plan, color, visibilities, height, position, block.frame, passes, reach, kept.whole)
+    return Frame(view, plan, color, visibilities, shown, height, position, block.frame, passes, reach, kept.whole)
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
@@ -193,20 +203,25 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
         visibilities = visibilities_at(scene, plan, buffer, casters, log)
     else:
         visibilities = mean_visibilities(pixels, own_pixels, log)
-    block = ShadingBlock(scene, view, buffer, visibilities)
+    seen = visibilities
+    if isinstance(view, MapView) and pixels is None and pixels_show == "means":
+        picture, seen = anti_aliased(scene, plan, own_pixels, visibilities, log)
+    block = ShadingBlock(scene, view, picture.buffer, seen)
     linear = _shaded(block, plan, log)
     with log.run(SHADING_PASS):
         if not isinstance(view, MapView):
             _put_sky(scene, view, picture, linear)
     _run_parts("color", {"color": linear}, block, plan, log)
     with log.run(SHADING_PASS):
-        if not isinstance(view, MapView):
-            linear = picture.averaged(linear)
-        for light, visibility in visibilities.items():
-            visibilities[light] = np.where(own_pixels.there, visibility[: view.rows], np.float32(np.nan))
-        color = srgb_encoded(linear)
+        color = srgb_encoded(picture.averaged(linear))
+        there, missing = own_pixels.there, np.float32(np.nan)
+        visibilities = {light: np.where(there, values[: view.rows], missing) for light, values in visibilities.items()}
+        shown = visibilities
+        if isinstance(view, MapView):
+            means = {light: picture.averaged(values[..., None])[..., 0] for light, values in seen.items()}
+            shown = {light: np.where(there, values, missing) for light, values in means.items()}
     position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
-    return Frame(view, plan, color, visibilities, own_pixels.height_m, position, frame, (), casters.reach)
+    return Frame(view, plan, color, visibilities, shown, own_pixels.height_m, position, frame, (), casters.reach)
 
 
 def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:

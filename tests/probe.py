@@ -53,8 +53,9 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             continue
         side = BLOCK_PX
         block = RenderedBlock(
-            np.zeros((side, side, 3), np.uint8), np.full((side, side), 0.25, np.float32), "{}", said, (), 0.0, 0.0, False, "told"
-        )
+            np.zeros((side, side, 3), np.uint8), np.full((side, side), 0.25, np.float32), np.full((side, side), 191, np.uint8),
+            "{}", said, (), 0.0, 0.0, False, "told",
+        )  # fmt: skip
         if isinstance(job, BlockJob):
             pipe.send(block)
         else:

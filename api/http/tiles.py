@@ -55,8 +55,9 @@ def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
     """A tile without a surface."""
     side = tiles * TILE_PX
     nothing = RenderedBlock(
-        np.zeros((side, side, 3), np.uint8), np.full((side, side), np.nan, np.float32), "", "none", (), 0.0, 0.0, False, ""
-    )
+        np.zeros((side, side, 3), np.uint8), np.full((side, side), np.nan, np.float32), np.zeros((side, side), np.uint8),
+        "", "none", (), 0.0, 0.0, False, "",
+    )  # fmt: skip
     return encode(picture_layer(nothing, layer), layer, format)
 
 

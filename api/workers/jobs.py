@@ -151,7 +151,8 @@ class Ready:
 
 @dataclass(frozen=True, eq=False)
 class RenderedBlock:
-    """A finished block: ``color`` (rows, cols, 3) uint8, ``visibility`` (rows, cols) float32, NaN off the surface.
+    """A finished block: ``color`` (rows, cols, 3) uint8, ``visibility`` (rows, cols) float32, NaN off the surface,
+    ``opacity`` (rows, cols) uint8 of the shadow as it is shown.
 
     ``plan_json`` is the plan, ``headline`` its algorithms as in overrides; ``passes`` are names with milliseconds;
     the caster reach is in metres; ``renderer`` drew it, by plans of a ``calibration`` (its digest).
@@ -159,6 +160,7 @@ class RenderedBlock:
 
     color: np.ndarray
     visibility: np.ndarray
+    opacity: np.ndarray
     plan_json: str
     headline: str
     passes: tuple[tuple[str, float], ...]
@@ -178,12 +180,12 @@ class RenderedBlock:
     def part(self, row: int, col: int, side: int) -> RenderedBlock:
         """The square part of a block whose first pixel is (row, col)."""
         pixels = slice(row, row + side), slice(col, col + side)
-        return replace(self, color=self.color[pixels], visibility=self.visibility[pixels])
+        return replace(self, color=self.color[pixels], visibility=self.visibility[pixels], opacity=self.opacity[pixels])
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        return self.color.nbytes + self.visibility.nbytes
+        return self.color.nbytes + self.visibility.nbytes + self.opacity.nbytes
 
 
 @dataclass(frozen=True, eq=False)

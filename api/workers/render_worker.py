@@ -172,8 +172,9 @@ def run_job(job: Job, state: WorkerState) -> Result:
             plan = _plan_of_tiles(job, scene, state)
             frame = render_frame(scene, block_view(job), plan)
             return RenderedBlock(
-                color=frame.color, visibility=frame.visibility, plan_json=plan.model_dump_json(), **_facts(frame, state)
-            )
+                color=frame.color, visibility=frame.visibility, opacity=frame.opacity, plan_json=plan.model_dump_json(),
+                **_facts(frame, state),
+            )  # fmt: skip
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)

@@ -1,4 +1,4 @@
-"""Anti-aliased pictures of perspective views: more samples in every pixel where something ends, one elsewhere.
+"""Anti-aliased pictures: more samples in every pixel where something ends, one elsewhere.
 
 The samples are rows of pixels below the picture's own in one buffer, so that algorithms fill them like any others.
 """
@@ -53,9 +53,14 @@ class MultisampledBuffer:
     each: int = len(EVERY)
 
     @property
+    def sampled(self) -> bool:
+        """Whether any pixels have samples."""
+        return len(self.pixels[0]) > 0
+
+    @property
     def own(self) -> GeometryBuffer:
         """The picture's own pixels alone."""
-        if not len(self.pixels[0]):
+        if not self.sampled:
             return self.buffer
         shape = self.buffer.there.shape
         changes: dict[str, Any] = {}
@@ -96,7 +101,9 @@ def samples_per_pixel(edge_share: float) -> float:
 
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
-    """The buffer that a view (a block, if it is a map) is drawn from: a map's pixels are not sampled further."""
+    """The buffer that a view (a block, if it is a map) is drawn from. Where edges run in a map only its shadows tell: samples come
+    later (``shadows.map_edges``).
+    """
     return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
 

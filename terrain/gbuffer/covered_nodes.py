@@ -17,13 +17,13 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, Grid, MapView
 from terrain.ground.surface import map_pixel_m
 from terrain.level.level import SUN
 from terrain.scene import Scene
 
 PixelsShow = Literal["means", "points"]
-"""What pixels of a coarse map show: the means of what they cover, or their own points, by which accuracy is measured."""
+"""What a map's pixels show: means of what they cover, or their own points, by which accuracy is measured."""
 
 MOST_BARE_NODES = 16 * BLOCK_PX**2
 """Most nodes in a block of tiles on bare ground under the sun alone, where heights say all: 4 x 4 in a pixel of a block that is
@@ -67,15 +67,16 @@ def halvings(scene: Scene, view: MapView) -> int:
     return count
 
 
-def covered_nodes(scene: Scene, view: MapView) -> MapView | None:
-    """The nodes of a finer grid that a map's pixels cover, as pixels of a view; ``None`` where pixels go by their own points."""
-    count = halvings(scene, view)
-    if count == 0:
-        return None
+def pieces_grid(view: MapView, count: int) -> Grid:
+    """The grid whose nodes are the middles of a map's pixels' pieces, if pixels are halved so many times."""
     own = np.log2(np.sqrt(view.row_step * view.col_step))  # pixels may be larger than their grid's
-    grid = view.grid.subdivided(max(int(np.rint(count - own)), 0))
+    return view.grid.subdivided(max(int(np.rint(count - own)), 0))
+
+
+def covered_nodes(view: MapView, grid: Grid) -> MapView:
+    """The nodes of a finer grid that a map's pixels cover, as pixels of a view."""
     ends = []
-    for sides in _sides(view, view.grid.step / grid.step):
+    for sides in _sides(view, grid):
         first, last = int(np.floor(sides[0] + ON_SIDE)), int(np.ceil(sides[-1] - ON_SIDE))
         ends.append((first, last - first))
     (row0, rows), (col0, cols) = ends
@@ -84,17 +85,21 @@ def covered_nodes(scene: Scene, view: MapView) -> MapView | None:
 
 def drawn_view(scene: Scene, view: MapView | PerspectiveView, pixels_show: PixelsShow = "means") -> MapView | PerspectiveView:
     """The view whose pixels' visibility is filled for a view: of a coarse map the nodes that it covers, of any other itself."""
-    covered = covered_nodes(scene, view) if isinstance(view, MapView) and pixels_show == "means" else None
-    return covered or view
+    count = halvings(scene, view) if isinstance(view, MapView) and pixels_show == "means" else 0
+    return covered_nodes(view, pieces_grid(view, count)) if isinstance(view, MapView) and count else view
 
 
-def _sides(view: MapView, nodes_per_step: float) -> tuple[np.ndarray, np.ndarray]:
+def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Where the sides of a map's pixels lie across the rows (rows + 1,) and columns (cols + 1,) of squares, one round each node of
-    a subdivided grid: node n has the square from n to n + 1.
+    a finer grid: node n has the square from n to n + 1. The nodes of the map's own grid are among its nodes, or half-way between.
     """
-    steps = float(np.rint(nodes_per_step))
+    steps = float(np.rint(view.grid.step / grid.step))
+    offsets = (view.grid.y0 - grid.y0) / grid.step, (grid.x0 - view.grid.x0) / grid.step
     axes = (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
-    row, col = ((first + (np.arange(count + 1) - 0.5) * step + 0.5) * steps for first, step, count in axes)
+    row, col = (
+        (first + (np.arange(count + 1) - 0.5) * step) * steps - np.rint(2.0 * offset) / 2.0 + 0.5
+        for (first, step, count), offset in zip(axes, offsets, strict=True)
+    )
     return row, col
 
 
@@ -109,7 +114,7 @@ def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.n
 
 
 def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
-    row, col = _sides(view, view.grid.step / nodes.grid.step)
+    row, col = _sides(view, nodes.grid)
     return row - nodes.row0, col - nodes.col0
 
 

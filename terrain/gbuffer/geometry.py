@@ -112,8 +112,9 @@ class GeometryBuffer:
         return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
-def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame."""
+def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
+    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols)."""
+    wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step
@@ -125,7 +126,7 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> Geometry
     sheet, smooth = window.sheet, _smooth_normals(window.position_frame_m, reach)
     row, col = row - row0, col - col0
     there, position, height, normal, shading, crease, triangle = map_points(
-        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col
+        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, wanted
     )
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # Where the grid's nodes are about the raster's, or wider apart, a pixel on one has no triangle of its own.

@@ -13,14 +13,18 @@ from terrain.ground.columns import columns_under
 from terrain.ground.surface import Surface
 
 
-def column_geometry(surface: Surface, view: MapView, frame: LocalFrame) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame. Raises ``UnsupportedError``."""
+def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
+    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
+
+    Raises ``UnsupportedError``.
+    """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
     columns, seen = columns_under(surface, row, col, frame)
-    kind = np.where(seen.there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
+    there = seen.there if wanted is None else seen.there & wanted
+    kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     return GeometryBuffer(
-        view, frame, seen.there, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
-        np.zeros(seen.there.shape, np.float32), kind, columns=columns,
+        view, frame, there, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
+        np.zeros(there.shape, np.float32), kind, columns=columns,
     )  # fmt: skip
 
 

@@ -12,10 +12,11 @@ ON_EDGE = 1e-6
 
 
 @compiled
-def map_points(position, height, shown, falls, faces, smooth, row, col):
+def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
     """The points of pixel centres at (fractional) rows and columns of a sheet of nodes, and what a geometry buffer has of them.
 
-    A pixel shows a surface where the nearest node does (one of them, half-way between), and where it lies on a triangle.
+    A pixel that is wanted shows a surface where the nearest node does (one of them, half-way between), and where it lies on a
+    triangle.
     """
     rows, cols = row.size, col.size
     there = np.zeros((rows, cols), np.bool_)
@@ -28,7 +29,7 @@ def map_points(position, height, shown, falls, faces, smooth, row, col):
     found = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
-            if not _nearest_shown(shown, row[i], col[j]):
+            if not (wanted[i, j] and _nearest_shown(shown, row[i], col[j])):
                 continue
             count = facets_at(faces, falls, row[i], col[j], found)
             if count == 0:

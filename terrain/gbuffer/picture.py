@@ -58,13 +58,20 @@ def frame_of(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
 
 
 def geometry_of(
-    scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None, max_triangles: int = MAX_GROUND_TRIANGLES
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    frame: LocalFrame | None = None,
+    max_triangles: int = MAX_GROUND_TRIANGLES,
+    wanted: np.ndarray | None = None,
 ) -> GeometryBuffer:
-    """The geometry buffer of a view (of a block, if it is a map). Raises ``GraphicsError``."""
+    """The geometry buffer of a view (of a block, if it is a map). Of a map, only the pixels ``wanted`` (rows, cols) show anything.
+
+    Raises ``GraphicsError``.
+    """
     frame = frame or frame_of(scene, view)
     if isinstance(view, PerspectiveView):
         return buffer_of(scene, view, RasterisedView(scene, view, frame, max_triangles))
-    return _map_buffer(scene, view, frame)
+    return _map_buffer(scene, view, frame, wanted)
 
 
 class Unresolved(Protocol):
@@ -155,9 +162,9 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
     )  # fmt: skip
 
 
-def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffer:
+def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray | None) -> GeometryBuffer:
     geometry = column_geometry if scene.elevation.surface == "blocks" else map_geometry
-    buffer = geometry(scene.surface(view.grid), view, frame)
+    buffer = geometry(scene.surface(view.grid), view, frame, wanted)
     image = imagery_of(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
@@ -187,7 +194,9 @@ def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame) -> GeometryBuffe
         buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
-    resolve_map(seen.number, solid_parts, tree_parts, seen.albedo_root, points)
+    resolve_map(
+        seen.number if wanted is None else np.where(wanted, seen.number, 0), solid_parts, tree_parts, seen.albedo_root, points
+    )
     return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
 
 

@@ -37,13 +37,18 @@ FloatOrArray = TypeVar("FloatOrArray", float, np.ndarray)
 
 @dataclass(frozen=True)
 class Grid:
-    """A world-fixed lattice of samples in a CRS. ``stretch`` is its step in y over that in x: 1 but for rasters' own cells."""
+    """A world-fixed lattice of samples in a CRS.
+
+    ``stretch`` is its step in y over that in x: 1 but for rasters' own cells. A grid that ``refines`` another so many times has the
+    very surface of that one: its nodes lie on the coarser one's quads.
+    """
 
     crs: CRS
     x0: float
     y0: float
     step: float
     stretch: float = 1.0
+    refines: int = 0
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
         """x of a (fractional) column, in CRS units."""
@@ -63,11 +68,15 @@ class Grid:
 
     def coarser(self, level: int) -> Grid:
         """The grid of every 2**level-th node."""
-        return replace(self, step=self.step * 2**level)
+        return replace(self, step=self.step * 2**level, refines=max(self.refines - level, 0))
 
     def finer(self, level: int) -> Grid:
         """The grid with 2**level times as many nodes a side, those of this one among them."""
         return replace(self, step=self.step / 2**level)
+
+    def refined(self) -> Grid:
+        """The grid of the same surface with twice as many nodes a side, those of this one among them."""
+        return replace(self, step=self.step / 2, refines=self.refines + 1)
 
     def subdivided(self, level: int) -> Grid:
         """The grid whose pixels are this one's cut into 2**level a side: of a tile matrix that of the matrix ``level`` zooms on."""

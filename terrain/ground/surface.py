@@ -129,6 +129,11 @@ class Surface:
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) of a window's nodes, and where there is a surface."""
+        if self.grid.refines:
+            coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
+            last_row, last_col = (row0 + rows) // 2, (col0 + cols) // 2
+            height, there = coarser.heights(row0 // 2, col0 // 2, last_row - row0 // 2 + 1, last_col - col0 // 2 + 1)
+            return _refined(height, there, row0 % 2, col0 % 2, rows, cols)
         stride = self.stride
         exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
         cell = self.cells_of(x, y)
@@ -194,6 +199,24 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 def map_pixel_m(world: World, view: MapView) -> float:
     """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
     return step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+
+
+@compiled
+def _refined(height, there, row0, col0, rows, cols):
+    """Heights and where there is a surface (rows, cols) at nodes, their quads' middles and the middles of their sides, from (row0,
+    col0) on, 0 or 1. Quads are cut along their higher diagonals (``terrain.ground.sheet``).
+    """
+    out = np.empty((rows, cols), np.float32)
+    shown = np.empty((rows, cols), np.bool_)
+    for i in range(rows):
+        top, bottom = (row0 + i) // 2, (row0 + i + 1) // 2
+        for j in range(cols):
+            left, right = (col0 + j) // 2, (col0 + j + 1) // 2
+            falling = 0.5 * (np.float64(height[top, left]) + height[bottom, right])
+            rising = 0.5 * (np.float64(height[top, right]) + height[bottom, left])
+            out[i, j] = rising if rising > falling or np.isnan(falling) else falling
+            shown[i, j] = (there[top, left] and there[bottom, right]) or (there[top, right] and there[bottom, left])
+    return out, shown
 
 
 @compiled

@@ -13,7 +13,7 @@ from shadows.coarse_pixels import _of_bare_nodes, _of_points, coarse_pixels
 from shadows.passes import PassLog
 from shadows.render import render_frame
 from terrain.describe import describe
-from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels
+from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels, pieces_grid
 from terrain.geo.grid import Grid, MapView, tile_grid
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
@@ -81,7 +81,7 @@ def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
     for pixels in (64, 128, 50):
         view = view_of(ridges, pixels)
         plan = plan_of(ridges, view, algorithm="sweep")
-        assert covered_nodes(ridges, view) is None and coarse_pixels(ridges, view, plan) is None
+        assert halvings(ridges, view) == 0 and coarse_pixels(ridges, view, plan) is None
         shown, own = (render_frame(ridges, view, plan, pixels_show=show).visibility for show in ("means", "points"))
         np.testing.assert_array_equal(shown, own)
         assert set(np.unique(shown)) == {0.0, 1.0}
@@ -107,7 +107,7 @@ def test_the_descriptor_is_that_of_the_finer_map(ridges):
 
 def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
     view = block_at(-84.25, 36.6, 9)
-    nodes = covered_nodes(jacksboro, view)
+    nodes = covered_nodes(view, pieces_grid(view, halvings(jacksboro, view)))
     grid = tile_grid(MERCATOR, 11)
     assert nodes.rows == 4096 and (nodes.row0, nodes.col0) == (4 * view.row0, 4 * view.col0)
     assert abs(nodes.grid.x0 - grid.x0) < 1e-6 and abs(nodes.grid.y0 - grid.y0) < 1e-6
@@ -125,6 +125,25 @@ def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
     assert away.mean() < 1e-3 and (away > 1e-6).mean() < 0.02
 
 
+@pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
+@pytest.mark.parametrize("pixels", [8, 64], ids=["coarse", "fine"])
+def test_ground_outside_casts_where_the_plan_runs_that_effect(gl, tmp_path, pixels, algorithm):
+    """A ridge 19.5 m high and 15.5 m beside the window, under a sun 45 degrees high: its shadow ends 4 m inside."""
+    heights = np.zeros((SIDE, 2 * SIDE), np.float32)
+    heights[:, SIDE + 15] = 19.5
+    write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
+    shares = {}
+    for wish in ("on", "off"):
+        sun, effects = {"azimuth": 90.0, "altitude": 45.0}, {"outside_casters": wish}
+        keys = {"version": 1, "terrain": {"source": "dem.tif"}, "sun": sun, "effects": effects}
+        (tmp_path / "level.yaml").write_text(json.dumps(keys), encoding="utf-8")
+        scene = build_scene(load_level(tmp_path / "level.yaml"))
+        frame = render(scene, view_of(scene, pixels), algorithm=algorithm)
+        shares[wish] = float(frame.shown_visibilities["sun"].mean())
+        assert shares[wish] == pytest.approx(float(frame.visibility.mean()), abs=0.01)
+    assert shares == {"on": pytest.approx(1.0 - 4.0 / SIDE, abs=0.01), "off": 1.0}
+
+
 def around_middle(scene, zoom: int) -> MapView:
     """96 x 96 pixels of zoom 9, or the same ground in pixels of another one."""
     grid, side = tile_grid(MERCATOR, 9), 96
@@ -139,7 +158,7 @@ def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     pixels = coarse_pixels(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.bare
     nodes = pixels.nodes(view)
-    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, PassLog()), _of_points(pixels, nodes, PassLog())
+    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, True, PassLog()), _of_points(pixels, nodes, True, PassLog())
     np.testing.assert_array_equal(shown, there)
     assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
 

@@ -85,6 +85,6 @@ def _answer(order: str) -> RenderedBlock | PlanAnswer | Failure:
         return PlanAnswer(f'{{"view": "{order}"}}')
     side = BLOCK_PX
     return RenderedBlock(
-        np.zeros((side, side, 3), np.uint8), np.ones((side, side), np.float32), "{}", "none",
+        np.zeros((side, side, 3), np.uint8), np.ones((side, side), np.float32), np.zeros((side, side), np.uint8), "{}", "none",
         (("geometry", 1.0),), 0.0, 0.0, False, RENDERER,
     )  # fmt: skip

@@ -1,0 +1,148 @@
+"""Edges in maps are anti-aliased where they are looked at, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from api.layers import frame_layer
+from shadows import map_edges
+from shadows.map_edges import edge_pixels
+from shadows.render import Frame, render_frame
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import MESHES
+from terrain.geo.grid import MapView
+from terrain.scene import Scene
+from tests.rasters import ENGINEERING
+from tests.render import plan_of, render
+
+SIDE_M = 96
+
+
+@pytest.fixture
+def ridge(write_raster, make_scene) -> Scene:
+    """A straight ridge across a plain, whose shadow's edge is straight and slants through the pixels."""
+    x, y = np.meshgrid(np.arange(SIDE_M) + 0.5, SIDE_M - 0.5 - np.arange(SIDE_M))
+    heights = np.clip(12.0 - np.abs((x - 60.0) * np.cos(0.4) + (y - 48.0) * np.sin(0.4)), 0.0, None)
+    return make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0), 90.0, 20.0)
+
+
+@pytest.fixture
+def tower(write_raster, make_scene, tmp_path) -> Scene:
+    """A white tower, turned, on a plain."""
+    trimesh.creation.box(extents=(17.0, 17.0, 20.0)).export(tmp_path / "tower.obj")
+    meshes = [{"source": "tower.obj", "at": [10, 0], "turn": 17, "color": [0.95, 0.95, 0.95]}]
+    floor = write_raster(np.zeros((SIDE_M, SIDE_M), np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0)
+    return make_scene(floor, 100.0, 40.0, meshes=meshes)
+
+
+def view_of(scene: Scene, pixels: int = SIDE_M) -> MapView:
+    return scene.view(bounds=(0.0, 0.0, float(SIDE_M), float(SIDE_M)), size=(pixels, pixels))
+
+
+def with_points(scene: Scene, view: MapView, **overrides) -> Frame:
+    return render_frame(scene, view, plan_of(scene, view, **overrides), pixels_show="points")
+
+
+def means(values: np.ndarray, side: int) -> np.ndarray:
+    return values.reshape(values.shape[0] // side, side, values.shape[1] // side, side).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize(("pixels", "algorithm"), [
+    (96, "sweep"), (128, "sweep"), (70, "sweep"), (96, "shadow_map"), (96, "shadow_volume"), (96, "hybrid"), (96, "truth"),
+])  # fmt: skip
+def test_what_is_shown_is_the_share_of_the_pixel_that_is_lit(gl, ridge, pixels, algorithm):
+    """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
+    view = view_of(ridge, pixels)
+    frame = render(ridge, view, algorithm=algorithm)
+    exact = means(with_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
+    inside = binary_erosion(frame.height_m < 0.01, iterations=2)  # the plain: the ridge's own rounding is another matter
+    partly = inside & (exact > 0.02) & (exact < 0.98)
+    assert partly.sum() > 80
+    shown, own = frame.shown_visibilities["sun"], frame.visibility
+    error, plain = (np.sqrt(((values - exact)[partly] ** 2).mean()) for values in (shown, own))
+    assert error < 0.6 * plain and error < 0.2 and abs((shown - exact)[partly].mean()) < 0.05
+    plain_px = inside & ~binary_dilation((exact > 0.0) & (exact < 1.0), iterations=2)
+    assert plain_px.sum() > 1000
+    np.testing.assert_array_equal(shown[plain_px], own[plain_px])
+
+
+@pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
+def test_masks_and_values_keep_to_the_pixels_own_points(gl, ridge, algorithm):
+    view = view_of(ridge)
+    shown, points = render(ridge, view, algorithm=algorithm), with_points(ridge, view, algorithm=algorithm)
+    for layer in ("mask", "visibility", "depth"):
+        np.testing.assert_array_equal(frame_layer(ridge, shown, layer), frame_layer(ridge, points, layer))
+    np.testing.assert_array_equal(np.unique(shown.visibility), [0.0, 1.0])
+    between = (shown.opacity > 0) & (shown.opacity < 255)
+    assert 40 < between.sum() < 0.2 * between.size and set(np.unique(points.opacity)) == {0, 255}
+    np.testing.assert_array_equal(frame_layer(ridge, shown, "shadow")[..., 3], shown.opacity)
+    changed = (shown.color != points.color).any(axis=-1)
+    on_plain = between & (shown.height_m < 0.01)
+    assert on_plain.sum() > 40 and changed[on_plain].mean() > 0.95
+    sampled = between if algorithm == "sweep" else edge_pixels(geometry_of(ridge, view), [points.visibility])
+    assert not (changed & ~sampled).any()
+
+
+def test_an_outline_against_the_ground_is_between_its_colours(gl, tower):
+    """The roof stays white inside, and on its rim the picture is a mean of what the pixel covers, its ground among it."""
+    view = view_of(tower)
+    shown, points = render(tower, view, algorithm="shadow_map"), with_points(tower, view, algorithm="shadow_map")
+    fine = geometry_of(tower, view.finer(16)).kind == MESHES
+    share = means(fine.astype(float), 16)
+    rim, roof = (share > 0.2) & (share < 0.8), share == 1.0
+    assert rim.sum() > 30 and roof.sum() > 150
+    low, high = 100, int(points.color[roof].min())
+    red = shown.color[..., 0].astype(int)
+    assert high > 180 and ((red[rim] > low) & (red[rim] < high)).mean() > 0.8
+    inside = ~binary_dilation(~roof, iterations=2)
+    np.testing.assert_array_equal(shown.color[inside], points.color[inside])
+
+
+def test_edges_are_where_classes_or_things_change(ridge):
+    """By hand: beside a pixel whose class or thing differs, across corners too, and along the sides of a block."""
+    buffer = geometry_of(ridge, view_of(ridge, 12))
+    lit = np.ones((12, 12), np.float32)
+    lit[5, 5] = 0.0
+    expected = np.ones((12, 12), bool)
+    expected[1:-1, 1:-1] = False
+    around = expected.copy()
+    around[4:7, 4:7] = True
+    np.testing.assert_array_equal(edge_pixels(buffer, [lit]), around)
+    np.testing.assert_array_equal(edge_pixels(buffer, [np.ones_like(lit), lit]), around)
+    np.testing.assert_array_equal(edge_pixels(buffer, [np.where(lit == 0.0, np.float32(0.6), lit)]), expected)  # a penumbra
+    kind = buffer.kind.copy()
+    kind[5, 5] = MESHES
+    np.testing.assert_array_equal(edge_pixels(replace(buffer, kind=kind), [np.ones_like(lit)]), around)
+    assert not edge_pixels(buffer, []).any()
+    there = buffer.there.copy()
+    there[0] = False
+    assert not edge_pixels(replace(buffer, there=there), [lit])[0].any()
+
+
+def test_an_edge_along_the_border_of_two_blocks(gl, ridge, monkeypatch):
+    """What is shown of a pixel does not depend on the part of a block that its samples are made with."""
+    whole = render(ridge, view_of(ridge), algorithm="shadow_volume")
+    monkeypatch.setattr(map_edges, "PART_PX", 17)
+    parts = render(ridge, view_of(ridge), algorithm="shadow_volume")
+    assert np.abs(whole.color.astype(int) - parts.color).max() <= 1 and (whole.opacity == parts.opacity).mean() > 0.999
+
+
+def test_nothing_is_sampled_where_nothing_ends(gl, write_raster, make_scene):
+    """A plain in the sun: colours, shadows and the drawn triangles are those of its own points but along the sides."""
+    floor = write_raster(np.zeros((SIDE_M, SIDE_M), np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0)
+    scene = make_scene(floor, 100.0, 40.0)
+    frame = render(scene, view_of(scene), algorithm="shadow_map")
+    assert (frame.opacity == 0).all() and np.ptp(frame.color.reshape(-1, 3).astype(int), axis=0).max() <= 1
+
+
+def test_lamps_and_the_sun_each_have_their_own(gl, tower):
+    """What is shown of one light is that of the frame under it alone."""
+    frame = render(tower, view_of(tower), algorithm="shadow_map")
+    again = frame.under("sun")
+    assert list(again.shown_visibilities) == list(again.visibilities) == ["sun"]
+    np.testing.assert_array_equal(again.opacity, frame.opacity)
