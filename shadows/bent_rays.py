@@ -21,17 +21,24 @@ def rays_bend(descriptor: Descriptor) -> bool:
 
 
 def sun_extent_m(descriptor: Descriptor) -> float | None:
-    """How far across the ground is that the sun's rays cross at once, if that is known: a map's block and the way of its longest
-    shadow, in perspective all of the level, whose area follows from the share of it that is seen. A flat world bends nothing.
+    """How far across the ground is that the sun's rays cross at once, if that is known: all of the level, but no more than a map's
+    block and the way of its longest shadow. A flat world bends nothing.
     """
-    seen = descriptor.lights.get(SUN)
     if descriptor.sun_altitude_deg is None:
         return None
     if descriptor.flat_world:
         return 0.0
-    if descriptor.view_kind == "map":
-        return BLOCK_PX * descriptor.pixel_m + longest_shadow_m(descriptor.relief_m, descriptor.sun_altitude_deg)
-    if descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
+    level_m = _level_extent_m(descriptor)
+    if descriptor.view_kind == "perspective":
+        return level_m
+    block_m = BLOCK_PX * descriptor.pixel_m + longest_shadow_m(descriptor.relief_m, descriptor.sun_altitude_deg)
+    return block_m if level_m is None else min(block_m, level_m)
+
+
+def _level_extent_m(descriptor: Descriptor) -> float | None:
+    """The side of a square of a level's area, which follows from the share of it that is seen."""
+    seen = descriptor.lights.get(SUN)
+    if descriptor.sun_altitude_deg is None or descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
         return None
     right_m, up_m, _ = descriptor.receivers_light_m
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))

@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -193,22 +194,23 @@ def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
 
 
 def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
+    drawn = partial(render_frame, pixels_show="points")  # by whose edges nothing more is cast
     view = scene.view(size=(64, 64))
-    whole = render_frame(scene, view, plan_by(scene, view, map_size=4096)).visibility
-    truth = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
+    whole = drawn(scene, view, plan_by(scene, view, map_size=4096)).visibility
+    truth = drawn(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
     assert np.array_equal(whole, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
-    frame = render_frame(scene, view, plan_by(scene, view))
+    frame = drawn(scene, view, plan_by(scene, view))
     assert [record.name for record in frame.passes] == frame.plan.passes
     differs = frame.visibility[frame.there] != truth[frame.there]
     assert 0.0 < differs.mean() < 0.2 and len(cast) == 2
-    again = render_frame(scene, view, plan_by(scene, view))
+    again = drawn(scene, view, plan_by(scene, view))
     assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was kept
 
     (cache,) = (each for each in caches("light") if each.name in ALGORITHM.keeps)
     assert len(cache) > 0
     ALGORITHM.forget()
     assert len(cache) == 0
-    render_frame(scene, view, plan_by(scene, view))
+    drawn(scene, view, plan_by(scene, view))
     assert len(cache) > 0 and len(cast) == 3
     clear_caches("light")
     assert len(cache) == 0

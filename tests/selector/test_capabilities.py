@@ -178,17 +178,15 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
         make_plan(describe(scene, scene.view("map")), scene.loaded.level)
 
 
-WIDE, NARROW = (-86.0, 35.0, -82.5, 37.5), (-84.3, 36.2, -84.25, 36.2375)
-
-
 @pytest.mark.parametrize("asked", ["level", "request"])
-def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, level_file, asked):
+def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, write_raster, make_scene, asked):
     """A level that asks for a sweep has all zooms, and the widest of them are no error."""
-    shadows = {"algorithm": {"relief": "sweep"}} if asked == "level" else {}
-    scene = build_scene(load_level(level_file("earth", forest=[], shadows=shadows)))
-    overrides = {} if asked == "level" else {"algorithm": {"relief": "sweep", "meshes": "shadow_map"}}
-    for bounds, name in ((WIDE, "shadow_map"), (NARROW, "sweep")):
-        view = scene.view(bounds=bounds, size=(40, 30), crs="EPSG:4326")
+    row, col = np.mgrid[:100, :100]
+    raster = write_raster((900.0 * np.sin(row / 3.0) * np.cos(col / 4.0) + 900.0).astype(np.float32), "EPSG:4326", 8.0, 48.0, 0.03)
+    scene = make_scene(raster, 120.0, 4.0, **({"shadows": {"algorithm": {"relief": "sweep"}}} if asked == "level" else {}))
+    overrides = {} if asked == "level" else {"algorithm": "sweep"}
+    for width_deg, name in ((3.0, "shadow_map"), (0.05, "sweep")):
+        view = scene.view(bounds=(9.0, 46.0, 9.0 + width_deg, 46.0 + 0.6 * width_deg), size=(40, 24), crs="EPSG:4326")
         plan = plan_of(scene, view, **overrides)
         assert plan.algorithm["sun"]["relief"] == name
         frame = render_frame(scene, view, plan)
@@ -198,8 +196,12 @@ def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, level_file, a
         assert why == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
         rejected = {each.name: each.reason for each in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
+
+
+def test_what_a_sweep_refuses_is_an_error_however_wide_the_view_is(level_file):
+    wide = build_scene(load_level(level_file("earth")))
     with pytest.raises(UnsupportedError, match="meshes are no heightfield"):
-        plan_of(scene, scene.view(bounds=WIDE, size=(40, 30), crs="EPSG:4326"), algorithm="sweep")
+        plan_of(wide, wide.view("map", size=(12, 12)), algorithm="sweep")
 
 
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):

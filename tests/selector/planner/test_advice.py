@@ -113,7 +113,12 @@ def test_ground_is_swept_as_far_as_rays_are_straight():
     """A block of 1024 pixels and the way of its longest shadow, 50 m / tan 30 degrees and a trifle less on a round earth."""
     fits = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
     for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
-        assert taken(map_over("relief", flat_world=False, pixel_m=pixel_m), "relief") == algorithm
+        wide = map_over(
+            "relief", flat_world=False, pixel_m=pixel_m, receivers_light_m=(2e5, 1e5, 2e5), lights=light(area_share=0.9)
+        )
+        assert taken(wide, "relief") == algorithm
+    small = map_over("relief", flat_world=False, pixel_m=1e4, lights=light(area_share=1.0))
+    assert taken(small, "relief") == "sweep"  # all of the level, in large pixels
     assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
     # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
     seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
