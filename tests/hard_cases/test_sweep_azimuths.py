@@ -79,8 +79,8 @@ def test_seams_throw_nothing(trial: Trial) -> dict[str, float]:
 def test_every_azimuth(trial: Trial) -> dict[str, float]:
     """A pixel is a cell. Off the axes and diagonals lines run between nodes, so that the octants differ.
 
-    At one azimuth of the 360 (74 degrees) a single pixel of 3,614 differs from the rays: the light that grazes it would reach it were
-    the sun 0.002 degrees higher, and by the rays does so already.
+    At one azimuth of the 360 (74 degrees) a single pixel of 3,614 differs from the rays: were the sun 0.002 degrees higher, the
+    sweep would light it, too.
     """
     cells, pixels = 128, 64
     scene = trial.scene(trial.raster(hills(cells, 1200.0, seed=11, rough_m=6.0), UTM, *CORNER_M, CELL_M), (0, 10))
