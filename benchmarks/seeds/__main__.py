@@ -59,7 +59,8 @@ today's devices is a result, too.
 Verdicts follow from the figures, by the condition in brackets. If the deciding figure lies within
 {whole_percent(SAME - 1.0)} of its limit, the claim stays open: a draw. SM, PSM and SV are `shadow_map`,
 `perspective_shadow_map` and `shadow_volume`. Figures such as `wrong_cast`, `false_shadow` and `edge_p95` are those of
-`skugga compare`, against ray-traced truth."""
+`skugga compare`, against ray-traced truth. Figures over ground with relief (`spatialace`, Jacksboro) were measured before the
+rules of shared points, cuts and smooth ground of [accuracy.md](accuracy.md) held."""
 
 
 def main() -> None:
