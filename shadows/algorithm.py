@@ -33,9 +33,9 @@ RayKind = Literal["bent rays"]
 Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind
 """A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground, rays."""
 
-GIVES_WAY_TO: Requirement = "bent rays"
-"""What is no error where an algorithm is asked for by name: ``shadow_map`` takes its place. For it depends on how far one zooms
-out, and a level that asks for a sweep has all zooms.
+FALLS_BACK_FOR: Requirement = "bent rays"
+"""What an algorithm that is asked for by name falls back for, to ``shadow_map``, and is no error. For it depends on how far one
+zooms out, and a level that asks for a sweep has all zooms.
 """
 
 MOST_BEND_PX = 0.25

@@ -18,6 +18,7 @@ from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at
 from terrain.casters.reach import NO_CASTERS, casters_in_sun, casters_of
+from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.gbuffer.covered_nodes import (
     WIDE_M,
@@ -80,7 +81,7 @@ def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     count = halvings(scene, view)
     if count == 0:
         return None
-    return CoarsePixels(scene, plan, pieces_grid(view, count), 2**count, bare=_heights_say_all(scene, plan))
+    return CoarsePixels(scene, plan, pieces_grid(view, count), 2**count, bare=heights_say_all(scene, plan))
 
 
 def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | None:
@@ -88,17 +89,18 @@ def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | Non
     anti-aliased; ``None`` where heights alone do not say what is seen.
     """
     narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= WIDE_M
-    if not (narrow and plan.steps and _heights_say_all(scene, plan)):
+    if not (narrow and plan.steps and heights_say_all(scene, plan)):
         return None
     return CoarsePixels(scene, plan, view.grid.refined(), 2, bare=True)
 
 
-def _heights_say_all(scene: Scene, plan: Plan) -> bool:
+def heights_say_all(scene: Scene, plan: Plan) -> bool:
+    """Whether a plan's steps go by the heights of bare ground alone."""
     fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
     return is_bare(scene) and scene.sun_is_up and all(fills)
 
 
-def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -> Visibilities:
+def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
     """Each light's mean visibility (rows, cols) float32 in the pixels of a map's block; 1 where none of the nodes in a pixel shows
     ground. The layers that are kept are the nodes' means, too; of counts and marks, the largest in a pixel.
     """
@@ -106,7 +108,7 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer, log: PassLog) -
     assert isinstance(view, MapView)
     visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
     layers = LayerCollector(own.there.shape)
-    if not own.there.any():  # the plan's passes have nothing to do, and do it
+    if isinstance(own, GeometryBuffer) and not own.there.any():  # the plan's passes have nothing to do, and do it
         return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
     for window in _parts(pixels, own):
         part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
@@ -131,7 +133,7 @@ def _part(view: MapView, window: PixelWindow) -> MapView:
     return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
-def _parts(pixels: CoarsePixels, own: GeometryBuffer) -> Iterator[PixelWindow]:
+def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
     """The pixels of a block that show a surface, in rectangles whose nodes are seen to at a time."""
     view = own.view
     assert isinstance(view, MapView)
@@ -154,7 +156,7 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer) -> Iterator[PixelWindow]:
             todo.append((half, window[1]) if axis == 0 else (window[0], half))
 
 
-def looks_beside(plan: Plan, own: GeometryBuffer, window: PixelWindow) -> bool:
+def looks_beside(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
     """Whether ground beside a part of a map's block is looked for. Without the effect ``outside_casters`` only where the block
     shows more than the part: one part of it casts on another.
     """

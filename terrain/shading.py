@@ -9,6 +9,7 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
+from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
@@ -65,6 +66,11 @@ OVERCAST_GROUND = 0.56
 
 SHORE_M = 1e-3
 """Ground that is no farther than this from the height of the water is water."""
+
+HIGH_SUN_DEG = 6.01
+"""From here on the sun's altitude changes neither direct light nor the sky's (``_shade``, ``dusk_of``), and a hundredth of a degree
+before: it is looked at in some places of a map alone.
+"""
 
 _SRGB_STEPS = 4096
 
@@ -129,13 +135,54 @@ def shade(
     return _shade(
         buffer.shown, Tints(low, max(high - low, 1.0), tint),
         LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene)),
-        up_centre(scene, buffer), LEAF_GLOW, albedo, sunlight, skylight, lamplight,
+        scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight,
     )  # fmt: skip
+
+
+def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
+    """sRGB (rows, cols, 3) uint8 of bare ground: ``srgb_encoded`` of ``shade``, in one pass. ``sunlight`` (rows, cols) is the share
+    of the sun's direct light that arrives. Black where there is no ground.
+    """
+    assert scene.sun is not None
+    low, high = scene.height_range_m
+    light, to_sun = daylight_of(scene), scene.sun.in_frame(ground.frame)
+    out = np.zeros((*ground.there.shape, 3), np.uint8)
+    if ground.height_m.size:
+        _shade_ground(
+            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.sky_share, sunlight[ground.window],
+            Tints(low, max(high - low, 1.0), tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)),
+            LightHere(True, to_sun, light.sun, light.sky, night_of(scene)), _sines_of_sun(ground, scene, to_sun), _srgb_table(),
+            out[ground.window],
+        )  # fmt: skip
+    return out
+
+
+def _sines_of_sun(ground: BareGround, scene: Scene, to_sun_frame: np.ndarray) -> np.ndarray | None:
+    """Sines of the sun's altitude (r, c) in the ground's window; ``None`` where it is high everywhere."""
+    view, surface = ground.window_view, scene.surface(ground.view.grid)
+    row0, col0, centre = int(view.row0), int(view.col0), scene.world.up_from(ground.frame)
+    some = np.meshgrid(*(np.rint(np.linspace(0, size - 1, 9)).astype(np.int64) for size in (view.rows, view.cols)), indexing="ij")
+    row, col = (axis.ravel() for axis in some)
+    points = surface.positions(row + row0, col + col0, np.full(row.size, scene.height_range_m[0], np.float32), ground.frame)
+    if np.nanmin(_sines(points, centre, to_sun_frame)) > np.sin(np.radians(HIGH_SUN_DEG)):
+        return None
+    position = surface.points(row0, col0, ground.height_m, ground.frame)
+    return _sines(position.reshape(-1, 3), centre, to_sun_frame).reshape(ground.height_m.shape)
+
+
+@compiled
+def _sines(position, centre, to_sun):
+    """Sines (n,) of the sun's altitude at points (n, 3)."""
+    out = np.empty(len(position))
+    for n in range(len(position)):
+        x, y, z = position[n, 0] - centre[0], position[n, 1] - centre[1], position[n, 2] - centre[2]
+        out[n] = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / np.sqrt(x * x + y * y + z * z)
+    return out
 
 
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
-    return _open_sky(buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, up_centre(scene, buffer))
+    return _open_sky(buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, scene.world.up_from(buffer.frame))
 
 
 @compiled
@@ -235,13 +282,6 @@ def _srgb_table() -> np.ndarray:
     return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
 
 
-def up_centre(scene: Scene, buffer: GeometryBuffer) -> np.ndarray:
-    """The frame point that "up" points away from: the earth's centre, or one far below a flat world."""
-    if scene.world.flat:
-        return np.array([0.0, 0.0, -1e12])
-    return buffer.frame.points_from_earth(np.zeros(3))
-
-
 @compiled
 def dusk_of(sine):
     """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
@@ -290,6 +330,32 @@ def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, l
                 # A shoulder: slopes that face a low sun keep their tint.
                 out[i, j, k] = shown if shown <= 0.5 else 1.0 - 0.25 / shown
     return out
+
+
+@compiled
+def _shade_ground(there, height, normal, sky_share, sunlight, tints, light_here, sines, table, out):
+    """``_shade`` of bare ground and ``srgb_encoded`` of that."""
+    low, relief, tint = tints
+    _, to_sun, sun, sky, night = light_here
+    steps = np.float32(table.size)
+    for i in range(there.shape[0]):
+        for j in range(there.shape[1]):
+            if not there[i, j]:
+                continue
+            direct, sky_here = np.float64(sunlight[i, j]), 1.0
+            if sines is not None:
+                sine = sines[i, j]
+                direct *= min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
+                sky_here = night + (1.0 - night) * dusk_of(sine)
+            n = normal[i, j]
+            facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0) * direct
+            share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
+            at = min(int(share), tint.shape[0] - 2)
+            for k in range(3):
+                light = sun[k] * facing + sky[k] * sky_here * sky_share[i, j]
+                shown = (tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)) * light
+                linear = np.float32(shown if shown <= 0.5 else 1.0 - 0.25 / shown)
+                out[i, j, k] = table[min(int(linear * steps), table.size - 1)]
 
 
 @compiled

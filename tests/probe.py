@@ -20,7 +20,8 @@ from api.cli import main as cli
 from api.http.app import create_app
 from api.layers import encode_picture, picture_layer
 from api.settings import Settings
-from api.workers.jobs import BlockJob, DescriptorJob, PlanAnswer, PlanJob, Ready, RenderedBlock, Snapshot
+from api.workers.block_tiles import PicturedBlock, encoded_tiles
+from api.workers.jobs import BlockJob, BlockTiles, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
 from api.workers.render_worker import WorkerConfig, WorkerState, run_job
 from selector.candidates import name_of
 from shadows.maps.settings import ShadowMapSettings
@@ -52,12 +53,10 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             pipe.send(PlanAnswer(said))
             continue
         side = BLOCK_PX
-        block = RenderedBlock(
-            np.zeros((side, side, 3), np.uint8), np.full((side, side), 0.25, np.float32), np.full((side, side), 191, np.uint8),
-            "{}", said, (), 0.0, 0.0, False, "told",
-        )  # fmt: skip
+        there, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
+        block = PicturedBlock(np.zeros((side, side, 3), np.uint8), np.full((side, side), 191, np.uint8), there, quarter)
         if isinstance(job, BlockJob):
-            pipe.send(block)
+            pipe.send(BlockTiles(encoded_tiles(block, job.layer, job.format, job.tiles), 0.0, said, (), 0.0, 0.0, False, "told"))
         else:
             body = encode_picture(picture_layer(block.part(0, 0, 8), job.layer), f".{job.format}")
             pipe.send(Snapshot(body, 0.0, said, (), 0.0, 0.0, False, "told"))

@@ -19,6 +19,8 @@ from terrain.cache import caches, clear_caches
 from terrain.describe import describe
 from terrain.facts.relief_rays import overview_probes
 from terrain.facts.visible_points import probes_in_map
+from terrain.gbuffer.bare_ground import bare_ground
+from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
@@ -93,6 +95,9 @@ def draw_with_everything(scene: Scene) -> list[object]:
     block = geometry_of(scene, scene.view(size=(64, 64)))
     attached(block, scene)
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
+    nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
+    bare_nodes(scene, nodes, 1)
+    bare_ground(scene, nodes, None)
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
     return [probes, buffer, real, block]
 

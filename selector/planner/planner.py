@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
 from selector.planner.advice import choices_by_rules
-from shadows.algorithm import GIVES_WAY_TO, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
+from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step, Target, plan_steps
 from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
@@ -150,9 +150,9 @@ class Planner:
                 requirements_of(self.descriptor, kind_of_light, caster),
             )
             name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
-            asked_for, too_much = name, _gives_way(name, parts)
-            if too_much is not None:
-                name, why = FALLBACK, f"{requester} sets {asked_for}, but {too_much}"
+            asked_for, why_not = name, _falls_back(name, parts)
+            if why_not is not None:
+                name, why = FALLBACK, f"{requester} sets {asked_for}, but {why_not}"
             _check(name, light, caster, parts, requester)
             assignments.append(_Assignment(light, caster, name, why, is_free, parts, asked_for))
         return assignments
@@ -187,7 +187,7 @@ class Planner:
 @dataclass(frozen=True)
 class _Assignment:
     """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice. ``asked_for`` is what
-    was chosen or asked for, which may have had to give way.
+    was chosen or asked for, from which it may have had to fall back.
     """
 
     light: str
@@ -289,9 +289,9 @@ def _algorithm(
     return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
-def _gives_way(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
-    """Why an algorithm that is asked for gives way to ``FALLBACK``; ``None`` where it serves, or where it is an error."""
-    others = [part for part in parts if part != GIVES_WAY_TO]
+def _falls_back(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
+    """Why an algorithm that is asked for falls back to ``FALLBACK``; ``None`` where it serves, or where it is an error."""
+    others = [part for part in parts if part != FALLS_BACK_FOR]
     return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
 
 
@@ -311,7 +311,7 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
     if any(assignment.asked_for == name for assignment in assignments):
-        return ALGORITHMS[name].refuses[GIVES_WAY_TO]
+        return ALGORITHMS[name].refuses[FALLS_BACK_FOR]
     if not free_assignments:
         return f"{requester} sets {', '.join(sorted({assignment.asked_for for assignment in assignments}))}"
     if name == NO_SHADOWS:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND
+from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND_REASON
 from shadows.sweep.points import cubic
 from shadows.sweep.rays import SunRays, rays_over
 from terrain.casters.reach import PATCH_QUADS, Casters
@@ -230,7 +230,7 @@ def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], r
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
     if not (np.diff(t, axis=1) > 0.0).all():
-        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2 + len(others), len(i), 4))
     for n in range(len(i)):
@@ -244,7 +244,7 @@ def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], r
     exact, *_ = along_rays(*np.meshgrid(checked - 0.5, columns, indexing="ij"))
     fitted = np.stack([np.polynomial.polynomial.polyval(values, whole[0][n]) for n, values in zip(checked, exact, strict=True)])
     if np.abs(fitted - columns).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     return iter(whole)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ LATTICE = 17
 BENT_CELLS = 0.1
 """How far, in cells, the lines may leave the cubics that stand for them."""
 
-RAYS_BEND = "the view is too wide: the sun's rays bend across it"
+RAYS_BEND_REASON = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
 
 CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
@@ -69,6 +69,13 @@ class GridOrientation:
         """Values (n, m) of the turned grid in the grid's own order: a view."""
         values = values[self._order]
         return values.T if self.swapped else values
+
+    def back_in_order(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
+        """As ``back``, a window of it: a copy whose rows lie side by side."""
+        there = self.back(values)[window]
+        out = np.empty(there.shape, there.dtype)
+        copy_into(there, out)
+        return out
 
     @property
     def _order(self) -> tuple[slice, slice]:
@@ -124,23 +131,31 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
     if not np.isfinite(t).all():
         raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
     if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
-        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
-    degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
-    cubics = np.zeros((2, len(i), 4))
-    for n, values in enumerate(t):
-        for cubic, (x, y) in zip(cubics, ((values, j), (j, values)), strict=True):
-            coefficients = np.polynomial.Polynomial.fit(x, y, degree).convert().coef
-            cubic[n, : len(coefficients)] = coefficients
-    t_cubics, column_cubics = (make_interp_spline(i, cubic, k=along)(np.arange(rows)) for cubic in cubics)
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+    columns = np.broadcast_to(j, t.shape)
+    t_cubics, column_cubics = (
+        make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
+    )
     checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
     columns = np.linspace(0, cols - 1, 4 * LATTICE)
     exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
-    fitted = np.stack(
-        [np.polynomial.polynomial.polyval(values, t_cubics[n]) for n, values in zip(checked_rows, exact, strict=True)]
-    )
+    c0, c1, c2, c3 = t_cubics[checked_rows].T[..., None]
+    fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
     if np.abs(fitted - columns - 1.0).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", f"{RAYS_BEND}: shadow_map can serve it")
+        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
     return t_cubics, column_cubics
+
+
+def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Coefficients (m, 4), the constant first, of the cubics that take rows of x (m, n) to those of y with the least squares."""
+    middle, half = (x[:, :1] + x[:, -1:]) / 2, (x[:, -1:] - x[:, :1]) / 2
+    half[half == 0.0] = 1.0  # cubics are fitted between -1 and 1
+    powers = ((x - middle) / half)[..., None] ** np.arange(min(4, x.shape[1]))
+    a = np.zeros((len(x), 4))
+    a[:, : powers.shape[2]] = (np.linalg.pinv(powers) @ y[..., None])[..., 0]
+    a /= half ** np.arange(4)
+    (a0, a1, a2, a3), h = a.T, -middle[:, 0]
+    return np.stack([a0 + h * (a1 + h * (a2 + h * a3)), a1 + h * (2.0 * a2 + h * 3.0 * a3), a2 + h * 3.0 * a3, a3], axis=1)
 
 
 def bordered(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
@@ -212,9 +227,18 @@ def sweep_nodes(
         sweep_rows(sheet, its, before, end, shade, lit, some)
         points_lit[strip_points], points_above_m[strip_points] = strip_answers
 
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(strip, range(low, high, STRIP_CELLS)))
+    _on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
+
+
+def _on_cores(work: Callable[[int], None], of: Iterable[int], cores: int) -> None:
+    """Do work on several cores; on one, in this thread."""
+    if cores == 1:
+        for each in of:
+            work(each)
+        return
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(work, of))
 
 
 def no_peaks(lines: int, cells: int) -> np.ndarray:
@@ -281,8 +305,7 @@ def turned_levels(
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
         _levels(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(band, range(0, rows, TURN_BAND_ROWS)))
+    _on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 
@@ -294,3 +317,14 @@ def _levels(height, per_height, start, per_row, per_col, out):
             at = start + r * per_row
             for c in range(c0, min(c0 + 64, cols)):
                 out[r, c] = height[r, c] * per_height + (at + np.int32(c) * per_col)
+
+
+@compiled
+def copy_into(values, out):
+    """Copy values (rows, cols) in blocks, for the cache: ``out`` may run down where this runs right."""
+    rows, cols = values.shape
+    for r0 in range(0, rows, 64):
+        for c0 in range(0, cols, 64):
+            for r in range(r0, min(r0 + 64, rows)):
+                for c in range(c0, min(c0 + 64, cols)):
+                    out[r, c] = values[r, c]

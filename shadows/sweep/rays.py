@@ -13,6 +13,7 @@ from shadows.sweep.grid import (
     GridOrientation,
     bordered,
     close_border,
+    copy_into,
     orientation_towards,
     position_cubics,
 )
@@ -24,7 +25,7 @@ from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from terrain.geo.grid import Grid
 from terrain.geo.light_space import LightSpace
 from terrain.geo.world import LocalFrame
-from terrain.ground.surface import HeightWindow
+from terrain.ground.surface import HeightWindow, NodeHeights
 from terrain.scene import Scene
 
 FITTED_POINTS = 1024
@@ -33,15 +34,16 @@ FITTED_POINTS = 1024
 FITTED_NODES = 0.01
 """How far, in nodes, fitted places may lie beside the exact ones. What a ray passes is found by its t, which is never fitted."""
 
-Window = tuple[int, int, np.ndarray]
-"""First row and column of a window of a grid, and the heights (rows, cols) of its nodes."""
+LEAN = 0.05
+"""Columns by which rays that run to the right at one place of a view may run to the left at another: the earth is round."""
 
 
 @dataclass(frozen=True, eq=False)
 class SunRays:
     """Rays over a grid. A place's t is its coordinate to the right in ``light``, less ``right_m``, in cells of ``cell_m`` (negative
     where columns of the turned grid run to the left); its level is the one up, less ``level_m``; ``rise`` is what a metre of height
-    adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed.
+    adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed. ``aside`` is by
+    how many columns of the turned grid rays run to the right from row to row, at the place that they are computed for.
     """
 
     scene: Scene
@@ -53,6 +55,7 @@ class SunRays:
     cell_m: float
     level_m: float
     rise: float
+    aside: float
 
     def t_level_towards(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """t, levels, and metres towards the sun (n,) of points (n, 3) of a frame."""
@@ -83,7 +86,7 @@ class SunRays:
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
         with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
-        _copy(values, self.turn.back(inside))
+        copy_into(values, self.turn.back(inside))
         return close_border(with_border)
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -97,16 +100,15 @@ class SunRays:
 
         return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
 
-    def levels(self, detail: int, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
-        """Levels (rows, cols) float32 of a window's nodes with their heights."""
+    def put_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+        """Put the levels of windows' nodes into arrays (rows, cols) float32."""
         up = self.light.light_from_earth[1]
-        surface = self.scene.surface(self.grid.coarser(detail))
-        return surface.along(up, self.light.origin_earth_m + self.level_m * up, row0, col0, height_m)
+        self.scene.surface(self.grid.coarser(detail)).along(up, self.light.origin_earth_m + self.level_m * up, windows, out)
 
-    def towards(self, detail: int, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
-        """How far towards the sun a window's nodes lie, metres (rows, cols) float32."""
-        surface = self.scene.surface(self.grid.coarser(detail))
-        return surface.along(-self.light.light_from_earth[2], self.light.origin_earth_m, row0, col0, height_m)
+    def put_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+        """Put how far towards the sun windows' nodes lie, metres, into arrays (rows, cols) float32."""
+        towards = -self.light.light_from_earth[2]
+        self.scene.surface(self.grid.coarser(detail)).along(towards, self.light.origin_earth_m, windows, out)
 
 
 def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
@@ -124,7 +126,7 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     across = (per_row if turn.swapped else per_col)[0]
     return SunRays(
         scene, light, grid, turn, height_m, float(space[0, 0]), float(-across if turn.cols_reversed else across),
-        float(space[0, 1]), float(light.light_from_earth[1] @ up[0]),
+        float(space[0, 1]), float(light.light_from_earth[1] @ up[0]), float(np.abs(towards).min() / np.abs(towards).max()),
     )  # fmt: skip
 
 
@@ -161,28 +163,52 @@ class GroundWindow:
         return self.sheet._replace(level=level)
 
 
-def grounds_of_block(rays: SunRays, block: HeightWindow, patches: Iterable[Patch], soft: bool) -> list[GroundWindow]:
+def grounds_of_block(rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool) -> list[GroundWindow]:
     """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
-    windows: dict[int, list[Window]] = {0: [(block.row0, block.col0, block.height_m)]}
-    for patch in patches:
-        if patch.level > 0 and _lies_behind(rays, patch, block):  # what is handed over has to lie towards the sun
-            continue
-        row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
-        surface = rays.scene.surface(rays.grid.coarser(patch.level))
-        height_m, _ = surface.heights(row0, col0, PATCH_QUADS + 1, PATCH_QUADS + 1)
-        windows.setdefault(patch.level, []).append((row0, col0, height_m))
-    return [_ground(rays, detail, windows[detail], soft) for detail in sorted(windows, reverse=True)]
+    patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
+    grounds = []
+    for detail in sorted({0, *(patch.level for patch in patches)}, reverse=True):
+        surface = rays.scene.surface(rays.grid.coarser(detail))
+        there = [patch for patch in patches if patch.level == detail]
+        before = [patch for patch in there if not _lies_behind(rays, patch, block)]
+        windows = [surface.height_window(*window) for window in _joined(before)]
+        grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, there))
+    return grounds
 
 
-def _lies_behind(rays: SunRays, patch: Patch, block: HeightWindow) -> bool:
+def _joined(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
+    """Windows of nodes, first row and column and size, that cover patches in rows and columns of them, and nothing else."""
+    runs: dict[tuple[int, int], list[int]] = {}  # first and last column of runs -> first and last row
+    windows = []
+    rows: dict[int, list[int]] = {}
+    for row, col in sorted((patch.row, patch.col) for patch in patches):
+        rows.setdefault(row, []).append(col)
+    beyond = max(rows, default=0) + 1
+    for row, cols in [*rows.items(), (beyond, [])]:
+        breaks = np.flatnonzero(np.diff(cols) > 1) + 1
+        here = {(int(run[0]), int(run[-1])) for run in np.split(np.array(cols), breaks) if len(run)}
+        for run in [run for run, (_, last) in runs.items() if run not in here or last + 1 != row]:
+            first, last = runs.pop(run)
+            windows.append((first, run[0], last - first + 1, run[1] - run[0] + 1))
+        for run in here:
+            runs[run] = [runs[run][0] if run in runs else row, row]
+    return [
+        (row * PATCH_QUADS, col * PATCH_QUADS, down * PATCH_QUADS + 1, right * PATCH_QUADS + 1)
+        for row, col, down, right in sorted(windows)
+    ]
+
+
+def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     """Whether the lines pass a patch, which lies beside a block, after the block if at all: on the turned grid they run down and to
-    the right.
+    the right, but for some that may lean to the left where all run nearly straight down. Those a coarse patch does without: what it
+    hands over has to lie towards the sun.
     """
     side = PATCH_QUADS * 2**patch.level
-    rows, cols = block.height_m.shape
+    rows, cols = block.shape
     i, j = rays.turn.onto(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
     block_i, block_j = rays.turn.onto(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
-    return bool(i.min() >= block_i.max() or j.min() >= block_j.max())
+    lean = patch.level == 0 and rays.aside < LEAN
+    return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 
 @cached("light", 1024 * MIB)
@@ -196,7 +222,7 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
     rows, cols = nodes.height_m.shape
     rays = rays_over(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
     if nodes.errors is None:
-        return rays, _ground(rays, 0, [(nodes.row0, nodes.col0, nodes.height_m)], soft)
+        return rays, _ground(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft)
     row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
     corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
     _, level_m, towards_m = rays.t_level_towards(drawn.position_frame_m, frame)
@@ -207,32 +233,25 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
     return rays, GroundWindow(0, nodes.row0, nodes.col0, (rows, cols), sheet, towards)
 
 
-def _ground(rays: SunRays, detail: int, windows: list[Window], soft: bool) -> GroundWindow:
-    """One sheet over windows of heights; where there is none, there is no ground."""
-    row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
-    rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
-    cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
+def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, patches: Iterable[Patch] = ()) -> GroundWindow:
+    """One sheet over windows of heights, as large as if ``patches`` were among them: the lines' places hang on that. Where there is
+    no window, there is no ground.
+    """
+    starts = [(w.row0, w.col0) for w in windows] + [(p.row * PATCH_QUADS, p.col * PATCH_QUADS) for p in patches]
+    ends = [(w.row0 + w.shape[0], w.col0 + w.shape[1]) for w in windows]
+    ends += [((p.row + 1) * PATCH_QUADS + 1, (p.col + 1) * PATCH_QUADS + 1) for p in patches]
+    row0, col0 = (min(axis) for axis in zip(*starts, strict=True))
+    rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
-    def turned(values_of: Callable[[int, int, int, np.ndarray], np.ndarray]) -> np.ndarray:
-        values = np.full((rows, cols), np.nan, np.float32)
-        for row, col, height_m in windows:
-            here = slice(row - row0, row - row0 + height_m.shape[0]), slice(col - col0, col - col0 + height_m.shape[1])
-            values[here] = values_of(detail, row, col, height_m)
-        return rays.turned(values)
+    def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
+        own = rays.turn.back(inside)
+        put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
+        return close_border(with_border)
 
-    sheet = TurnedGrid(turned(rays.levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
-    return GroundWindow(detail, row0, col0, (rows, cols), sheet, turned(rays.towards) if soft else NO_LEVELS)
-
-
-@compiled
-def _copy(values, out):
-    """Copy values (rows, cols) in blocks, for the cache: ``out`` may run down where this runs right."""
-    rows, cols = values.shape
-    for r0 in range(0, rows, 64):
-        for c0 in range(0, cols, 64):
-            for r in range(r0, min(r0 + 64, rows)):
-                for c in range(c0, min(c0 + 64, cols)):
-                    out[r, c] = values[r, c]
+    sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
+    towards_m = turned(rays.put_towards) if soft else NO_LEVELS
+    return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m)
 
 
 @compiled

@@ -32,7 +32,7 @@ import numpy as np
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from shadows.passes import PassLog, PassRecord
 from shadows.sweep.columns import column_sweep
-from shadows.sweep.grid import NO_LEVELS, RAYS_BEND, SweepPoints, state_after, sweep_nodes
+from shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, SweepPoints, state_after, sweep_nodes
 from shadows.sweep.lines import NO_GROUND_LEVEL
 from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
 from shadows.sweep.settings import SweepSettings, resolve_sweep
@@ -59,7 +59,7 @@ STRIPS = 16
 LEAST_LINES = 2
 """Lines to a column of nodes that are averaged, at least: a pixel as a whole has as many lines as it would have by itself."""
 
-CORES = os.cpu_count() or 1
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def fill(
@@ -133,7 +133,7 @@ def fill_nodes(
         lit, _, _ = _swept(grounds, targets, lines, 0.0, NO_LEVELS)
         log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, lines, nodes.height_m)
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
-        return rays.turn.back(lit)[targets.window]
+        return rays.turn.back_in_order(lit, targets.window)
 
 
 def _bytes(grounds: list[GroundWindow], targets: _Asked, soft: bool) -> int:
@@ -292,7 +292,7 @@ REFUSES: dict[Requirement, str] = {
     "omni": ONE_AZIMUTH,
     "meshes": "meshes are no heightfield: the sweep knows one height per place",
     "forest": "trees are no heightfield: light passes under crowns and between leaves",
-    "bent rays": RAYS_BEND,
+    "bent rays": RAYS_BEND_REASON,
 }
 
 FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"

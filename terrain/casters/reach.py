@@ -16,6 +16,7 @@ import numpy as np
 from pyproj import CRS
 
 from terrain.cache import MIB, cached
+from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import Grid, MapView
@@ -24,7 +25,7 @@ from terrain.geo.sun import position_at
 from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, LocalFrame, World, epsg_of, transformer
 from terrain.ground.columns import ColumnWindow, PlacedOnColumns
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import HeightWindow
+from terrain.ground.surface import NodeHeights
 from terrain.scene import Scene
 
 PATCH_QUADS = 256
@@ -94,7 +95,7 @@ class Receivers(Protocol):
     def position_frame_m(self) -> np.ndarray: ...
 
     @property
-    def surface(self) -> HeightWindow | None: ...
+    def surface(self) -> NodeHeights | None: ...
 
     @property
     def columns(self) -> PlacedOnColumns | None: ...
@@ -118,7 +119,7 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
     towards_lamps = _lamp_patches(scene, buffer) if buffer.there.any() else ()
     if not _sun_shines(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
-    patches, known_m = _patches(scene, buffer, _can_shade(scene, buffer))
+    patches, known_m = _patches(scene, buffer)
     return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, known_m))
 
 
@@ -129,11 +130,18 @@ def reach_of(scene: Scene, buffer: GeometryBuffer) -> Reach:
     return _reach(scene, buffer, _towards_m(scene, buffer, _can_shade(scene, buffer)))
 
 
+def reach_over(scene: Scene, nodes: BareNodes) -> Reach:
+    """How far ground that can shade nodes of bare ground counts."""
+    if not _sun_shines(scene, nodes):
+        return NO_CASTERS.reach
+    return _reach(scene, nodes, _towards_m(scene, nodes, _cells_beside(scene, nodes)[0]))
+
+
 def casters_in_sun(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
     """The ground outside a map's block that can throw the sun's shadow on it."""
     if not _sun_shines(scene, receivers):
         return ()
-    return _patches(scene, receivers, _can_shade(scene, receivers))[0]
+    return _patches(scene, receivers)[0]
 
 
 def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
@@ -151,7 +159,7 @@ def _can_shade(scene: Scene, buffer: Receivers) -> np.ndarray:
     )  # fmt: skip
 
 
-def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
+def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, known_m: float) -> Reach:
     made = scene.loaded.level.terrain.source is None  # a made ground ends where it ends: nothing is unknown beyond
     limit_m, unknown_m = (known_m, known_m) if made else _data_limit(scene, buffer)
     if limit_m >= unknown_m:
@@ -159,7 +167,7 @@ def _reach(scene: Scene, buffer: GeometryBuffer, known_m: float) -> Reach:
     return Reach(limit_m, unknown_m, True)
 
 
-def _on_grid(buffer: Receivers) -> tuple[Grid, HeightWindow | ColumnWindow]:
+def _on_grid(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
     """The grid of a map's block and its own ground on it: of columns, that of the raster's cells."""
     if buffer.columns is not None:
         return buffer.columns.window.columns.grid, buffer.columns.window
@@ -170,7 +178,7 @@ def _on_grid(buffer: Receivers) -> tuple[Grid, HeightWindow | ColumnWindow]:
 def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
     """The ground between a block and the level's lamps, on the block's own grid up to ``FULL_DETAIL_NODES`` from it."""
     grid, own = _on_grid(buffer)
-    rows, cols = own.height_m.shape
+    rows, cols = own.shape
     found: dict[Patch, None] = {}
     for lamp in scene.lamps.values():
         x, y, _ = scene.world.map_position(grid.crs, lamp.position_earth_m)
@@ -253,25 +261,44 @@ def _columns_round_the_earth(grid: Grid) -> float | None:
     return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
 
 
-def _patches(scene: Scene, buffer: Receivers, can: np.ndarray) -> tuple[tuple[Patch, ...], float]:
-    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres.
+@dataclass(frozen=True, eq=False)
+class _CellsInSun:
+    """Overview cells that can shade a block, on its grid: rows, columns, half extents, distances from the block, in nodes (n,)."""
 
-    A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
-    """
+    row: np.ndarray
+    col: np.ndarray
+    half: np.ndarray
+    away: np.ndarray
+
+
+def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsInSun]:
+    """The overview's cells that can shade a block: which lie outside of it, bool (rows, cols), and all of them on its grid."""
+    can = _can_shade(scene, buffer)
     grid, own = _on_grid(buffer)
     row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
     can = can & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
     row, col, half = row[can], col[can], half[can]
-    rows, cols = own.height_m.shape
+    rows, cols = own.shape
     period = _columns_round_the_earth(grid)
     if period is not None and len(col):
         col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
     away = np.maximum.reduce(
         [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
     )
-    assert scene.light is not None
     outside = can.copy()
     outside[can] = away > 0
+    return outside, _CellsInSun(row, col, half, away)
+
+
+def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
+    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres.
+
+    A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
+    """
+    outside, cells = _cells_beside(scene, buffer)
+    (grid, own), row, col, half, away = _on_grid(buffer), cells.row, cells.col, cells.half, cells.away
+    rows, cols = own.shape
+    assert scene.light is not None
     known_m = _towards_m(scene, buffer, outside)
     longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
     farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
@@ -357,11 +384,11 @@ def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return i, j
 
 
-def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
+def _starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
     """Places among a buffer's receivers from which the way to the sun is looked at: CRS, x, y, and the view's middle."""
     view = buffer.view
     if isinstance(view, MapView):
-        i, j = _rim(buffer.there)
+        i, j = _rim(buffer.shown if isinstance(buffer, BareNodes) else buffer.there)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     there = np.flatnonzero(buffer.there)
@@ -371,7 +398,7 @@ def _starts(scene: Scene, buffer: GeometryBuffer) -> tuple[CRS, np.ndarray, np.n
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
 
 
-def _data_limit(scene: Scene, buffer: GeometryBuffer) -> tuple[float, float]:
+def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
     """How far towards the sun the raster goes on from the block's receivers (the worst of them), and how far it should."""
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))

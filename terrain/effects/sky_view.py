@@ -21,7 +21,7 @@ from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.sky_view_factor import SkyView, sky_view, sky_view_nodes
+from terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sky_view, sky_view_nodes
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import block_slices, visible_cells
 from terrain.scene import Scene
@@ -142,38 +142,16 @@ def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
 @compiled
 def _hide(out, nodes, position, values, table, eye, tangent, width):
     """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
+    level = pyramid_level(table, width)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            row, col = nodes[i, j, 0] + 0.5, nodes[i, j, 1] + 0.5
+            row, col = nodes[i, j, 0], nodes[i, j, 1]
             if not (np.isfinite(row) and np.isfinite(col)):
                 continue
-            wide = width
             if tangent > 0.0:
                 x, y, z = position[i, j, 0] - eye[0], position[i, j, 1] - eye[1], position[i, j, 2] - eye[2]
-                wide = tangent * np.sqrt(x * x + y * y + z * z)
-            number, coarser = 0, 0.0
-            if wide > 1.0 and len(table) > 1:
-                halved = min(np.log2(wide), len(table) - 1.0)
-                number = min(int(halved), len(table) - 2)
-                coarser = halved - number
-            hidden = _bilinear(values, table[number, 0], table[number, 1], table[number, 2], row, col, 2.0**-number)
-            if coarser > 0.0:
-                number += 1
-                coarse = _bilinear(values, table[number, 0], table[number, 1], table[number, 2], row, col, 2.0**-number)
-                hidden += coarser * (coarse - hidden)
-            out[i, j] *= 1.0 - hidden
-
-
-@compiled
-def _bilinear(values, begin, rows, cols, row, col, scale):
-    """A level's value at a place counted from the corner in the finest level's nodes; the outermost values beyond their middles."""
-    r, c = min(max(row * scale - 0.5, 0.0), rows - 1.0), min(max(col * scale - 0.5, 0.0), cols - 1.0)
-    r0, c0 = int(r), int(c)
-    right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
-    at = begin + r0 * cols + c0
-    north = values[at] + (c - c0) * (values[at + right] - values[at])
-    south = values[at + below] + (c - c0) * (values[at + below + right] - values[at + below])
-    return north + (r - r0) * (south - north)
+                level = pyramid_level(table, tangent * np.sqrt(x * x + y * y + z * z))
+            out[i, j] *= 1.0 - hidden_on(values, level, row, col)
 
 
 EFFECT = Effect("sky-view factor: sky light that relief blocks", called_for, facts, "skylight", apply_sky_view)

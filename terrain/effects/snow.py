@@ -14,7 +14,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import fractal_at
 from terrain.scene import Scene
-from terrain.shading import SHORE_M, up_centre
+from terrain.shading import SHORE_M
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of snow that has settled, and of the rock and scree that steep ground shows."""
@@ -39,7 +39,7 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     if not scene.loaded.level.weather.snow:
         return
     _lie_on(
-        albedo, buffer.shown, buffer.albedo, up_centre(scene, buffer), scene.world.anchor_from_frame(buffer.frame),
+        albedo, buffer.shown, buffer.albedo, scene.world.up_from(buffer.frame), scene.world.anchor_from_frame(buffer.frame),
         scene.elevation.water_m + SHORE_M, pixel_size(block),
     )  # fmt: skip
 

@@ -46,7 +46,6 @@ from terrain.shading import (
     night_of,
     sky_colors,
     srgb_encoded,
-    up_centre,
     water_in,
     zenith_share,
 )
@@ -145,7 +144,7 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     points = buffer.position_frame_m[water_in(buffer, scene)]
     if not len(points):
         points = _between(scene, view, coarse_view)
-    up = points - up_centre(scene, buffer)
+    up = points - scene.world.up_from(buffer.frame)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     to_eye = eye - points
     cosine = np.einsum("nk,nk->n", to_eye, up) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-9)
@@ -252,7 +251,7 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
         to_sun = scene.sun.in_frame(buffer.frame)
         sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
     _mirror(
-        color, water_in(buffer, scene), buffer.position_frame_m, eye, up_centre(scene, buffer), *sky_colors(scene),
+        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_from(buffer.frame), *sky_colors(scene),
         MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 

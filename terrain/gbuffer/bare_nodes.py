@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.gbuffer.picture import frame_of
+from terrain.cache import MIB, cached
 from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.surface import HeightWindow
+from terrain.geo.world import LocalFrame, World
+from terrain.ground.elevation import Elevation
+from terrain.ground.surface import NodeHeights, RefinedWindow, Surface
 from terrain.scene import Scene
 
 HALO = 2
@@ -31,7 +32,7 @@ class BareNodes:
     view: MapView
     per_pixel: int
     frame: LocalFrame
-    surface: HeightWindow
+    surface: NodeHeights
     position_frame_m: np.ndarray
     there: np.ndarray
 
@@ -51,8 +52,13 @@ class BareNodes:
 
 
 def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
-    """The nodes of a view whose every pixel is one."""
-    frame, surface = frame_of(scene, view), scene.surface(view.grid)
+    """The nodes of a view whose every pixel is one. The last ones are kept: they are the same under every sun."""
+    return _bare_nodes(scene.world, scene.elevation, view, per_pixel)
+
+
+@cached("scene", 64 * MIB)
+def _bare_nodes(world: World, elevation: Elevation, view: MapView, per_pixel: int) -> BareNodes:
+    frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
     heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO)
     row, col = (
@@ -60,6 +66,7 @@ def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
         for first, count in ((row0, view.rows), (col0, view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
-    ends = np.nanmin(heights.height_m), np.nanmax(heights.height_m)
+    known = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
+    ends = np.nanmin(known), np.nanmax(known)
     position = np.stack([surface.positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
     return BareNodes(view, per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

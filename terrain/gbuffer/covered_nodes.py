@@ -105,7 +105,21 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Means (rows, cols) float32 of values at the nodes that a map's pixels cover, where they are ``there``; NaN without any."""
-    return _means(values, there, *_sides_in(view, nodes))
+    row, col = _sides_in(view, nodes)
+    if values.dtype == np.bool_ and (down := _even(row)) and (right := _even(col)):
+        return _shares(values, there, *down, *right, view.rows, view.cols)
+    return _means(values, there, row, col)
+
+
+def _even(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
+    """Where pixels' sides all cut squares alike: the squares from pixel to pixel, and twice the share of each square that the first
+    pixel covers, from square 0 on. ``None`` where they do not.
+    """
+    step = int(np.rint(sides[1] - sides[0]))
+    if np.abs(np.diff(sides) - step).max() > ON_SIDE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > ON_SIDE:
+        return None
+    first, halves = int(np.rint(sides[0] * 2.0)), np.arange(int(np.rint(sides[1] * 2.0)))
+    return step, np.bincount(halves[first:] // 2).astype(np.int64)
 
 
 def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
@@ -150,6 +164,33 @@ def _means(values, there, row, col):
             if whole > 0.0:
                 out[i, j] = total / whole
     return out
+
+
+@compiled
+def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
+    """As ``_means`` of bool, where all pixels cover squares alike (``_even``): in whole numbers."""
+    out = np.empty((rows, cols), np.float32)
+    wide = there.shape[1]
+    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)
+    for i in range(rows):
+        known[:], total[:] = 0, 0
+        for k in range(row_weights.size):
+            if row_weights[k] > 0:
+                _add_row(there[i * down + k], values[i * down + k], np.int32(row_weights[k]), known, total)
+        for j in range(cols):
+            whole, lit = 0, 0
+            for k in range(col_weights.size):
+                whole += col_weights[k] * known[j * right + k]
+                lit += col_weights[k] * total[j * right + k]
+            out[i, j] = np.float64(lit) / np.float64(whole) if whole > 0 else np.nan
+    return out
+
+
+@compiled
+def _add_row(there, values, weight, known, total):
+    for n in range(known.size):
+        known[n] += weight * np.int32(there[n])
+        total[n] += weight * np.int32(there[n] & values[n])
 
 
 @compiled

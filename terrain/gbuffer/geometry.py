@@ -115,7 +115,7 @@ class GeometryBuffer:
 def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
     """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols)."""
     wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
-    reach = int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
+    reach = normal_reach(surface)
     row = view.row0 + np.arange(view.rows) * view.row_step
     col = view.col0 + np.arange(view.cols) * view.col_step
     on_nodes = view.on_nodes and reach == 1
@@ -137,6 +137,11 @@ def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.
             reach,
         )  # fmt: skip
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
+
+
+def normal_reach(surface: Surface) -> int:
+    """Nodes that the shading normal's differences reach each way: a raster's cell, as far as that is allowed."""
+    return int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
 
 
 @compiled

@@ -19,6 +19,7 @@ from morecantile import Tile, TileMatrixSet
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
+from terrain.cache import MIB, cached
 from terrain.errors import InputError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
 
@@ -49,6 +50,9 @@ class Grid:
     step: float
     stretch: float = 1.0
     refines: int = 0
+
+    def __hash__(self) -> int:
+        return hash((self.x0, self.y0, self.step, self.stretch, self.refines))  # a CRS is written out to be hashed
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
         """x of a (fractional) column, in CRS units."""
@@ -160,11 +164,18 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     return Grid(crs, x + step / 2, y - step / 2, step)  # pixels, not nodes, touch at the anchor
 
 
+@cached("process", MIB, key=lambda tms: (tms.id,), size_of=lambda _: 2**14)
+def crs_of_tiles(tms: TileMatrixSet) -> CRS:
+    """The CRS of a tile matrix set: one object, by which what is kept for it is found."""
+    return CRS.from_user_input(tms.rasterio_crs.to_wkt())
+
+
+@cached("process", MIB, key=lambda tms, zoom: (tms.id, zoom), size_of=lambda _: 512)
 def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
     """The grid of a tile matrix: nodes are the pixels' centres, counted from the matrix's corner."""
     step = tms.matrix(zoom).cellSize
     corner = tms.xy_bounds(Tile(0, 0, zoom))
-    return Grid(CRS.from_user_input(tms.rasterio_crs.to_wkt()), corner.left + step / 2, corner.top - step / 2, step)
+    return Grid(crs_of_tiles(tms), corner.left + step / 2, corner.top - step / 2, step)
 
 
 def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], rows: int, cols: int) -> MapView:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
-from terrain.cache import MIB, cached
+from terrain.cache import MIB, IdentityKey, cached
 from terrain.errors import UnsupportedError
 
 WGS84 = Geod(ellps="WGS84")
@@ -31,13 +31,18 @@ TRANSFORMER_BYTES = 2**16
 """About what PROJ holds of a transformation."""
 
 
-@cached("process", 8 * MIB, size_of=lambda _: TRANSFORMER_BYTES)
+def _identity(*crss: CRS) -> tuple[IdentityKey, ...]:
+    """CRSs as keys: they are written out to be hashed, which takes longer than most of what is looked up by them."""
+    return tuple(map(IdentityKey, crss))
+
+
+@cached("process", 8 * MIB, key=_identity, size_of=lambda _: TRANSFORMER_BYTES)
 def transformer(source: CRS, target: CRS) -> Transformer:
     """A cached coordinate transformation, x before y."""
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-@cached("process", MIB)
+@cached("process", MIB, key=_identity, size_of=lambda _: 256)
 def epsg_of(crs: CRS) -> int | None:
     """A CRS's EPSG code, if it has one: kept, since looking for one in vain takes PROJ 0.2 s."""
     return crs.to_epsg()
@@ -86,6 +91,9 @@ class World:
     anchor_lon_deg: float = 0.0
     anchor_lat_deg: float = 0.0
     metres_per_unit: float = 1.0
+
+    def __hash__(self) -> int:
+        return hash((self.flat, self.anchor_x, self.anchor_y, self.metres_per_unit))
 
     def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
@@ -188,6 +196,10 @@ class World:
         if crs != LONGITUDE_LATITUDE and epsg_of(crs) != 4326:
             lon, lat = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
         return np.asarray(lon), np.asarray(lat), height
+
+    def up_from(self, frame: LocalFrame) -> np.ndarray:
+        """The frame point (3,) that "up" points away from: the earth's centre, or one far below a flat world."""
+        return np.array([0.0, 0.0, -1e12]) if self.flat else frame.points_from_earth(np.zeros(3))
 
     @property
     def curvature(self) -> float:

@@ -60,6 +60,12 @@ class ColumnWindow:
     there: np.ndarray
     frame: LocalFrame
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.height_m.shape
+        return rows, cols
+
     @cached_property
     def sheet(self) -> ColumnSheet:
         """The columns' tops and walls."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -293,27 +294,93 @@ def _cells(position, height, frame_from_earth, origin, plane, axes, first, step,
         px, py, pz = position[n, 0], position[n, 1], position[n, 2]
         x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
-        if plane != FLAT_PLANE:
-            z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
-            z *= (EQUATOR_M + height[n]) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height[n])
-            if plane == DEGREES:
-                longitude, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.sqrt(x * x + y * y)))
-                x = longitude - 360.0 * np.rint((longitude - first[0] - 0.5 * step[0]) / 360.0)
-                y = latitude
-            else:
-                east = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-                north = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-                up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-                away = np.sqrt(x * x + y * y + z * z) + up
-                x, y = east / away, north / away
-        across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
-        if not (np.isfinite(across) and np.isfinite(down)):
-            out[n, 0], out[n, 1] = np.nan, np.nan
-            continue
-        j, i = min(max(int(across), 0), lattice.shape[1] - 2), min(max(int(down), 0), lattice.shape[0] - 2)
-        u, v = across - j, down - i
-        for k in range(2):
-            one = lattice[i, j, k] + u * (lattice[i, j + 1, k] - lattice[i, j, k])
-            other = lattice[i + 1, j, k] + u * (lattice[i + 1, j + 1, k] - lattice[i + 1, j, k])
-            out[n, k] = one + v * (other - one)
+        z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
+        x, y = in_plane(x, y, z, height[n], plane, axes, first, step)
+        out[n, 0], out[n, 1] = cell_in_plane(x, y, first, step, lattice)
     return out
+
+
+@compiled
+def in_plane(x, y, z, height, plane, axes, first, step):
+    """Where in a finder's plane the ground lies below an earth-fixed point with a height."""
+    if plane == FLAT_PLANE:
+        return x, y
+    z *= (EQUATOR_M + height) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height)
+    if plane == DEGREES:
+        longitude, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.sqrt(x * x + y * y)))
+        return longitude - 360.0 * np.rint((longitude - first[0] - 0.5 * step[0]) / 360.0), latitude
+    east = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    north = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    away = np.sqrt(x * x + y * y + z * z) + up
+    return east / away, north / away
+
+
+@compiled
+def cell_in_plane(x, y, first, step, lattice):
+    """Row and column in the raster of a place in a finder's plane; NaN where it has none."""
+    across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
+    if not (np.isfinite(across) and np.isfinite(down)):
+        return np.nan, np.nan
+    j, i = min(max(int(across), 0), lattice.shape[1] - 2), min(max(int(down), 0), lattice.shape[0] - 2)
+    u, v = across - j, down - i
+    one = lattice[i, j, 0] + u * (lattice[i, j + 1, 0] - lattice[i, j, 0])
+    other = lattice[i + 1, j, 0] + u * (lattice[i + 1, j + 1, 0] - lattice[i + 1, j, 0])
+    row = one + v * (other - one)
+    one = lattice[i, j, 1] + u * (lattice[i, j + 1, 1] - lattice[i, j, 1])
+    other = lattice[i + 1, j, 1] + u * (lattice[i + 1, j + 1, 1] - lattice[i + 1, j, 1])
+    return row, one + v * (other - one)
+
+
+class PyramidLevel(NamedTuple):
+    """Which two levels of a pyramid stand for what is so wide: where each begins, its rows and columns, and what takes the finest
+    level's nodes to its own; and how far the second one counts.
+    """
+
+    begin: int
+    rows: int
+    cols: int
+    scale: float
+    next_begin: int
+    next_rows: int
+    next_cols: int
+    next_scale: float
+    coarser: float
+
+
+@compiled
+def pyramid_level(table, wide):
+    """The levels of a pyramid for what is ``wide`` of the finest level's nodes wide."""
+    number, coarser = 0, 0.0
+    if wide > 1.0 and len(table) > 1:
+        halved = min(np.log2(wide), len(table) - 1.0)
+        number = min(int(halved), len(table) - 2)
+        coarser = halved - number
+    other = min(number + 1, len(table) - 1)
+    return PyramidLevel(
+        table[number, 0], table[number, 1], table[number, 2], 2.0**-number,
+        table[other, 0], table[other, 1], table[other, 2], 2.0**-other, coarser,
+    )  # fmt: skip
+
+
+@compiled
+def hidden_on(values, level, row, col):
+    """The share of the sky that ground hides at a row and column of the grid ``hidden``, as a mean over what a ``level`` is for."""
+    row, col = row + 0.5, col + 0.5
+    hidden = _bilinear(values, level.begin, level.rows, level.cols, row, col, level.scale)
+    if level.coarser > 0.0:
+        coarse = _bilinear(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale)
+        hidden += level.coarser * (coarse - hidden)
+    return hidden
+
+
+@compiled
+def _bilinear(values, begin, rows, cols, row, col, scale):
+    """A level's value at a place counted from the corner in the finest level's nodes; the outermost values beyond their middles."""
+    r, c = min(max(row * scale - 0.5, 0.0), rows - 1.0), min(max(col * scale - 0.5, 0.0), cols - 1.0)
+    r0, c0 = int(r), int(c)
+    right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
+    at = begin + r0 * cols + c0
+    north = values[at] + (c - c0) * (values[at + right] - values[at])
+    south = values[at + below] + (c - c0) * (values[at + below + right] - values[at + below])
+    return north + (r - r0) * (south - north)

@@ -17,6 +17,7 @@ from terrain.compiled import compiled
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
+from terrain.ground.height_tiles import tiled_heights
 from terrain.ground.sheet import Sheet, sheet_of
 
 EXACT_SPACING_M = 16000.0
@@ -24,10 +25,6 @@ EXACT_SPACING_M = 16000.0
 
 EXACT_STRIDE = 64
 """Largest distance between exactly computed nodes, in nodes."""
-
-
-SURFACE_BAND_ROWS = 256
-"""Rows of a window that are worked on at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +39,35 @@ class HeightWindow:
     col0: int
     height_m: np.ndarray
     there: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.height_m.shape
+        return rows, cols
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedWindow:
+    """Nodes of a grid that refines another one: what a ``HeightWindow`` has, made when asked for from the ``coarser`` grid's."""
+
+    row0: int
+    col0: int
+    shape: tuple[int, int]
+    coarser: HeightWindow
+
+    @cached_property
+    def height_m(self) -> np.ndarray:
+        """Heights (rows, cols)."""
+        return _refined(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
+
+    @cached_property
+    def there(self) -> np.ndarray:
+        """Where there is a surface (rows, cols)."""
+        return _refined_there(self.coarser.there, self.row0 % 2, self.col0 % 2, *self.shape)
+
+
+NodeHeights = HeightWindow | RefinedWindow
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,20 +111,29 @@ class Surface:
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
         """The nodes of a window, in a frame."""
         height, there = self.heights(row0, col0, rows, cols)
-        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
-        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
+        exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
         there &= np.isfinite(position[..., 2])
         centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
         return SurfaceWindow(row0, col0, height, there, position, centre)
 
-    def height_window(self, row0: int, col0: int, rows: int, cols: int) -> HeightWindow:
-        """The nodes of a window without their points, in bands: windows may be large."""
-        height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
-        for start in range(0, rows, SURFACE_BAND_ROWS):
-            band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
-            height[band], there[band] = self.heights(row0 + start, col0, band.stop - start, cols)
+    def exact_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> tuple[np.ndarray, int, int]:
+        """Of the exact nodes that a window needs, in a frame: points of height 0 and the unit vectors up there (m, n, 6); and the
+        first row and column of these, in strides.
+        """
+        first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
+        point, up = self.world.ground(self.grid.crs, x, y)
+        return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
+
+    def height_window(self, row0: int, col0: int, rows: int, cols: int) -> NodeHeights:
+        """The nodes of a window without their points, from tiles that are kept."""
+        if self.grid.refines:
+            coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
+            window = coarser.height_window(*_coarser_window(row0, col0, rows, cols))
+            if isinstance(window, RefinedWindow):
+                window = HeightWindow(window.row0, window.col0, window.height_m, window.there)
+            return RefinedWindow(row0, col0, (rows, cols), window)
+        height, there = tiled_heights(self.world, self.elevation, self.grid, self.heights, row0, col0, rows, cols)
         there &= np.isfinite(height)
         return HeightWindow(row0, col0, height, there)
 
@@ -107,33 +142,39 @@ class Surface:
         if not len(row):
             return np.zeros((0, 3))
         row0, col0 = int(row.min()), int(col.min())
-        shape = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
-        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, *shape, self.stride)
-        point, up = self.world.ground(self.grid.crs, x, y)
-        exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
+        rows, cols = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
+        exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         return _scattered(exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m)
 
-    def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, row0: int, col0: int, height_m: np.ndarray) -> np.ndarray:
-        """Coordinates (rows, cols) float32, metres, of a window's nodes with their heights, along an earth-fixed unit axis."""
+    def points(self, row0: int, col0: int, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
+        """Frame points (rows, cols, 3) float64 of a window's nodes with their heights."""
         rows, cols = height_m.shape
+        return _positions(*self.exact_verticals(row0, col0, rows, cols, frame), self.stride, row0, col0, height_m)
+
+    def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+        """Put the coordinates, metres, of windows' nodes with their heights, along an earth-fixed unit axis, into arrays of
+        float32: views (rows, cols) of any order.
+        """
+        row0, col0 = min(window.row0 for window in windows), min(window.col0 for window in windows)
+        rows = max(window.row0 + window.shape[0] for window in windows) - row0
+        cols = max(window.col0 + window.shape[1] for window in windows) - col0
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
-        exact = np.stack([(point - origin_earth_m) @ axis_earth, up @ axis_earth], axis=-1)
-        out = np.empty((rows, cols), np.float32)
-        for start in range(0, rows, SURFACE_BAND_ROWS):
-            band = slice(start, min(start + SURFACE_BAND_ROWS, rows))
-            count = band.stop - start
-            placed = interpolated(exact, first_row, first_col, self.stride, row0 + start, col0, count, cols)
-            _add_height(placed, height_m[band], out[band])
-        return out
+        foot, per_metre = (point - origin_earth_m) @ axis_earth, up @ axis_earth
+        for window, array in zip(windows, out, strict=True):
+            refined = isinstance(window, RefinedWindow)
+            height = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
+            _along(
+                foot, per_metre, first_row, first_col, self.stride, window.row0, window.col0, *window.shape, height, refined,
+                *_laid_out(array),
+            )  # fmt: skip
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) of a window's nodes, and where there is a surface."""
         if self.grid.refines:
-            coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
-            last_row, last_col = (row0 + rows) // 2, (col0 + cols) // 2
-            height, there = coarser.heights(row0 // 2, col0 // 2, last_row - row0 // 2 + 1, last_col - col0 // 2 + 1)
-            return _refined(height, there, row0 % 2, col0 % 2, rows, cols)
+            coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
+            height, there = coarser.heights(*window)
+            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_there(there, row0 % 2, col0 % 2, rows, cols)
         stride = self.stride
         exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
         cell = self.cells_of(x, y)
@@ -178,6 +219,12 @@ class Surface:
         return self.elevation.cell_of(x, y)
 
 
+def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, int, int, int]:
+    """The window of the coarser grid, first row and column and size, that holds the nodes round a window's."""
+    top, left = row0 // 2, col0 // 2
+    return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
+
+
 def step_at_anchor_m(world: World, grid: Grid) -> float:
     """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
 
@@ -202,21 +249,48 @@ def map_pixel_m(world: World, view: MapView) -> float:
 
 
 @compiled
-def _refined(height, there, row0, col0, rows, cols):
-    """Heights and where there is a surface (rows, cols) at nodes, their quads' middles and the middles of their sides, from (row0,
-    col0) on, 0 or 1. Quads are cut along their higher diagonals (``terrain.ground.sheet``).
+def _refined(height, row0, col0, rows, cols):
+    """Heights (rows, cols) at nodes, their quads' middles and the middles of their sides, from (row0, col0) on, 0 or 1. Quads are
+    cut along their higher diagonals (``terrain.ground.sheet``).
     """
     out = np.empty((rows, cols), np.float32)
-    shown = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        top, bottom = (row0 + i) // 2, (row0 + i + 1) // 2
-        for j in range(cols):
-            left, right = (col0 + j) // 2, (col0 + j + 1) // 2
-            falling = 0.5 * (np.float64(height[top, left]) + height[bottom, right])
-            rising = 0.5 * (np.float64(height[top, right]) + height[bottom, left])
-            out[i, j] = rising if rising > falling or np.isnan(falling) else falling
-            shown[i, j] = (there[top, left] and there[bottom, right]) or (there[top, right] and there[bottom, left])
-    return out, shown
+        _refined_row(height, row0 + i, col0, out[i])
+    return out
+
+
+@compiled
+def _refined_row(height, row, col0, out):
+    above, below = height[row // 2], height[(row + 1) // 2]
+    _middles(above, below, col0, 0, out[col0::2])
+    _middles(above, below, 0, 1, out[1 - col0 :: 2])
+
+
+@compiled
+def _middles(above, below, first, aside, out):
+    """The middles between two rows, below the columns from ``first`` on (``aside`` 0) or between these and the next."""
+    west, east = above[first : first + out.size], above[first + aside : first + aside + out.size]
+    south_west, south_east = below[first : first + out.size], below[first + aside : first + aside + out.size]
+    for j in range(out.size):
+        falling = 0.5 * (np.float64(west[j]) + np.float64(south_east[j]))
+        rising = 0.5 * (np.float64(east[j]) + np.float64(south_west[j]))
+        out[j] = rising if rising > falling or np.isnan(falling) else falling
+
+
+@compiled
+def _refined_there(there, row0, col0, rows, cols):
+    """Where there is a surface (rows, cols) at the same places: where there is one at both ends of a diagonal."""
+    out = np.empty((rows, cols), np.bool_)
+    for i in range(rows):
+        above, below = there[(row0 + i) // 2], there[(row0 + i + 1) // 2]
+        for aside in range(2):
+            first = 0 if aside else col0
+            shown = out[i, (1 - col0 if aside else col0) :: 2]
+            nw, ne = above[first : first + shown.size], above[first + aside : first + aside + shown.size]
+            sw, se = below[first : first + shown.size], below[first + aside : first + aside + shown.size]
+            for j in range(shown.size):
+                shown[j] = (nw[j] & se[j]) | (ne[j] & sw[j])
+    return out
 
 
 @compiled
@@ -265,12 +339,132 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
     return out
 
 
+ALONG_ROWS = 64
+"""Rows that ``_along`` works on at a time, so that it can write an array whose columns lie side by side as fast."""
+
+
+def _laid_out(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
+    """The memory, flat, that an array (rows, cols) is a view of, where in it that begins, and the steps from row to row and from
+    column to column, in values; one of these is 1 or -1.
+    """
+    owner = array if array.base is None else array.base
+    assert isinstance(owner, np.ndarray)
+    start = (array.__array_interface__["data"][0] - owner.__array_interface__["data"][0]) // array.itemsize
+    return owner.reshape(-1), start, array.strides[0] // array.itemsize, array.strides[1] // array.itemsize
+
+
 @compiled
-def _add_height(placed, height, out):
-    """Put coordinates (rows, cols) at the ends of heights: of their feet, and by how much they change per metre (rows, cols, 2)."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = placed[i, j, 0] + np.float64(height[i, j]) * placed[i, j, 1]
+def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right):
+    """Coordinates (rows, cols) at the ends of heights, from exact ones (m, n) of their feet, and by how much these change per
+    metre; sums in the order of ``interpolated``. They are put into an array that is ``_laid_out``. ``height`` is of the nodes, or
+    of those of a grid that theirs refines.
+    """
+    between = np.empty(cols, np.float32)
+    feet, slopes = np.empty(foot.shape[1]), np.empty(foot.shape[1])
+    ends = np.empty((ALONG_ROWS, cols), np.float32)
+    weights = np.empty((4, stride))
+    for n in range(stride):
+        weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
+    for top in range(0, rows, ALONG_ROWS):
+        count = min(ALONG_ROWS, rows - top)
+        for i in range(count):
+            coarse = (row0 + top + i) // stride
+            m, share = coarse - first_row, (row0 + top + i - coarse * stride) / stride
+            _of_row(foot, m, share, feet)
+            _of_row(per_metre, m, share, slopes)
+            if refined:
+                _refined_row(height, row0 % 2 + top + i, col0 % 2, between)
+            heights = between if refined else height[top + i]
+            for first in range(col0 // stride * stride, col0 + cols, stride):
+                n = first // stride - first_col
+                begin, end = max(first, col0) - first, min(first + stride, col0 + cols) - first
+                at = first + begin - col0
+                _ends_of(feet, slopes, n - 1, weights, begin, heights[at : at + end - begin], ends[i, at : at + end - begin])
+                if begin == 0:  # an exact column: zero weights must not carry a neighbour's NaN
+                    ends[i, at] = feet[n] + np.float64(heights[at]) * slopes[n]
+        if abs(right) == 1:
+            for i in range(count):
+                _put(ends[i], flat, start + (top + i) * down, right)
+        else:
+            for j in range(cols):
+                _put(ends[:count, j], flat, start + j * right + top * down, down)
+
+
+@compiled
+def _of_row(exact, m, share, out):
+    """Exact columns' values (n,) of a row between exact ones (m, n)."""
+    w = cubic_weights(share)
+    for n in range(out.size):
+        if w[1] == 1.0:  # an exact row
+            out[n] = exact[m, n]
+        else:
+            out[n] = w[0] * exact[m - 1, n] + w[1] * exact[m, n] + w[2] * exact[m + 1, n] + w[3] * exact[m + 2, n]
+
+
+# The next loops are written so that they compile to vector instructions: slices have their lengths, and rows lie side by side.
+
+
+@compiled
+def _ends_of(feet, slopes, n, weights, first, height, out):
+    """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
+    a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
+    e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
+    count = height.size
+    w0, w1 = weights[0][first : first + count], weights[1][first : first + count]
+    w2, w3 = weights[2][first : first + count], weights[3][first : first + count]
+    for j in range(count):
+        foot = w0[j] * a + w1[j] * b + w2[j] * c + w3[j] * d
+        slope = w0[j] * e + w1[j] * f + w2[j] * g + w3[j] * h
+        out[j] = foot + np.float64(height[j]) * slope
+
+
+@compiled
+def between_columns(exact, first_col, stride, col0, cols):
+    """Values (m, cols) of the columns between exact ones (m, n)."""
+    out = np.empty((exact.shape[0], cols))
+    for j in range(cols):
+        coarse = (col0 + j) // stride
+        w = cubic_weights((col0 + j - coarse * stride) / stride)
+        n = coarse - first_col
+        for m in range(exact.shape[0]):
+            if w[1] == 1.0:
+                out[m, j] = exact[m, n]
+            else:
+                out[m, j] = w[0] * exact[m, n - 1] + w[1] * exact[m, n] + w[2] * exact[m, n + 1] + w[3] * exact[m, n + 2]
+    return out
+
+
+@compiled
+def between_rows(a, b, c, d, e, f, g, h, share, height, out):
+    """Coordinates (cols,) at the ends of heights in a row between exact ones, of which it takes four: of the feet, and by how much
+    these change per metre.
+    """
+    w0, w1, w2, w3 = cubic_weights(share)
+    for j in range(height.size):
+        foot = w0 * a[j] + w1 * b[j] + w2 * c[j] + w3 * d[j]
+        slope = w0 * e[j] + w1 * f[j] + w2 * g[j] + w3 * h[j]
+        out[j] = foot + np.float64(height[j]) * slope
+
+
+@compiled
+def on_row(foot, slope, height, out):
+    """The same in an exact row."""
+    for j in range(height.size):
+        out[j] = foot[j] + np.float64(height[j]) * slope[j]
+
+
+@compiled
+def _put(values, flat, start, step):
+    """Put values side by side into an array, from one place on or back from it."""
+    count = values.size
+    if step == 1:
+        target = flat[start : start + count]
+        for n in range(count):
+            target[n] = values[n]
+    else:
+        target = flat[start - count + 1 : start + 1]
+        for n in range(count):
+            target[count - 1 - n] = values[n]
 
 
 @compiled

@@ -22,7 +22,6 @@ from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.effects import EFFECTS
-from terrain.gbuffer.covered_nodes import PixelsShow
 from terrain.level.level import LoadedLevel, load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
@@ -98,22 +97,19 @@ class Lab:
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level)
-        shows: PixelsShow = "points" if effect in MOVES_EDGES else "means"
-        (on, ran), (off, ran_off) = (self._picture(scene, effect, wish, shows) for wish in ("on", "off"))
+        (on, ran), (off, ran_off) = (self._picture(scene, effect, wish) for wish in ("on", "off"))
         assert not ran_off
         reason = next(item.reason for item in (*plan.effects, *plan.left_out) if item.name == effect)
         far = max(_beyond_neighbours(on, off), _beyond_neighbours(off, on))
         return Found(case.name, effect in plan.runs, reason, ran, int(np.abs(on - off).max()), far)
 
     @staticmethod
-    def _picture(scene: Scene, effect: str, wish: str, shows: PixelsShow) -> tuple[np.ndarray, bool]:
+    def _picture(scene: Scene, effect: str, wish: str) -> tuple[np.ndarray, bool]:
         level = scene.loaded.level
         forced = level.model_copy(update={"effects": {**dict.fromkeys(EFFECTS[effect].needs, "on"), effect: wish}})
         loaded = LoadedLevel(name="level", path=scene.loaded.path, level=forced, digest="")
         view = scene.view("view")
-        frame = render_frame(
-            replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced), pixels_show=shows
-        )
+        frame = render_frame(replace(scene, loaded=loaded), view, make_plan(describe(scene, view, "view"), forced))
         return frame.color.astype(np.int32), effect in frame.plan.runs
 
 
@@ -284,6 +280,5 @@ CASES: dict[str, Callable[[], Iterator[Case]]] = {
 
 MOVES_EDGES = frozenset({"refraction", "soft_edges"})
 """Effects that move edges, and that are left out where they do so by less than a pixel: a pixel on an edge is on its other side
-then. There a picture is held against the other one's pixel and those beside it, each by its own point: of five samples in a pixel
-on an edge, one more or less is a fifth.
+then. There a picture is held against the other one's pixel and those beside it.
 """

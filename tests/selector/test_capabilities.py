@@ -179,7 +179,7 @@ def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(leve
 
 
 @pytest.mark.parametrize("asked", ["level", "request"])
-def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, write_raster, make_scene, asked):
+def test_a_sweep_falls_back_to_maps_where_rays_bend_and_says_so(gl, write_raster, make_scene, asked):
     """A level that asks for a sweep has all zooms, and the widest of them are no error."""
     row, col = np.mgrid[:100, :100]
     raster = write_raster((900.0 * np.sin(row / 3.0) * np.cos(col / 4.0) + 900.0).astype(np.float32), "EPSG:4326", 8.0, 48.0, 0.03)
@@ -192,7 +192,7 @@ def test_a_sweep_gives_way_to_maps_where_rays_bend_and_says_so(gl, write_raster,
         frame = render_frame(scene, view, plan)
         assert [record.name for record in frame.passes] == plan.passes
         (why,) = [each.reason for each in plan.reasons if each.name == f"sun/relief: {name}"]
-        bends = "the view is too wide: the sun's rays bend across it"
+        bends = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
         assert why == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
         rejected = {each.name: each.reason for each in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)

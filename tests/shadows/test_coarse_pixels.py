@@ -200,3 +200,17 @@ def test_means_leave_out_what_is_not_there():
 def test_by_night_all_is_dark(ridges):
     night = ridges.with_sun(SunSpec(azimuth=90.0, altitude=-10.0))
     assert (render(night, view_of(night, 8)).visibility == 0.0).all()
+
+
+@pytest.mark.parametrize("finer", [lambda grid: grid.refined(), lambda grid: grid.subdivided(1), lambda grid: grid.subdivided(2)])
+def test_means_of_what_is_lit_are_counted_as_means_of_numbers(finer):
+    """Where pixels cut squares alike they are counted in whole numbers: to the bit the same."""
+    random = np.random.default_rng(1)
+    grid = Grid(tile_grid(MERCATOR, 0).crs, 0.5, -0.5, 1.0)
+    view = MapView(grid, 16.0, 24.0, 1.0, 1.0, 9, 7)
+    nodes = covered_nodes(view, finer(grid))
+    lit, there = (random.random((nodes.rows, nodes.cols)) < share for share in (0.5, 0.7))
+    there[:9, :9] = False
+    counted = means_in_pixels(view, nodes, lit, there)
+    assert np.isnan(counted).any() and np.isfinite(counted).any()
+    assert np.array_equal(counted, means_in_pixels(view, nodes, lit.astype(np.float32), there), equal_nan=True)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from selector.planner.planner import make_plan
 from shadows.attached import attached
+from shadows.bent_rays import MAX_STRAIGHT_M
 from shadows.passes import PassLog
 from shadows.render import render_frame
 from shadows.sweep import sweep
+from shadows.sweep.rays import rays_over
 from shadows.sweep.settings import SweepSettings
 from shadows.truth.metrics import MOST_INTERIOR, errors_of
 from shadows.truth.truth import ray_scene, truth_of
@@ -128,6 +131,21 @@ def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene,
     buffer, casters, seen = looked_at(scene, view)
     real = truth_of(buffer, scene, casters)
     assert errors_of(seen, real, 3000.0).wrong <= 2e-3
+
+
+@pytest.mark.parametrize("latitude, width_km", [(0.0, 1000.0), (65.0, 1000.0), (78.0, 500.0), (84.0, 250.0)])
+def test_lines_follow_the_rays_across_so_wide_a_map(write_raster, make_scene, latitude, width_km):
+    """Farther than sweeps are asked to, whatever the azimuth: elsewhere they fall back to maps (``shadows.bent_rays``)."""
+    assert 1e3 * width_km > MAX_STRAIGHT_M
+    x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform(10.0, latitude)
+    stretch, heights = 1.0 / np.cos(np.radians(latitude)), np.zeros((8, 8), np.float32)
+    heights[4, 4] = 100.0
+    raster = write_raster(heights, "EPSG:3857", x - 200.0 * stretch, y + 200.0 * stretch, 50.0 * stretch)
+    half = 500.0 * width_km * stretch
+    for azimuth in (0.0, 10.0, 45.0, 80.0, 90.0, 200.0):
+        scene = make_scene(raster, azimuth=azimuth, altitude=3.0)
+        view = scene.view(bounds=(x - half, y - half, x + half, y + half), size=(1024, 1024), crs="EPSG:3857")
+        rays_over(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).places(0, view.row0, view.col0, 1024, 1024)  # or raises
 
 
 def test_blocks_join_without_a_seam(jacksboro):

@@ -1,0 +1,70 @@
+"""Heights of a grid's nodes in tiles that are kept: neighbouring windows, and the same one under another sun, read them once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from terrain.cache import MIB, Cache, Missing, cached
+from terrain.geo.grid import Grid
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
+
+TILE_NODES = 512
+"""Side of a tile, in nodes, half a block's; tiles lie on multiples of it, counted from the grid's origin."""
+
+RIM_NODES = 8
+"""Nodes round a tile that are read with it: a block with the few nodes round it takes no tile more than its own."""
+
+Heights = tuple[np.ndarray, np.ndarray]
+"""Heights float32, NaN where there is no ground, and where there is a surface, bool."""
+
+_tiles: Cache[Heights | None] = Cache("terrain.ground.height_tiles", "scene", 192 * MIB)
+
+
+class _GridOfScene:
+    """Stands for a grid over a scene's ground in the tiles' keys."""
+
+
+@cached("scene", MIB, size_of=lambda _: 512)
+def _grid_of_scene(world: World, elevation: Elevation, grid: Grid) -> _GridOfScene:
+    return _GridOfScene()
+
+
+def tiled_heights(
+    world: World,
+    elevation: Elevation,
+    grid: Grid,
+    read: Callable[[int, int, int, int], Heights],
+    row0: int,
+    col0: int,
+    rows: int,
+    cols: int,
+) -> Heights:
+    """What ``read(row0, col0, rows, cols)`` says of a window of a grid's nodes, of tiles that are read once."""
+    owner = _grid_of_scene(world, elevation, grid)
+    height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
+    for row, top, bottom in _cuts(row0, rows):
+        for col, left, right in _cuts(col0, cols):
+            first_row, first_col = row * TILE_NODES - RIM_NODES, col * TILE_NODES - RIM_NODES
+            target = slice(top - row0, bottom - row0), slice(left - col0, right - col0)
+            tile = _tiles.get(owner, row, col)
+            if isinstance(tile, Missing):
+                values = read(first_row, first_col, TILE_NODES + 2 * RIM_NODES, TILE_NODES + 2 * RIM_NODES)
+                tile = values if np.isfinite(values[0]).any() else None
+                _tiles.put(owner, row, col, value=tile)
+            if tile is None:
+                height[target], there[target] = np.nan, False
+            else:
+                source = slice(top - first_row, bottom - first_row), slice(left - first_col, right - first_col)
+                height[target], there[target] = tile[0][source], tile[1][source]
+    return height, there
+
+
+def _cuts(first: int, count: int) -> list[tuple[int, int, int]]:
+    """The tiles along an axis that hold nodes, as few as there are: their numbers, and which nodes each gives, [start, stop)."""
+    end = first + count
+    low = (first + RIM_NODES) // TILE_NODES
+    high = max((end - 1 - RIM_NODES) // TILE_NODES, low)
+    return [(n, first if n == low else n * TILE_NODES, end if n == high else (n + 1) * TILE_NODES) for n in range(low, high + 1)]

@@ -1,0 +1,131 @@
+"""Maps of bare ground that are drawn without a geometry buffer: they show what ``render_frame`` does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from morecantile import tms as matrix_sets
+
+from shadows.ground_pictures import _ground_alone, _ground_picture, shown_map
+from shadows.render import render_frame
+from terrain.casters.slopes import extent_on_grid
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.scene import Scene
+from tests.params import quick
+from tests.render import plan_of
+
+MOST_DIFFERING = 1e-4
+"""Share of the pixels whose colour may be another step of 255: shares of the sky are rounded before they are multiplied."""
+
+SUNS = ((225.0, 22.0), (180.0, 4.0), (91.0, 2.0), (20.0, 65.0), (300.0, -3.0))
+"""Azimuth and altitude: noon, lines that lean, grazing light, a high sun, and none."""
+
+PLACES = quick(
+    [(10, 0, 0), (12, 0, 0), (13, 0, 0), (13, -300, -300), (14, 0, 0), (15, 800, 0)], (12, 0, 0)
+)  # fmt: skip
+"""Zooms, and pixels beside the level's middle: coarse pixels, those of the data's size, and magnified ones."""
+
+
+def view_of(scene: Scene, zoom: int, rows: int = 0, cols: int = 0) -> MapView:
+    """The block of tiles that holds a level's middle, or the pixel so far from there."""
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
+    (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
+    row, col = (BLOCK_PX * np.floor(place / BLOCK_PX) for place in ((north + south) / 2 + rows, (west + east) / 2 + cols))
+    return MapView(grid, float(row), float(col), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+
+
+@pytest.fixture
+def hills(write_raster, make_scene):
+    """Rough ground of 200 x 200 cells of 30 m, with a hole in it, under a sun."""
+
+    def make(azimuth: float, altitude: float, **keys) -> Scene:
+        row, col = np.mgrid[:200, :200]
+        rough = np.random.default_rng(7).normal(0.0, 12.0, (200, 200))
+        heights = (700.0 + 350.0 * np.sin(row / 14.0) * np.cos(col / 19.0) + rough).astype(np.float32)
+        heights[40:60, 90:140] = np.nan
+        heights[55, 100:130] = 600.0
+        raster = write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan)
+        return make_scene(raster, azimuth, altitude, **keys)
+
+    return make
+
+
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+@pytest.mark.parametrize(("zoom", "rows", "cols"), PLACES)
+def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, rows, cols):
+    scene = hills(azimuth, altitude)
+    view = view_of(scene, zoom, rows, cols)
+    plan = plan_of(scene, view)
+    assert _ground_alone(scene, view, plan)
+    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
+    assert shown is not None and frame.there.any() and not frame.there.all()
+    assert np.array_equal(shown.there, frame.there)
+    if scene.sun_is_up:
+        assert np.array_equal(shown.opacity, frame.opacity)
+    else:  # there coarse pixels without a node that shows ground count as lit, but here by night
+        assert (shown.opacity[shown.there] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
+    apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
+    assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
+    assert [each.name for each in shown.passes] == plan.passes
+
+
+def test_shadow_is_in_them(gl, hills):
+    """The comparison sees something: opacity from none to all, and colours of many heights."""
+    shown = shown_map(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
+    assert {0, 255} < set(np.unique(shown.opacity)) and len(np.unique(shown.color.reshape(-1, 3), axis=0)) > 1000
+
+
+@pytest.mark.parametrize("zoom", [10, 12, 14])
+def test_gentle_ground_under_a_high_sun_is_lit(gl, write_raster, make_scene, zoom):
+    """Nothing casts, nothing is turned away, and no geometry buffer is needed to know it."""
+    heights = np.random.default_rng(7).normal(500.0, 2.0, (120, 120)).astype(np.float32)
+    heights[:, :7] = np.nan
+    scene = make_scene(write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan), 160.0, 50.0)
+    view = view_of(scene, zoom)
+    plan = plan_of(scene, view)
+    assert plan.headline == "none"
+    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
+    assert shown is not None and shown.there.any() and not shown.opacity.any()
+    assert np.array_equal(shown.there, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+    assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
+    assert [each.name for each in shown.passes] == plan.passes
+    steep = make_scene(scene.elevation.name, 160.0, 1.0, effects={"cast_shadows": "off"})
+    assert _ground_picture(steep, view, plan_of(steep, view)) is None  # its triangles have to be looked at
+
+
+ELSE = {
+    "clouds": {"weather": {"cloud_cover": 0.5}}, "a resolution": {"terrain": {"resolution": 90.0}},
+    "no sky view": {"effects": {"sky_view": "off"}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("keys", ELSE.values(), ids=ELSE)
+def test_what_else_a_level_has_is_drawn_elsewhere_or_the_same(gl, hills, keys):
+    scene = hills(225.0, 22.0, **keys)
+    view = view_of(scene, 12)
+    plan = plan_of(scene, view)
+    shown, frame = shown_map(scene, view, plan), render_frame(scene, view, plan)
+    assert _ground_alone(scene, view, plan) != ("weather" in keys)
+    assert np.array_equal(shown.opacity, frame.opacity)
+    assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
+
+
+def test_off_the_ground_they_are_empty(gl, hills):
+    scene = hills(225.0, 22.0)
+    view = view_of(scene, 13, rows=2000)
+    shown = shown_map(scene, view, plan_of(scene, view))
+    assert not shown.there.any() and not shown.color.any() and not shown.opacity.any()
+
+
+def test_ground_one_node_wide_goes_by_its_triangles(gl, write_raster, make_scene):
+    """It has no smooth normal: a geometry buffer takes that of the triangles beside it."""
+    heights = np.full((64, 64), np.nan, np.float32)
+    heights[:, 20] = heights[30, :] = 500.0
+    heights[31, 10:50] = 480.0
+    scene = make_scene(write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan), 200.0, 30.0)
+    for zoom in (12, 13, 15):
+        view = view_of(scene, zoom)
+        plan = plan_of(scene, view)
+        shown, frame = shown_map(scene, view, plan), render_frame(scene, view, plan)
+        assert np.array_equal(shown.there, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+        assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
