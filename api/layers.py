@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, get_args
 import numpy as np
 from PIL import Image
 
+from api.png import encode_png
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
@@ -63,7 +64,8 @@ class Layer:
     A layer with a ``picture`` (of uint8: gray or RGBA, with JPEG RGBA) is served over HTTP, in those formats that are among its
     suffixes; any other has ``data``. ``shown`` makes of an array that is no picture one for PNG, over the frame's colour.
     ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` may be compressed with loss, and is of all
-    lights together; others are to be computed with, and of one light.
+    lights together; others are to be computed with, and of one light. One ``of_points`` takes the
+    visibility at pixels' own points; others what is shown, which is drawn faster.
     """
 
     about: str = ""
@@ -73,6 +75,7 @@ class Layer:
     shown: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     nodata: float | None = None
     to_look_at: bool = False
+    of_points: bool = True
 
     @property
     def formats(self) -> tuple[PictureFormat, ...]:
@@ -160,9 +163,12 @@ def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 
 LAYERS: dict[str, Layer] = {
     "color": Layer(
-        about="shaded relief with cast shadows", picture=_color, suffixes=(".png", ".webp", ".tif", ".jpg"), to_look_at=True
+        about="shaded relief with cast shadows", picture=_color, suffixes=(".png", ".webp", ".tif", ".jpg"), to_look_at=True,
+        of_points=False,
     ),
-    "shadow": Layer(about="black with the shadow as opacity", picture=_shadow, suffixes=(".png", ".webp", ".tif")),
+    "shadow": Layer(
+        about="black with the shadow as opacity", picture=_shadow, suffixes=(".png", ".webp", ".tif"), of_points=False
+    ),
     "mask": Layer(
         about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
         picture=_mask, suffixes=(".png", ".webp", ".tif"), nodata=MASK_NO_SURFACE,
@@ -215,12 +221,12 @@ def viewable(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
 
 
 def encode_picture(array: np.ndarray, suffix: str) -> bytes:
-    """PNG, lossless WebP or JPEG (of opaque colour) of a picture layer (RGBA or gray)."""
+    """PNG, lossless WebP or JPEG (of opaque colour) of a picture layer (RGB, RGBA or gray)."""
+    if suffix == ".png":
+        return encode_png(array)
     out = io.BytesIO()
     image = Image.fromarray(array)
-    if suffix == ".png":
-        image.save(out, "PNG", compress_level=4)
-    elif suffix == ".webp":
+    if suffix == ".webp":
         image.save(out, "WEBP", lossless=True, method=1, exact=True)
     elif suffix in (".jpg", ".jpeg"):
         image.convert("RGB").save(out, "JPEG", quality=92)

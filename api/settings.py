@@ -48,7 +48,8 @@ class Settings(BaseSettings):
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
-    block_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for finished blocks (7 MiB each) and snapshots.")
+    block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for blocks of tiles, encoded, and snapshots.")
+    tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
     max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
     empty_tile: Literal["transparent", "204", "404"] = Field(

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
-from api.workers.jobs import RenderedBlock, Snapshot
+from api.workers.jobs import BlockTiles, Snapshot
 
 VERSION = version("skugga")
 
@@ -53,7 +53,7 @@ def json_answer(request: Request, value: object) -> Response:
     return answer
 
 
-def drawn_headers(drawn: RenderedBlock | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
+def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
     """What a picture says of what it is made of (``subject``: a block or a snapshot): the passes that drew it, whether it was
     drawn for this answer or kept from an earlier one, and caster reach.
 

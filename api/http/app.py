@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import TooLargeError
 from api.http import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
 from api.http.answers import EXPOSED_HEADERS, VERSION
+from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.settings import Settings
@@ -50,7 +51,12 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
     """
-    service = Service(settings, ServedLevels(levels, settings.remote_sources), Pool(settings, worker_target))
+    service = Service(
+        settings,
+        ServedLevels(levels, settings.remote_sources),
+        Pool(settings, worker_target),
+        EncodedTiles(settings.tile_cache_bytes),
+    )
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -65,6 +71,7 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
         lifespan=lifespan, redoc_url=None,
     )  # fmt: skip
     app.state.service = service
+    app.add_middleware(SentBefore, service=service)
     app.add_middleware(
         CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"],
         allow_headers=["Content-Type"],

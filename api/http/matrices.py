@@ -10,13 +10,11 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
+from api.workers.block_tiles import TILE_PX
 from terrain.cache import MIB, cached
-from terrain.geo.grid import BLOCK_PX, tile_grid
+from terrain.geo.grid import crs_of_tiles, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
 from terrain.ground.surface import step_at_anchor_m
-
-TILE_PX = 256
-BLOCK_TILES = BLOCK_PX // TILE_PX
 
 LEVEL_TILES = 0.5
 """A level's longest side at the first zoom, about, in tiles."""
@@ -103,7 +101,7 @@ def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat:
     ``False`` where that cannot be told: the tile is drawn then, and is empty.
     """
     edges = matrix_set.xy_bounds(Tile(x, y, zoom))
-    to_lon_lat = transformer(CRS.from_user_input(matrix_set.rasterio_crs.to_wkt()), LONGITUDE_LATITUDE)
+    to_lon_lat = transformer(crs_of_tiles(matrix_set), LONGITUDE_LATITUDE)
     west, south, east, north = to_lon_lat.transform_bounds(*edges, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
         return False

@@ -10,8 +10,8 @@ from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_header
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
 from api.http.service import TheService, cancel_on_disconnect
-from api.http.tiles import check_format
 from api.layers import LAYERS, MEDIA_TYPES, PictureFormat
+from api.workers.block_tiles import check_format
 from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
 from terrain.errors import InputError
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
@@ -10,13 +9,14 @@ from starlette.concurrency import run_in_threadpool
 
 from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
+from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, allow_only, picture_query
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService, cancel_on_disconnect
-from api.http.tiles import block_of_tile, check_format, cut, empty_tile, encode
 from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
-from api.workers.jobs import BlockJob, PictureRequest, RenderedBlock
+from api.workers.block_tiles import check_format, empty_tile, place_in_block
+from api.workers.jobs import BlockJob, BlockTiles, PictureRequest
 from selector.formatting import format_list
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
@@ -110,20 +110,23 @@ async def _answer(
         body = await run_in_threadpool(empty_tile, layer, format, scale)
         return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
 
-    zoom, x, y = zxy[0] + scale - 1, zxy[1] * scale, zxy[2] * scale
-    block_x, block_y = block_of_tile(x, y)
-    job = BlockJob(level=level.key, matrix_set=tms, zoom=zoom, block_x=block_x, block_y=block_y, request=wanted)
+    tile = service.tiles.get(headers["ETag"])
+    if tile is not None:
+        service.tiles.put(request, tile, name, (level.version, service.pool.renderer, service.pool.calibration))
+        return tile.answer(request)
+    (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
+    job = BlockJob(
+        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, layer=layer, format=format,
+        tiles=scale, request=wanted,
+    )  # fmt: skip
     kept = service.pool.finished(job) is not None
     block = await cancel_on_disconnect(request, service.pool.run(job))
-    assert isinstance(block, RenderedBlock)
-    body, encode_ms = await run_in_threadpool(_encoded, block, x, y, layer, scale, format)
-    headers = cache_headers(tag_of(block.renderer, block.calibration, *tag_parts), fresh_s)
-    headers |= drawn_headers(block, "block", kept, encode_ms)
-    return Response(body, headers=headers, media_type=MEDIA_TYPES[format])
-
-
-def _encoded(block: RenderedBlock, x: int, y: int, layer: str, tiles: int, format: str) -> tuple[bytes, float]:
-    """The bytes of a picture and the milliseconds that they took."""
-    start = clock.perf_counter()
-    body = encode(cut(block, x, y, layer, tiles), layer, format)
-    return body, (clock.perf_counter() - start) * 1000.0
+    assert isinstance(block, BlockTiles)
+    tag = tag_of(block.renderer, block.calibration, *tag_parts)
+    made, again = (
+        cache_headers(tag, fresh_s) | drawn_headers(block, "block", kept, block.encode_ms)
+        for kept in (kept or not block.drawn, True)
+    )  # fmt: skip
+    tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])
+    service.tiles.put(request, tile, name, (level.version, block.renderer, block.calibration))
+    return Response(tile.body, headers=made, media_type=tile.media_type)

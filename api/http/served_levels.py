@@ -140,6 +140,11 @@ class ServedLevels:
                 log.info("level %s has changed and was read anew", name)
             return level
 
+    def version_now(self, name: str) -> str | None:
+        """The version of a level whose files have not changed since it was read; ``None`` where they have, or there is none."""
+        stamps, level = self._levels.get(name, (None, None))
+        return level.version if level is not None and _stamps(level.loaded) == stamps else None
+
     def all(self) -> list[ServedLevel]:
         """All levels as they are now; one that was broken since is left out."""
         levels = []

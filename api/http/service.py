@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 from starlette.concurrency import run_in_threadpool
 
+from api.http.encoded_tiles import EncodedTiles
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
 from api.workers.pool import Pool
@@ -24,6 +25,7 @@ class Service:
     settings: Settings
     levels: ServedLevels
     pool: Pool
+    tiles: EncodedTiles
 
     async def level(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
@@ -87,13 +86,19 @@ class LevelKey(_Value):
 
 
 class BlockJob(_Value):
-    """Draw a block of 4 x 4 tiles (1024 x 1024 px): block (x, y) of a tile matrix counts from its corner."""
+    """Draw a block of 4 x 4 tiles (1024 x 1024 px) and encode a layer of it: block (x, y) of a tile matrix counts from its corner.
+
+    ``tiles``: each picture shows so many tiles a side.
+    """
 
     level: LevelKey
     matrix_set: str
     zoom: int
     block_x: int
     block_y: int
+    layer: PictureLayer = "color"
+    format: PictureFormat = "png"
+    tiles: int = 1
     request: PictureRequest = PictureRequest()
 
 
@@ -150,18 +155,15 @@ class Ready:
 
 
 @dataclass(frozen=True, eq=False)
-class RenderedBlock:
-    """A finished block: ``color`` (rows, cols, 3) uint8, ``visibility`` (rows, cols) float32, NaN off the surface,
-    ``opacity`` (rows, cols) uint8 of the shadow as it is shown.
+class BlockTiles:
+    """The tiles of a block, by row and column in it, in one layer and format; ``drawn`` for this answer, or kept.
 
-    ``plan_json`` is the plan, ``headline`` its algorithms as in overrides; ``passes`` are names with milliseconds;
-    the caster reach is in metres; ``renderer`` drew it, by plans of a ``calibration`` (its digest).
+    ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres;
+    ``renderer`` drew it, by plans of a ``calibration`` (its digest).
     """
 
-    color: np.ndarray
-    visibility: np.ndarray
-    opacity: np.ndarray
-    plan_json: str
+    tiles: dict[tuple[int, int], bytes]
+    encode_ms: float
     headline: str
     passes: tuple[tuple[str, float], ...]
     reach_used_m: float
@@ -169,23 +171,12 @@ class RenderedBlock:
     reach_clipped: bool
     renderer: str
     calibration: str = ""
-
-    @property
-    def there(self) -> np.ndarray:
-        """Where there is a surface."""
-        return ~np.isnan(self.visibility)
-
-    opaque = there
-
-    def part(self, row: int, col: int, side: int) -> RenderedBlock:
-        """The square part of a block whose first pixel is (row, col)."""
-        pixels = slice(row, row + side), slice(col, col + side)
-        return replace(self, color=self.color[pixels], visibility=self.visibility[pixels], opacity=self.opacity[pixels])
+    drawn: bool = True
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays."""
-        return self.color.nbytes + self.visibility.nbytes + self.opacity.nbytes
+        """Bytes of the tiles."""
+        return sum(map(len, self.tiles.values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,5 +241,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = RenderedBlock | Snapshot | PlanAnswer | DescriptorAnswer
+Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer
 Answer = Result | Failure

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from api.device_calibration import digest_of
 from api.errors import WorkerCrashError
 from api.settings import Settings, cores
-from api.workers.jobs import Answer, Failure, Job, RenderedBlock, Result, Snapshot
+from api.workers.jobs import Answer, BlockTiles, Failure, Job, Result, Snapshot
 from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
@@ -58,7 +58,7 @@ class Pool:
         self._target = target
         self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
-        self._finished: Cache[RenderedBlock | Snapshot] = Cache(
+        self._finished: Cache[BlockTiles | Snapshot] = Cache(
             "api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
         )
         self._flights: dict[Job, _PendingJob] = {}
@@ -92,7 +92,7 @@ class Pool:
         """Jobs that wait for a process."""
         return len(self._queue)
 
-    def finished(self, job: Job) -> RenderedBlock | Snapshot | None:
+    def finished(self, job: Job) -> BlockTiles | Snapshot | None:
         """A block or a snapshot that is kept."""
         drawn = self._finished.get(job)
         return None if isinstance(drawn, Missing) else drawn
@@ -219,7 +219,7 @@ class Pool:
             flight.answer.set_exception(answer)
         else:
             self.tally.answered += 1
-            if isinstance(answer, RenderedBlock | Snapshot):
+            if isinstance(answer, BlockTiles | Snapshot):
                 self._finished.put(flight.job, value=answer)
             flight.answer.set_result(answer)
 

@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration, digest_of
-from api.layers import encode_picture, picture_layer
+from api.layers import LAYERS, encode_picture, picture_layer
+from api.workers.block_tiles import NOT_ASKED, PicturedBlock, encoded_tiles
 from api.workers.jobs import (
     Answer,
     BlockJob,
+    BlockTiles,
     DescriptorAnswer,
     DescriptorJob,
     Failure,
@@ -30,13 +32,13 @@ from api.workers.jobs import (
     PlanAnswer,
     PlanJob,
     Ready,
-    RenderedBlock,
     Result,
     Snapshot,
     SnapshotJob,
     Tiles,
 )
 from selector.select import plan_of_view
+from shadows.ground_pictures import ShownMap, shown_map
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
@@ -59,6 +61,9 @@ SCENES_BYTES = 2**30
 
 TILE_PLANS_BYTES = 16 * MIB
 """Bytes of the plans of tiles that a process keeps: some 30 KiB each."""
+
+BLOCKS_BYTES = 48 * MIB
+"""Bytes of the blocks drawn last, some 5 MiB each, of which other layers or formats may be asked for."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
@@ -127,14 +132,19 @@ class TilePlanCache:
         return plan
 
 
+DrawnAndFacts = tuple[PicturedBlock, dict[str, Any]]
+"""A block and what is said of what drew it."""
+
+
 @dataclass(frozen=True, eq=False)
 class WorkerState:
-    """What a render process keeps while it lives: its renderer, the device's calibration, scenes and plans of tiles."""
+    """What a render process keeps while it lives: its renderer, the device's calibration, scenes, plans of tiles, blocks."""
 
     renderer: str
     device: DeviceProfile | None = None
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
+    blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
 
     @property
     def calibration(self) -> str:
@@ -169,19 +179,33 @@ def run_job(job: Job, state: WorkerState) -> Result:
             plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, state.device)
             return PlanAnswer(plan.model_dump_json())
         case BlockJob():
-            plan = _plan_of_tiles(job, scene, state)
-            frame = render_frame(scene, block_view(job), plan)
-            return RenderedBlock(
-                color=frame.color, visibility=frame.visibility, opacity=frame.opacity, plan_json=plan.model_dump_json(),
-                **_facts(frame, state),
-            )  # fmt: skip
+            return _block_tiles(job, scene, state)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
             frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=state.device))
             start = clock.perf_counter()
             body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
-            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame, state))
+            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state))
+
+
+def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
+    points = LAYERS[job.layer].of_points
+    key = job.level, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
+    kept = state.blocks.get(*key)
+    if isinstance(kept, Missing):
+        plan = _plan_of_tiles(job, scene, state)
+        shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
+        block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
+        kept = block, _facts(plan, shown, state)
+        state.blocks.put(*key, value=kept)
+        drawn = True
+    else:
+        drawn = False
+    block, facts = kept
+    start = clock.perf_counter()
+    tiles = encoded_tiles(block, job.layer, job.format, job.tiles)
+    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=drawn, **facts)
 
 
 def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
@@ -198,10 +222,10 @@ def _plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     return state.plans.get((job.level, tiles, job.request), make)
 
 
-def _facts(frame: Frame, state: WorkerState) -> dict[str, Any]:
+def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState) -> dict[str, Any]:
     """What a picture says of what drew it."""
     return {
-        "headline": frame.plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
+        "headline": plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
         "renderer": state.renderer, "calibration": state.calibration,
         "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
     }  # fmt: skip

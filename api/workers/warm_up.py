@@ -12,20 +12,27 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from selector.select import plan_of_view
+from shadows.ground_pictures import shown_map
 from shadows.registry import FALLBACK
 from shadows.render import render_frame
 from terrain.errors import GraphicsError
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from terrain.geo.sun import apparent_position
 from terrain.gl import device as gl
 from terrain.level.level import Level, LoadedLevel
-from terrain.scene import build_scene
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
 
 WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """A plain of 64 x 64 cells with a wall from north to south in its middle."""
 
 ZOOM = 12
 """At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
+
+GROUND_PICTURES = ((ZOOM, 200.0, 30.0), (ZOOM, 100.0, 4.0), (ZOOM - 2, 100.0, 30.0), (ZOOM + 2, 340.0, 30.0))
+"""Zooms, azimuths and altitudes under which the map service's loops differ: the sun along rows and along columns, a low one, coarse
+pixels and magnified ones.
+"""
 
 BESIDE_M = 240.0
 """Where the plain is looked at, on both sides of the wall: inside the shadow and on the sunny side."""
@@ -57,26 +64,43 @@ def _visibility_beside_wall() -> tuple[float, float]:
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
-        level = Level.model_validate(
-            {
-                "version": 1,
-                "terrain": {"source": memory.name, "units": "m"},
-                "sun": {"azimuth": 270, "altitude": 30},
-                "shadows": {"algorithm": FALLBACK},
-            }
-        )
-        scene = build_scene(LoadedLevel(name="warm-up", path=Path("warm-up"), level=level, digest=""))
-        grid = tile_grid(matrix_sets.get("WebMercatorQuad"), ZOOM)
-        wall_x, wall_y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
-        row, col = (grid.y0 - wall_y) / grid.step, (wall_x - grid.x0) / grid.step
-        view = MapView(
-            grid, row // BLOCK_PX * BLOCK_PX, col // BLOCK_PX * BLOCK_PX, 1.0, 1.0, BLOCK_PX, BLOCK_PX
-        )  # fmt: skip
+        scene, plain = (_scene(memory.name, algorithm) for algorithm in (FALLBACK, "auto"))
+        grid, place = _grid_and_middle(scene, ZOOM)
+        view = _block(grid, place)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
+        for zoom, azimuth, altitude in GROUND_PICTURES:
+            view, seen = _block(*_grid_and_middle(plain, zoom)), plain.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+            shown_map(seen, view, plan_of_view(seen, view, policy="rules"))
         scene.close()
+        plain.close()
     away = BESIDE_M / grid.step
-    row, cols = int(row % BLOCK_PX), (int(np.rint(col % BLOCK_PX - away)), int(np.rint(col % BLOCK_PX + away)))
+    row, col = (index % BLOCK_PX for index in place)
+    row, cols = int(row), (int(np.rint(col - away)), int(np.rint(col + away)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
+
+
+def _scene(source: str, algorithm: str) -> Scene:
+    level = Level.model_validate(
+        {
+            "version": 1,
+            "terrain": {"source": source, "units": "m"},
+            "sun": {"azimuth": 270, "altitude": 30},
+            "shadows": {"algorithm": algorithm},
+        }
+    )
+    return build_scene(LoadedLevel(name="warm-up", path=Path("warm-up"), level=level, digest=""))
+
+
+def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]]:
+    """A zoom's grid, and the row and column of the wall there."""
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
+    x, y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+    return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
+
+
+def _block(grid: Grid, place: tuple[float, float]) -> MapView:
+    row, col = (index // BLOCK_PX * BLOCK_PX for index in place)
+    return MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
 def _mercator_m(lon_deg: float, lat_deg: float) -> tuple[float, float]:

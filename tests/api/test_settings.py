@@ -11,7 +11,7 @@ def test_defaults_are_safe():
     assert settings.host == "127.0.0.1"
     assert not settings.remote_sources
     assert settings.empty_tile == "transparent"
-    assert settings.block_cache_bytes == 256 * 2**20
+    assert settings.block_cache_bytes == 64 * 2**20
 
 
 @pytest.mark.parametrize(("cores", "workers"), [(1, 1), (2, 2), (64, 4)])

@@ -7,12 +7,10 @@ import signal
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
 
-import numpy as np
-
-from api.workers.jobs import BlockJob, Failure, PlanAnswer, Ready, RenderedBlock
+from api.workers.block_tiles import BLOCK_TILES
+from api.workers.jobs import BlockJob, BlockTiles, Failure, PlanAnswer, Ready
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
-from terrain.geo.grid import BLOCK_PX
 
 RENDERER = "fake"
 
@@ -74,7 +72,7 @@ def leaky(pipe: Connection, config: WorkerConfig) -> None:
         pipe.send(Failure.of(RenderError("/secret/place/dem.tif: a part of the raster cannot be read")))
 
 
-def _answer(order: str) -> RenderedBlock | PlanAnswer | Failure:
+def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
     if order == "refuse":
         return Failure.of(InputError("view", order, "another order"))
     if order == "fail":
@@ -83,8 +81,5 @@ def _answer(order: str) -> RenderedBlock | PlanAnswer | Failure:
         return Failure.of(GraphicsError("OpenGL left an error behind"), fatal=True)
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
-    side = BLOCK_PX
-    return RenderedBlock(
-        np.zeros((side, side, 3), np.uint8), np.ones((side, side), np.float32), np.zeros((side, side), np.uint8), "{}", "none",
-        (("geometry", 1.0),), 0.0, 0.0, False, RENDERER,
-    )  # fmt: skip
+    tiles = {(row, col): b"tile" for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)}
+    return BlockTiles(tiles, 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

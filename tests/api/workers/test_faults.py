@@ -126,7 +126,7 @@ def test_not_ready_before_the_first_process_is(serve_with):
 
 
 def test_not_modified_is_known_before_rendering(serve_with):
-    client = serve_with(fake_workers.obedient, block_cache_bytes=0)
+    client = serve_with(fake_workers.obedient, block_cache_bytes=0, tile_cache_bytes=0)
     tag = client.get(tile()).headers["etag"]
     for given in (tag, f'"other", {tag}', f"W/{tag}", "*"):
         answer = client.get(tile(), headers={"If-None-Match": given})

@@ -1,0 +1,99 @@
+"""Tiles as they were sent: kept, and sent again before anything else is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from api.http.answers import is_fresh
+from terrain.cache import MIB, Cache, Missing
+
+if TYPE_CHECKING:
+    from api.http.service import Service
+
+OVERHEAD_BYTES = 1024
+"""What a kept tile, or its address, takes besides a body: headers, tags, and the cache's own."""
+
+
+@dataclass(frozen=True)
+class EncodedTile:
+    """A tile's bytes, and what its answer says: the entity tag, how long it is fresh, and how it was made."""
+
+    body: bytes
+    headers: dict[str, str]
+    media_type: str
+
+    def answer(self, request: Request) -> Response:
+        """The answer to a request; 304 where the client has it."""
+        if is_fresh(request, self.headers["ETag"]):
+            return Response(status_code=304, headers={name: self.headers[name] for name in ("ETag", "Cache-Control")})
+        return Response(self.body, headers=self.headers, media_type=self.media_type)
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """What was sent for an address: the tag of a tile, of a version of a level, drawn so."""
+
+    tag: str
+    level: str
+    drawn: tuple[str | None, ...]
+
+
+Address = tuple[str, bytes]
+"""Path and query."""
+
+
+class EncodedTiles:
+    """Tiles by entity tag, within so many bytes. To be used from one event loop."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._kept: Cache[EncodedTile] = Cache(
+            "api.http.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
+        )
+        self._sent: Cache[_Sent] = Cache("api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES)
+
+    def get(self, tag: str) -> EncodedTile | None:
+        """A tile that is kept."""
+        tile = self._kept.get(tag)
+        return None if isinstance(tile, Missing) else tile
+
+    def put(self, request: Request, tile: EncodedTile, level: str, drawn: tuple[str | None, ...]) -> None:
+        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on (``drawn_by``)."""
+        tag = tile.headers["ETag"]
+        self._kept.put(tag, value=tile)
+        self._sent.put(_address(request.scope), value=_Sent(tag, level, drawn))
+
+    def sent_before(self, scope: Scope, service: Service) -> EncodedTile | None:
+        """The tile that an address was answered with, if it would be again."""
+        sent = self._sent.get(_address(scope))
+        if isinstance(sent, Missing) or sent.drawn != drawn_by(service, sent.level):
+            return None
+        return self.get(sent.tag)
+
+
+def drawn_by(service: Service, level: str) -> tuple[str | None, ...]:
+    """What the tiles of a level hang on besides their addresses."""
+    return service.levels.version_now(level), service.pool.renderer, service.pool.calibration
+
+
+def _address(scope: Scope) -> Address:
+    return scope["path"], scope["query_string"]
+
+
+class SentBefore:
+    """Answers for tiles that are kept, before an application looks at a request."""
+
+    def __init__(self, app: ASGIApp, service: Service) -> None:
+        self.app, self.service = app, service
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or run the application."""
+        tile = self.service.tiles.sent_before(scope, self.service) if scope["type"] == "http" and scope["method"] == "GET" else None
+        if tile is None:
+            await self.app(scope, receive, send)
+        else:
+            await tile.answer(Request(scope))(scope, receive, send)

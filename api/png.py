@@ -1,0 +1,48 @@
+"""PNG files: rows less the rows above them, compressed by Intel's ISA-L.
+
+Measured on shaded tiles of 256 x 256 pixels (``docs/speed.md``): a tenth of the time of Pillow's encoder, and smaller files. Where
+ISA-L is not built for a machine, zlib does the same.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from functools import partial
+
+import numpy as np
+
+try:
+    from isal import isal_zlib
+except ImportError:
+    _compress = partial(zlib.compress, level=3)
+else:
+    _compress = partial(isal_zlib.compress, level=2)
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
+"""Colour types by channels: gray, gray with alpha, RGB, RGBA."""
+
+UP = 2
+"""The filter that says: less the row above."""
+
+
+def encode_png(array: np.ndarray) -> bytes:
+    """The bytes of a PNG file (W3C PNG, third edition) of an array (rows, cols) or (rows, cols, channels) of uint8 or uint16."""
+    rows, cols = array.shape[:2]
+    channels = 1 if array.ndim == 2 else array.shape[2]
+    bits = 8 * array.itemsize
+    values = np.ascontiguousarray(array, array.dtype.newbyteorder(">")).reshape(rows, -1).view(np.uint8)
+    filtered = np.empty((rows, values.shape[1] + 1), np.uint8)
+    filtered[:, 0] = UP
+    filtered[0, 1:] = values[0]
+    np.subtract(values[1:], values[:-1], out=filtered[1:, 1:])
+    header = struct.pack(">IIBBBBB", cols, rows, bits, COLOR_TYPES[channels], 0, 0, 0)
+    return b"".join(
+        (SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", _compress(filtered.data)), *_chunk(b"IEND", b""))
+    )  # fmt: skip
+
+
+def _chunk(kind: bytes, data: bytes) -> tuple[bytes, ...]:
+    return struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))

@@ -1,0 +1,109 @@
+"""Tiles of a drawn block: where they lie in it, and their bytes."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from PIL import Image
+
+from api.layers import LAYERS, PictureFormat, encode_picture, picture_layer
+from terrain.cache import MIB, cached
+from terrain.errors import InputError
+from terrain.geo.grid import BLOCK_PX
+
+TILE_PX = 256
+BLOCK_TILES = BLOCK_PX // TILE_PX
+
+LOSSY_QUALITY = 90
+"""Of JPEG, and of WebP where a picture is to be looked at and not to be computed with."""
+
+NOT_ASKED = np.zeros((0, 0), np.float32)
+"""What stands for the visibility at pixels' own points where nobody asked."""
+
+Place = tuple[int, int]
+"""Row and column of a tile in its block, among tiles of its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class PicturedBlock:
+    """A drawn block, or a part of it: ``color`` (rows, cols, 3) uint8, ``opacity`` (rows, cols) uint8 of the shadow as it is shown,
+    ``there`` bool (rows, cols), where there is a surface; ``visibility`` float32 (rows, cols) at pixels' own points, NaN off the
+    surface: empty where nobody asked.
+    """
+
+    color: np.ndarray
+    opacity: np.ndarray
+    there: np.ndarray
+    visibility: np.ndarray = field(default_factory=lambda: NOT_ASKED)
+
+    @property
+    def opaque(self) -> np.ndarray:
+        """Where the colour means something."""
+        return self.there
+
+    def part(self, row: int, col: int, side: int) -> PicturedBlock:
+        """The square part of a block whose first pixel is (row, col)."""
+        pixels = slice(row, row + side), slice(col, col + side)
+        return replace(
+            self, color=self.color[pixels], opacity=self.opacity[pixels], there=self.there[pixels],
+            visibility=self.visibility[pixels],
+        )  # fmt: skip
+
+
+def place_in_block(x: int, y: int, tiles: int) -> tuple[Place, Place]:
+    """Block (x, y) of a zoom that holds a tile of it, or ``tiles`` x ``tiles`` of them, and where there that lies."""
+    return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles, x % BLOCK_TILES // tiles)
+
+
+def encoded_tiles(block: PicturedBlock, layer: str, format: PictureFormat, tiles: int = 1) -> dict[Place, bytes]:
+    """The bytes of all pictures of ``tiles`` x ``tiles`` tiles in a block, each in ``format``."""
+    side = tiles * TILE_PX
+    out = {}
+    for row in range(BLOCK_TILES // tiles):
+        for col in range(BLOCK_TILES // tiles):
+            part = block.part(row * side, col * side, side)
+            shown = part.there.any()
+            out[row, col] = encode(picture_layer(part, layer), layer, format) if shown else empty_tile(layer, format, tiles)
+    return out
+
+
+def check_format(layer: str, format: str) -> None:
+    """Raise ``InputError`` where a format cannot hold a layer."""
+    formats = LAYERS[layer].formats
+    if format not in formats:
+        raise InputError("format", format, f"{', '.join(formats)} for layer {layer}")
+
+
+def encode(array: np.ndarray, layer: str, format: str) -> bytes:
+    """The bytes of a picture. Layers to compute with are without loss; JPEG has white where there is no surface. What is to be
+    looked at has no alpha where nothing is transparent.
+    """
+    if LAYERS[layer].to_look_at and (array[..., 3] == 255).all():
+        array = array[..., :3]
+    if LAYERS[layer].to_look_at and format == "webp":
+        return _save(Image.fromarray(np.ascontiguousarray(array)), "WEBP", quality=LOSSY_QUALITY, method=2)
+    if format == "jpg":
+        image = Image.fromarray(np.ascontiguousarray(array))
+        if image.mode == "RGBA":
+            ground = Image.new("RGB", array.shape[1::-1], "white")
+            ground.paste(image, mask=image.getchannel("A"))
+            image = ground
+        return _save(image, "JPEG", quality=LOSSY_QUALITY)
+    return encode_picture(array, f".{format}")
+
+
+@cached("process", 4 * MIB)
+def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
+    """A tile without a surface."""
+    shape = tiles * TILE_PX, tiles * TILE_PX
+    missing = np.full(shape, np.nan, np.float32)
+    nothing = PicturedBlock(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), missing)
+    return encode(picture_layer(nothing, layer), layer, format)
+
+
+def _save(image: Image.Image, kind: str, **options: int) -> bytes:
+    out = io.BytesIO()
+    image.save(out, kind, **options)
+    return out.getvalue()
