@@ -1,0 +1,376 @@
+"""The map service beside titiler's hillshade: tiles a second from one core each, with the sun's cast shadows and without.
+
+    python -m benchmarks.tiles --raster FILE --titiler-python PATH [--base FOLDER] [--repeats 5] [--json FILE]
+
+Both services run on loopback, each with all its processes on one and the same core; what asks them runs on another. They shade the
+same cloud-optimised GeoTIFF, made from ``--raster``, and are asked for the same tiles of 256 x 256 pixels by the same code, 8
+requests at a time (but for the rows that say one). A service is started anew for each cold round. Figures are medians over the
+repeats; within one, the services take turns. Only ratios within one run are worth comparing.
+
+titiler (`pip install titiler.application==2.4.0 uvicorn httptools uvloop`, in an environment of its own whose Python is
+``--titiler-python``) runs as its manual recommends, with the GDAL settings there and one process: `hillshade`, `buffer=3`. It casts
+no shadows and keeps nothing: its every tile is a cold one.
+
+``--base`` is a clone of this repository at another commit. Then the CPU time of one block of bare ground is measured in both, in
+processes that take turns: cold, and under a new sun over ground seen before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import platform
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from urllib.parse import quote
+from urllib.request import urlopen
+
+import rasterio
+from morecantile import tms as matrix_sets
+from rasterio.shutil import copy
+from rasterio.warp import transform_bounds
+
+from benchmarks.sweep_speed import _processor
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MERCATOR = matrix_sets.get("WebMercatorQuad")
+ZOOMS = range(9, 15)
+AT_ONCE = 8
+SERVICE_CORE, CLIENT_CORE = 0, 1
+LONGEST_START_S = 120.0
+
+TITILER_SETTINGS = {
+    "CPL_TMPDIR": "/tmp", "GDAL_CACHEMAX": "75%", "GDAL_INGESTED_BYTES_AT_OPEN": "32768",
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_HTTP_MERGE_CONSECUTIVE_RANGES": "YES", "GDAL_HTTP_MULTIPLEX": "YES",
+    "GDAL_HTTP_VERSION": "2", "PYTHONWARNINGS": "ignore", "VSI_CACHE": "TRUE", "VSI_CACHE_SIZE": "536870912",
+}  # fmt: skip
+"""As titiler's manual recommends (its page on performance tuning)."""
+
+SUNS = [(75.0 + 9.0 * n, 8.0 + 47.0 * (1.0 - abs(n - 11.5) / 11.5)) for n in range(24)]
+"""Azimuths and altitudes of a day's sun, from morning to evening."""
+
+Tile = tuple[int, int, int]
+Sun = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Round:
+    """What asking for some tiles took: tiles a second, milliseconds of one answer in the median and for 99 of 100, bytes a tile."""
+
+    per_second: float
+    median_ms: float
+    p99_ms: float
+    mean_bytes: float
+
+
+@dataclass(frozen=True)
+class Running:
+    """A service that runs: its process, its address, the seconds until it was ready, and the address of a tile under a sun."""
+
+    process: subprocess.Popen[bytes]
+    port: int
+    ready_s: float
+    path: Callable[[Tile, Sun], str]
+
+
+def ask(port: int, paths: list[str], at_once: int = AT_ONCE) -> Round:
+    """Ask for paths, so many at a time over connections that stay open. Raises ``RuntimeError`` for what is no picture."""
+    left, took_s, sizes = list(reversed(paths)), [], []
+
+    async def client() -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        while left:
+            path = left.pop()
+            start = time.perf_counter()
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            head = (await reader.readuntil(b"\r\n\r\n")).lower()
+            at = head.index(b"content-length:") + 15
+            body = await reader.readexactly(int(head[at : head.index(b"\r\n", at)]))
+            took_s.append(time.perf_counter() - start)
+            sizes.append(len(body))
+            if head[9:12] != b"200":
+                raise RuntimeError(f"{path}: {head[9:12].decode()} {body[:200]!r}")
+        writer.close()
+
+    async def all_clients() -> None:
+        await asyncio.gather(*(client() for _ in range(at_once)))
+
+    start = time.perf_counter()
+    asyncio.run(all_clients())
+    whole_s = time.perf_counter() - start
+    ordered = sorted(took_s)
+    return Round(
+        len(paths) / whole_s, 1e3 * statistics.median(ordered), 1e3 * ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)],
+        statistics.mean(sizes),
+    )  # fmt: skip
+
+
+@contextmanager
+def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[Running]:
+    """A service on one core, until it is no longer needed. Raises ``RuntimeError`` where it does not start."""
+    start = time.perf_counter()
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            command, env={**os.environ, **env}, stdout=said, stderr=said, cwd=ROOT,
+            preexec_fn=lambda: os.sched_setaffinity(0, {SERVICE_CORE}),
+        )  # fmt: skip
+        try:
+            while True:
+                if process.poll() is not None or time.perf_counter() - start > LONGEST_START_S:
+                    said.seek(0)
+                    raise RuntimeError(f"{command[0]} did not start: {said.read()[-2000:].decode()}")
+                try:
+                    with urlopen(f"http://127.0.0.1:{port}{ready}") as answer:
+                        if answer.status == 200:
+                            break
+                except OSError:
+                    time.sleep(0.02)
+            yield Running(process, port, time.perf_counter() - start, path)
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(20)
+
+
+def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[Running]:
+    """Skugga with one render process over a raster, with the tuning that it has by itself."""
+    level = folder / "cog.yaml"
+    level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
+
+    def path(tile: Tile, sun: Sun) -> str:
+        z, x, y = tile
+        return f"/levels/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
+
+    command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(level), "--port", str(port)]
+    return service(command, port, "/readyz", path, PYTHONPATH=str(ROOT))
+
+
+def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[Running]:
+    """titiler with one process."""
+
+    def path(tile: Tile, sun: Sun) -> str:
+        z, x, y = tile
+        how = quote(json.dumps({"azimuth": sun[0], "angle_altitude": sun[1]}))
+        return f"/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?url={cog}&algorithm=hillshade&buffer=3&algorithm_params={how}"
+
+    command = [str(python), "-m", "uvicorn", "titiler.application.main:app", "--port", str(port), "--log-level", "warning"]
+    return service(command, port, "/healthz", path, **TITILER_SETTINGS)
+
+
+def tiles_of(cog: Path) -> list[Tile]:
+    """The tiles of all zooms that show a part of a raster, row by row."""
+    with rasterio.open(cog) as dataset:
+        bounds = transform_bounds(dataset.crs, "OGC:CRS84", *dataset.bounds)
+    return sorted(
+        ((z, x, y) for x, y, z in MERCATOR.tiles(*bounds, zooms=list(ZOOMS))), key=lambda tile: (tile[0], tile[2], tile[1])
+    )
+
+
+def served_by_both(tiles: list[Tile], running: Running) -> list[Tile]:
+    """Those that titiler, which cuts corners of a tilted raster more closely, has, too."""
+    found = []
+    for tile in tiles:
+        try:
+            urlopen(f"http://127.0.0.1:{running.port}{running.path(tile, SUNS[0])}").read()
+        except OSError:
+            continue
+        found.append(tile)
+    return found
+
+
+def viewport(tiles: list[Tile]) -> list[Tile]:
+    """What a screen shows of the last zoom but one: 6 x 4 tiles in the middle of the raster."""
+    zoom = ZOOMS[-2]
+    xs, ys = ([tile[axis] for tile in tiles if tile[0] == zoom] for axis in (1, 2))
+    x0, y0 = (min(xs) + max(xs)) // 2 - 2, (min(ys) + max(ys)) // 2 - 1
+    return [(zoom, x, y) for y in range(y0, y0 + 4) for x in range(x0, x0 + 6) if (zoom, x, y) in set(tiles)]
+
+
+Rounds = dict[str, list[Round]]
+Start = Callable[[], AbstractContextManager[Running]]
+
+
+def measure(tiles: list[Tile], start: Start, keeps: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
+    """One repeat of all rounds with a service; one that keeps nothing is asked again once."""
+    shuffled, seen = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
+    with start() as running:
+        rest.setdefault("ready s", []).append(running.ready_s)
+
+        def go(name: str, asked: list[tuple[Tile, Sun]], at_once: int = AT_ONCE) -> Round:
+            found = ask(running.port, [running.path(*each) for each in asked], at_once)
+            rounds.setdefault(name, []).append(found)
+            return found
+
+        first = go("first tile", [(seen[0], (200.0, 35.0))], 1)
+        rest.setdefault("first tile s", []).append(first.median_ms / 1e3)
+        go("cold, row order", [(tile, SUNS[6]) for tile in tiles])
+        go("24 suns", [(tile, sun) for sun in SUNS for tile in seen])
+        go("again", [(tile, SUNS[6]) for tile in tiles] * (4 if keeps else 1))
+        if keeps:
+            go("again, one alone", [(tile, SUNS[6]) for tile in tiles], 1)
+        rate = rounds["24 suns"][-1].per_second / 2
+        paths = [running.path(tile, (sun[0] + 1.0, sun[1])) for sun in SUNS[::3] for tile in seen]
+        rounds.setdefault("24 suns, half the peak", []).append(asyncio.run(paced(running.port, paths, rate)))
+    with start() as running:
+        go("cold, random order", [(tile, SUNS[6]) for tile in shuffled])
+    with start() as running:
+        alone = [tile for n, tile in enumerate(tiles) if n % 9 == 0]
+        go("cold, one alone", [(tile, SUNS[6]) for tile in alone], 1)
+
+
+async def paced(port: int, paths: list[str], per_second: float) -> Round:
+    """Ask for paths at a steady rate, whatever is still on its way."""
+    took_s: list[float] = []
+    sizes: list[int] = []
+
+    async def one(path: str) -> None:
+        start = time.perf_counter()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+        sizes.append(len(await reader.read()))
+        took_s.append(time.perf_counter() - start)
+        writer.close()
+
+    tasks = []
+    for path in paths:
+        tasks.append(asyncio.create_task(one(path)))
+        await asyncio.sleep(1.0 / per_second)
+    await asyncio.gather(*tasks)
+    ordered = sorted(took_s)
+    return Round(per_second, 1e3 * statistics.median(ordered), 1e3 * ordered[int(0.99 * len(ordered))], statistics.mean(sizes))
+
+
+BLOCK_PROGRAM = """
+import json, sys, time
+from pathlib import Path
+from morecantile import tms
+from selector.select import plan_of_view
+from shadows.render import render_frame
+from terrain.casters.slopes import extent_on_grid
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+try:
+    from shadows.ground_pictures import shown_map as draw
+except ImportError:
+    draw = render_frame
+level, zoom, suns = sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3])
+def block(scene):
+    grid = tile_grid(tms.get("WebMercatorQuad"), zoom)
+    (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
+    row, col = (float((low + high) / 2 // BLOCK_PX * BLOCK_PX) for low, high in ((north, south), (west, east)))
+    return MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+def cpu_ms(scene, view, sun):
+    scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
+    plan = plan_of_view(scene, view, "map", {})
+    start = time.process_time()
+    drawn = draw(scene, view, plan)
+    passes.append({each.name: round(each.ms) for each in drawn.passes})
+    return 1e3 * (time.process_time() - start)
+passes = []
+for number in range(2):
+    scene = build_scene(load_level(Path(level)))
+    view = block(scene)
+    plan_of_view(scene, view, "map", {})
+    out = {"cold": cpu_ms(scene, view, suns[0]), "new sun": [cpu_ms(scene, view, sun) for sun in suns[1:]]}
+    scene.close()
+count = len(suns)
+print("passes, ms, cold:", passes[-count], "new sun:", passes[1 - count], file=sys.stderr)
+print(json.dumps(out))
+"""
+"""CPU milliseconds of a block, as JSON, and on standard error those of its passes; all loops are compiled in a first go."""
+
+
+def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
+    """CPU milliseconds of a block by the code in a folder: cold, and in the median of new suns."""
+    suns = [SUNS[6], *SUNS[1::4]]
+    process = subprocess.run(
+        [sys.executable, "-c", BLOCK_PROGRAM, str(level), str(zoom), json.dumps(suns)], cwd=folder, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(folder), "LP_NUM_THREADS": "1"}, check=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, {SERVICE_CORE}),
+    )  # fmt: skip
+    print(folder, process.stderr.splitlines()[-1], flush=True)
+    found = json.loads(process.stdout.splitlines()[-1])
+    return {"cold": found["cold"], "new sun": statistics.median(found["new sun"])}
+
+
+def versions(python: Path) -> dict[str, str]:
+    """What was measured, on what."""
+    modules = "titiler.application, rio_tiler, rasterio, uvicorn"
+    said = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
+    theirs = subprocess.run([str(python), "-c", said], capture_output=True, text=True, check=True).stdout.split()
+    names = ("titiler", "rio-tiler", "rasterio", "uvicorn", "GDAL")
+    return {**dict(zip(names, theirs, strict=True)), "Python": platform.python_version(), "processor": _processor()}
+
+
+def median_round(rounds: list[Round]) -> Round:
+    """The medians of some rounds."""
+    return Round(*(statistics.median(values) for values in zip(*(asdict(each).values() for each in rounds), strict=True)))
+
+
+def _medians(values: list[dict[str, float]]) -> dict[str, float]:
+    return {what: statistics.median(each[what] for each in values) for what in values[0]}
+
+
+def main() -> None:
+    """Measure, and say what was found."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--raster", type=Path, required=True)
+    parser.add_argument("--titiler-python", type=Path, required=True)
+    parser.add_argument("--base", type=Path)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    os.sched_setaffinity(0, {CLIENT_CORE})
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cog = folder / "cog.tif"
+        copy(given.raster, cog, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=256, OVERVIEW_RESAMPLING="AVERAGE")
+        with titiler(cog, given.titiler_python) as running:
+            tiles = served_by_both(tiles_of(cog), running)
+        found: dict[str, Rounds] = {"titiler": {}, "Skugga": {}}
+        rest: dict[str, dict[str, list[float]]] = {"titiler": {}, "Skugga": {}}
+        blocks: dict[str, list[dict[str, float]]] = {}
+        with skugga(cog, folder):
+            pass  # loops are compiled, and the device is calibrated, once on a machine
+        for _ in range(given.repeats):
+            measure(tiles, lambda: titiler(cog, given.titiler_python), False, found["titiler"], rest["titiler"])
+            measure(tiles, lambda: skugga(cog, folder), True, found["Skugga"], rest["Skugga"])
+            for key, code in (("now", ROOT), ("base", given.base)):
+                if code is not None:
+                    blocks.setdefault(key, []).append(block_cpu(code, folder / "cog.yaml", ZOOMS[-1]))
+        result = {
+            "versions": versions(given.titiler_python), "tiles": len(tiles), "repeats": given.repeats,
+            "rounds": {who: {name: asdict(median_round(each)) for name, each in rounds.items()} for who, rounds in found.items()},
+            "seconds": {who: {name: statistics.median(each) for name, each in values.items()} for who, values in rest.items()},
+            "block CPU ms": {key: _medians(values) for key, values in blocks.items()},
+        }  # fmt: skip
+    if given.json:
+        given.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    print(json.dumps(result["versions"] | {"tiles": len(tiles)}))
+    print("| what | titiler | Skugga | ratio |\n| --- | --- | --- | --- |")
+    for name, theirs in result["rounds"]["titiler"].items():
+        ours = result["rounds"]["Skugga"][name]
+        value = "median_ms" if "alone" in name or name == "first tile" else "per_second"
+        unit = "ms" if value == "median_ms" else "tiles/s"
+        ratio = theirs[value] / ours[value] if value == "median_ms" else ours[value] / theirs[value]
+        more = f"p99 {ours['p99_ms'] / ours['median_ms']:.1f} x median, {ours['mean_bytes'] / 1e3:.1f} kB"
+        print(f"| {name} | {theirs[value]:.1f} {unit} | {ours[value]:.1f} {unit}; {more} | {ratio:.2f} |")
+    print(json.dumps(result["rounds"]["Skugga"]["again, one alone"]))
+    print(json.dumps({**result["seconds"], **result["block CPU ms"]}))
+
+
+if __name__ == "__main__":
+    main()
