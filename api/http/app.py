@@ -18,6 +18,7 @@ from api.errors import TooLargeError
 from api.http import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.encoded_tiles import EncodedTiles, SentBefore
+from api.http.first_pictures import served_pictures
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.settings import Settings
@@ -51,10 +52,11 @@ def create_app(settings: Settings, levels: Sequence[Path], worker_target: Worker
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
     """
+    served = ServedLevels(levels, settings.remote_sources)
     service = Service(
         settings,
-        ServedLevels(levels, settings.remote_sources),
-        Pool(settings, worker_target),
+        served,
+        Pool(settings, worker_target, lambda: served_pictures(served)),
         EncodedTiles(settings.tile_cache_bytes),
     )
 
@@ -145,9 +147,9 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: Any = None) -> None:
         """Listen."""
+        names = ", ".join(level.name for level in self._service.levels.all())
         await super().startup(sockets)
         if self.started:
-            names = ", ".join(level.name for level in self._service.levels.all())
             host, port = self.servers[0].sockets[0].getsockname()[:2]
             log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 

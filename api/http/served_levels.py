@@ -145,6 +145,10 @@ class ServedLevels:
         stamps, level = self._levels.get(name, (None, None))
         return level.version if level is not None and _stamps(level.loaded) == stamps else None
 
+    def known(self) -> list[ServedLevel]:
+        """All levels as they were last read: no file is looked at."""
+        return [level for _, level in self._levels.values()]
+
     def all(self) -> list[ServedLevel]:
         """All levels as they are now; one that was broken since is left out."""
         levels = []

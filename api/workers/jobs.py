@@ -147,6 +147,21 @@ Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob
 
 
 @dataclass(frozen=True)
+class ServedPictures:
+    """A level that a service has, and pictures of it: together they need every loop and shader that pictures of it may need."""
+
+    level: LevelKey
+    pictures: tuple[BlockJob | SnapshotJob, ...]
+
+
+@dataclass(frozen=True)
+class Preparing:
+    """What a render process does before it is ready."""
+
+    text: str
+
+
+@dataclass(frozen=True)
 class Ready:
     """A render process has warmed up: what it draws with, and the calibration that its plans go by while it lives."""
 

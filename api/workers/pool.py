@@ -6,14 +6,15 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from api.device_calibration import digest_of
 from api.errors import WorkerCrashError
 from api.settings import Settings, cores
-from api.workers.jobs import Answer, BlockTiles, Failure, Job, Result, Snapshot
+from api.workers.jobs import Answer, BlockTiles, Failure, Job, Result, ServedPictures, Snapshot
 from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
@@ -50,12 +51,18 @@ class PoolCounters:
 class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
-    Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``.
+    Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
+    is started prepares for what is ``served``.
     """
 
-    def __init__(self, settings: Settings, target: WorkerTarget = worker_main) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        target: WorkerTarget = worker_main,
+        served: Callable[[], tuple[ServedPictures, ...]] = tuple,
+    ) -> None:
         self._settings = settings
-        self._target = target
+        self._target, self._served = target, served
         self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
         self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
@@ -99,7 +106,7 @@ class Pool:
 
     def open(self) -> None:
         """Start the processes; returns at once."""
-        self._slots = [asyncio.create_task(self._slot()) for _ in range(self._settings.workers)]
+        self._slots = [asyncio.create_task(self._slot(first=number == 0)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
         """End the processes and fail what is on its way."""
@@ -149,13 +156,16 @@ class Pool:
         self._news.set()
         return flight
 
-    async def _slot(self) -> None:
-        """Keep one process running, whatever happens to it."""
+    async def _slot(self, first: bool) -> None:
+        """Keep one process running, whatever happens to it. The first to start compiles what the others then find compiled."""
+        if not first:
+            await self._settled.wait()
         failures = 0
         while True:
             if failures > 1:
                 await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
-            worker = WorkerProcess(self._target, self._config, self._threads, self._news.set)
+            config = replace(self._config, served=self._served())
+            worker = WorkerProcess(self._target, config, self._threads, self._news.set)
             try:
                 healthy = await self._start_and_serve(worker)
             finally:

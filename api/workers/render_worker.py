@@ -31,8 +31,10 @@ from api.workers.jobs import (
     LevelKey,
     PlanAnswer,
     PlanJob,
+    Preparing,
     Ready,
     Result,
+    ServedPictures,
     Snapshot,
     SnapshotJob,
     Tiles,
@@ -65,6 +67,9 @@ TILE_PLANS_BYTES = 16 * MIB
 BLOCKS_BYTES = 48 * MIB
 """Bytes of the blocks drawn last, some 5 MiB each, of which other layers or formats may be asked for."""
 
+IDLE_S = 1.0
+"""How long a process that is ready waits for its first job before it reads in what few jobs need."""
+
 MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
 
@@ -73,10 +78,13 @@ log = logging.getLogger("skugga.worker")
 
 @dataclass(frozen=True)
 class WorkerConfig:
-    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser."""
+    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
+    ``served``.
+    """
 
     gl_threads: int
     expect_renderer: str | None = None
+    served: tuple[ServedPictures, ...] = ()
 
 
 def resident_bytes() -> int:
@@ -194,7 +202,7 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     key = job.level, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
     kept = state.blocks.get(*key)
     if isinstance(kept, Missing):
-        plan = _plan_of_tiles(job, scene, state)
+        plan = plan_of_tiles(job, scene, state)
         shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
         block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
         kept = block, _facts(plan, shown, state)
@@ -213,7 +221,8 @@ def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, s
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def _plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
+def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
+    """The plan that all tiles of a block's zoom have."""
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
@@ -235,11 +244,15 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     """Warm up, say so, then answer jobs until the pipe is closed or an error leaves OpenGL in doubt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
-    from api.workers.warm_up import warm_up
+    from api.workers.preparation import prepare
+    from api.workers.warm_up import read_the_suns_library, warm_up
 
     try:
         state = WorkerState(warm_up(config.expect_renderer), calibration())
+        prepare(config.served, state, lambda text: pipe.send(Preparing(text)))
         pipe.send(Ready(state.renderer, state.device))
+        if not pipe.poll(IDLE_S):
+            read_the_suns_library()
         while True:
             answer = _answer(pipe.recv(), state)
             pipe.send(answer)

@@ -34,6 +34,9 @@ GROUND_PICTURES = ((ZOOM, 200.0, 30.0), (ZOOM, 100.0, 4.0), (ZOOM - 2, 100.0, 30
 pixels and magnified ones.
 """
 
+LOOKED_AT_PX = 64
+"""Side of the picture round the wall's middle by which shadows are proven: it shows all of the plain."""
+
 BESIDE_M = 240.0
 """Where the plain is looked at, on both sides of the wall: inside the shadow and on the sunny side."""
 
@@ -46,11 +49,15 @@ def warm_up(expect_renderer: str | None = None) -> str:
     device = gl.device()
     if expect_renderer is not None and expect_renderer not in device.renderer:
         raise GraphicsError(f"the OpenGL renderer is '{device.renderer}', not '{expect_renderer}' as expected")
-    apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
     west, east = _visibility_beside_wall()
     if not (west > 0.99 and east < 0.01):
         raise GraphicsError(f"'{device.renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it")
     return device.renderer
+
+
+def read_the_suns_library() -> None:
+    """Read in what places the sun by a time: half a second, which only such a request needs."""
+    apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
 
 
 def _visibility_beside_wall() -> tuple[float, float]:
@@ -66,15 +73,15 @@ def _visibility_beside_wall() -> tuple[float, float]:
             dataset.write(heights, 1)
         scene, plain = (_scene(memory.name, algorithm) for algorithm in (FALLBACK, "auto"))
         grid, place = _grid_and_middle(scene, ZOOM)
-        view = _block(grid, place)
+        view = _round(grid, place)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         for zoom, azimuth, altitude in GROUND_PICTURES:
-            view, seen = _block(*_grid_and_middle(plain, zoom)), plain.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-            shown_map(seen, view, plan_of_view(seen, view, policy="rules"))
+            block, seen = _block(*_grid_and_middle(plain, zoom)), plain.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+            shown_map(seen, block, plan_of_view(seen, block, policy="rules"))
         scene.close()
         plain.close()
     away = BESIDE_M / grid.step
-    row, col = (index % BLOCK_PX for index in place)
+    row, col = place[0] - view.row0, place[1] - view.col0
     row, cols = int(row), (int(np.rint(col - away)), int(np.rint(col + away)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
 
@@ -101,6 +108,16 @@ def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]
 def _block(grid: Grid, place: tuple[float, float]) -> MapView:
     row, col = (index // BLOCK_PX * BLOCK_PX for index in place)
     return MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+
+
+def _round(grid: Grid, place: tuple[float, float]) -> MapView:
+    """The pixels round a place, as far as they lie in its block: each block would be drawn by itself."""
+    row, col = (
+        float(np.clip(int(index) - LOOKED_AT_PX // 2, first, first + BLOCK_PX - LOOKED_AT_PX))
+        for index in place
+        for first in [index // BLOCK_PX * BLOCK_PX]
+    )
+    return MapView(grid, row, col, 1.0, 1.0, LOOKED_AT_PX, LOOKED_AT_PX)
 
 
 def _mercator_m(lon_deg: float, lat_deg: float) -> tuple[float, float]:

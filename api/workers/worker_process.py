@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
 from multiprocessing import get_context
@@ -10,7 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from api.errors import WorkerCrashError
-from api.workers.jobs import Answer, Failure, Job, Ready
+from api.workers.jobs import Answer, Failure, Job, Preparing, Ready
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
 
@@ -18,6 +19,8 @@ JOIN_S = 5.0
 """How long a killed process may take to be gone."""
 
 T = TypeVar("T")
+
+log = logging.getLogger("skugga")
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
 
@@ -45,7 +48,7 @@ class WorkerProcess:
     async def start(self, timeout_s: float) -> Ready:
         """Start the process and wait until it has warmed up.
 
-        Raises ``GraphicsError`` or the process's own error where it does not.
+        Raises ``GraphicsError`` or the process's own error where it does not, and where nothing is heard of it for so long.
         """
         try:
             await self._thread(self._process.start)
@@ -55,7 +58,8 @@ class WorkerProcess:
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
-            answer = await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s)
+            while isinstance(answer := await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s), Preparing):
+                log.info("render process %s: %s", self.pid, answer.text)
         except TimeoutError:
             raise GraphicsError(f"a render process did not warm up within {timeout_s:g} s") from None
         except (EOFError, OSError):

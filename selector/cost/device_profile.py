@@ -13,6 +13,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from terrain.user_cache import user_cache
+
 SCHEMA: Final = 1
 """Changes with what the rates mean: profiles of another one count as none."""
 
@@ -52,16 +54,11 @@ class DeviceProfile(BaseModel):
     residuals: dict[str, Residual] = {}
 
 
-def devices_folder() -> Path:
-    """The user's cache folder for profiles (``XDG_CACHE_HOME``, else ``~/.cache``)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skugga" / "devices"
-
-
 def profile_path(renderer: str, version: str) -> Path:
     """The file of a device and driver: readable words, and a digest that tells apart what those do not."""
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
-    return devices_folder() / f"{words}-{digest}.json"
+    return user_cache("devices") / f"{words}-{digest}.json"
 
 
 def save_profile(profile: DeviceProfile) -> Path:

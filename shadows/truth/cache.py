@@ -21,6 +21,7 @@ from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.trees.foliage import foliage
+from terrain.user_cache import user_cache
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""
@@ -30,11 +31,6 @@ _FIELDS = ("lit", "attached", "decidable", "there")
 
 DEFINITION = 3
 """Counts what truth has meant so far: what was made by another definition is not taken."""
-
-
-def cache_folder() -> Path:
-    """The user's cache folder for truth (``XDG_CACHE_HOME``, else ``~/.cache``)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skugga" / "truth"
 
 
 def cached_truth(
@@ -47,7 +43,7 @@ def cached_truth(
     make: Callable[..., Truth] = truth_of,
 ) -> Truth:
     """``truth_of``, from disk where it has been made before. A folder that cannot be written is no error."""
-    folder = folder or cache_folder()
+    folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
     try:

@@ -82,9 +82,11 @@ def running(app: FastAPI) -> Iterator[Client]:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
-            # The socket listens already, so that a request waits until the server takes it.
+            # The socket listens already, so that a request waits until the server takes it. Tests that patch the service
+            # find one whose start is over: a start that fails would leave its render processes running.
             with Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
                 client.service = app.state.service
+                client.get("/healthz")
                 yield client
         finally:
             server.should_exit = True

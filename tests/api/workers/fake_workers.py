@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
 
 from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import BlockJob, BlockTiles, Failure, PlanAnswer, Ready
+from api.workers.jobs import BlockJob, BlockTiles, Failure, PlanAnswer, Preparing, Ready
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
 
@@ -49,6 +49,14 @@ def hanging(pipe: Connection, config: WorkerConfig) -> None:
 def unable(pipe: Connection, config: WorkerConfig) -> None:
     """Cannot start."""
     pipe.send(Failure.of(GraphicsError("libEGL at /secret/place is broken"), fatal=True))
+
+
+def talkative(pipe: Connection, config: WorkerConfig) -> None:
+    """Says what it is told to prepare for before it is ready, and answers nothing."""
+    for level in config.served:
+        pipe.send(Preparing(f"preparing for {level.level.path.stem}"))
+    pipe.send(Ready(RENDERER))
+    signal.pause()
 
 
 def stillborn(pipe: Connection, config: WorkerConfig) -> None:

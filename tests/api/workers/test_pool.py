@@ -1,5 +1,6 @@
 import asyncio
 import functools
+import logging
 import os
 import signal
 from collections.abc import Awaitable, Callable
@@ -10,7 +11,7 @@ import pytest
 
 from api.errors import WorkerCrashError
 from api.settings import Settings
-from api.workers.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob
+from api.workers.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob, ServedPictures
 from api.workers.pool import Pool
 from terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
 from tests.api.workers import fake_workers
@@ -84,6 +85,32 @@ def test_answers():
         assert pool.renderer == fake_workers.RENDERER
 
     with_pool(scenario)
+
+
+def test_what_a_process_prepares_for_is_told(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
+    served = ServedPictures(LEVEL, ())
+
+    async def run() -> None:
+        pool = Pool(Settings(workers=1), fake_workers.talkative, lambda: (served,))
+        pool.open()
+        await asyncio.wait_for(pool.settled(), SOON_S)
+        assert pool.ready
+        await pool.close()
+
+    with caplog.at_level("INFO", "skugga"):
+        asyncio.run(run())
+    assert "preparing for level" in caplog.text
+
+
+def test_the_others_start_when_the_first_is_ready():
+    async def scenario(pool: Pool) -> None:
+        assert not pool.pids
+        await pool.settled()
+        assert len(pool.pids) == 1
+        await until(lambda: len(pool.pids) == 3)
+
+    with_pool(scenario, workers=3)
 
 
 def test_equal_jobs_are_one_job():

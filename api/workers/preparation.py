@@ -1,0 +1,95 @@
+"""What a render process does for the levels that are served before it says that it is ready.
+
+It opens each and finds how much of the sky its ground sees. An installation that has not drawn a level yet draws it a few times:
+then every loop and shader that pictures of it need is compiled, and lies in the caches of numba and of the driver. A stamp in the
+user's cache says so to the processes that follow. A level that cannot be drawn is left to its first request, which says why.
+
+Loops over bare ground differ by the sun and by the size of pixels. All else is drawn with OpenGL and shaded from a geometry buffer,
+the same for any: a block of it may take long, and one is enough.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numba
+import numpy as np
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+
+from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob
+from api.workers.render_worker import MAX_SCENES, WorkerState, plan_of_tiles, run_job
+from shadows.ground_pictures import SKY_PASS
+from terrain.errors import SkuggaError
+from terrain.gbuffer.covered_nodes import is_bare
+from terrain.gl import device as gl
+from terrain.ground.sky_view_factor import sky_view
+from terrain.scene import Scene
+from terrain.user_cache import user_cache
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPILED_FOLDERS = "api", "selector", "shadows", "terrain"
+
+log = logging.getLogger("skugga.worker")
+
+
+def prepare(served: Sequence[ServedPictures], state: WorkerState, say: Callable[[str], None]) -> None:
+    """Prepare for the levels that are served, as many as a process keeps open, and ``say`` what takes its time."""
+    engine, levels = _engine() if served else "", served[:MAX_SCENES]
+    for number, level in enumerate(levels, 1):
+        name = level.level.path.stem
+        try:
+            scene, stamp = state.scenes.get(level.level), _stamp_of(level.level, engine)
+            if not stamp.exists():
+                jobs = _needed(level, scene)
+                for done, job in enumerate(jobs):
+                    at = f"level {number} of {len(levels)}, picture {done + 1} of {len(jobs)}"
+                    say(f"first start with {name}: compiling what its pictures need ({at})")
+                    run_job(job, state)
+                _leave(stamp)
+            _find_sky(level, scene, state)
+        except SkuggaError as error:
+            say(f"level {name} cannot be drawn yet: {error}")
+
+
+def _needed(level: ServedPictures, scene: Scene) -> list[BlockJob | SnapshotJob]:
+    if is_bare(scene):
+        return list(level.pictures)
+    blocks, views = ([job for job in level.pictures if isinstance(job, kind)] for kind in (BlockJob, SnapshotJob))
+    return [*blocks[:1], *views]
+
+
+def _find_sky(level: ServedPictures, scene: Scene, state: WorkerState) -> None:
+    for job in level.pictures:
+        if isinstance(job, BlockJob):
+            seen = job.request.seen(scene)
+            if SKY_PASS in plan_of_tiles(job, seen, state).runs:
+                sky_view(seen.elevation, seen.world)
+            return
+
+
+def _engine() -> str:
+    """What changes with anything that compiled loops and shaders hang on."""
+    sources = sorted(path for package in COMPILED_FOLDERS for path in (ROOT / package).rglob("*.py"))
+    stamps = [(str(path), path.stat().st_mtime_ns) for path in sources]
+    cpu = get_host_cpu_name(), get_host_cpu_features().flatten()
+    device = gl.device()
+    known = sys.version, numba.__version__, np.__version__, cpu, device.renderer, device.version, stamps
+    return hashlib.sha256(repr((known, os.environ.get("NUMBA_CACHE_DIR"))).encode()).hexdigest()
+
+
+def _stamp_of(level: LevelKey, engine: str) -> Path:
+    return user_cache("compiled") / hashlib.sha256(f"{engine} {level.path} {level.version}".encode()).hexdigest()[:24]
+
+
+def _leave(stamp: Path) -> None:
+    """A folder that cannot be written is no error: the next process draws anew."""
+    try:
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+        stamp.touch()
+    except OSError as error:
+        log.warning("%s cannot be written: %s", stamp, error.strerror)
