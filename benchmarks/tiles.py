@@ -12,7 +12,8 @@ titiler (`pip install titiler.application==2.4.0 uvicorn httptools uvloop`, in a
 no shadows and keeps nothing: its every tile is a cold one.
 
 ``--base`` is a clone of this repository at another commit. Then the CPU time of one block of bare ground is measured in both, in
-processes that take turns: cold, and under a new sun over ground seen before.
+processes that take turns: cold, and under a new sun over ground seen before. What a tile of 512 x 512 pixels takes to be encoded,
+and a block of a village among woods beside one of its bare ground, is always measured.
 """
 
 from __future__ import annotations
@@ -266,6 +267,10 @@ try:
     from shadows.ground_pictures import shown_map as draw
 except ImportError:
     draw = render_frame
+try:
+    from api.workers.block_tiles import PicturedBlock, encoded_tiles
+except ImportError:
+    encoded_tiles = None
 level, zoom, suns = sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3])
 def block(scene):
     grid = tile_grid(tms.get("WebMercatorQuad"), zoom)
@@ -278,13 +283,18 @@ def cpu_ms(scene, view, sun):
     start = time.process_time()
     drawn = draw(scene, view, plan)
     passes.append({each.name: round(each.ms) for each in drawn.passes})
-    return 1e3 * (time.process_time() - start)
-passes = []
+    took_ms = 1e3 * (time.process_time() - start)
+    if encoded_tiles is not None:
+        start = time.process_time()
+        files = encoded_tiles(PicturedBlock(drawn.color, drawn.opacity, drawn.there), "color", "png", 2)
+        encoding.append(1e3 * (time.process_time() - start) / len(files))
+    return took_ms
+passes, encoding = [], []
 for number in range(2):
     scene = build_scene(load_level(Path(level)))
     view = block(scene)
     plan_of_view(scene, view, "map", {})
-    out = {"cold": cpu_ms(scene, view, suns[0]), "new sun": [cpu_ms(scene, view, sun) for sun in suns[1:]]}
+    out = {"cold": cpu_ms(scene, view, suns[0]), "new sun": [cpu_ms(scene, view, sun) for sun in suns[1:]], "encoding": encoding}
     scene.close()
 count = len(suns)
 print("passes, ms, cold:", passes[-count], "new sun:", passes[1 - count], file=sys.stderr)
@@ -294,7 +304,9 @@ print(json.dumps(out))
 
 
 def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
-    """CPU milliseconds of a block by the code in a folder: cold, and in the median of new suns."""
+    """CPU milliseconds of a block by the code in a folder: cold, and in the median of new suns; and of encoding a tile of 512 x 512
+    of it, where the code has a function for that.
+    """
     suns = [SUNS[6], *SUNS[1::4]]
     process = subprocess.run(
         [sys.executable, "-c", BLOCK_PROGRAM, str(level), str(zoom), json.dumps(suns)], cwd=folder, capture_output=True, text=True,
@@ -303,7 +315,8 @@ def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
     )  # fmt: skip
     print(folder, process.stderr.splitlines()[-1], flush=True)
     found = json.loads(process.stdout.splitlines()[-1])
-    return {"cold": found["cold"], "new sun": statistics.median(found["new sun"])}
+    medians = {name: statistics.median(found[name]) for name in ("new sun", "encoding") if found[name]}
+    return {"cold": found["cold"], **medians}
 
 
 def versions(python: Path) -> dict[str, str]:
@@ -348,9 +361,12 @@ def main() -> None:
         for _ in range(given.repeats):
             measure(tiles, lambda: titiler(cog, given.titiler_python), False, found["titiler"], rest["titiler"])
             measure(tiles, lambda: skugga(cog, folder), True, found["Skugga"], rest["Skugga"])
-            for key, code in (("now", ROOT), ("base", given.base)):
-                if code is not None:
-                    blocks.setdefault(key, []).append(block_cpu(code, folder / "cog.yaml", ZOOMS[-1]))
+            bare, wooded = (ROOT / "configs" / f"jacksboro{kind}.yaml" for kind in ("", "_wooded"))
+            of_blocks = {"now": (ROOT, folder / "cog.yaml"), "village's ground": (ROOT, bare), "village": (ROOT, wooded)}
+            if given.base is not None:
+                of_blocks["base"] = given.base, folder / "cog.yaml"
+            for key, (code, level) in of_blocks.items():
+                blocks.setdefault(key, []).append(block_cpu(code, level, ZOOMS[-1]))
         result = {
             "versions": versions(given.titiler_python), "tiles": len(tiles), "repeats": given.repeats,
             "rounds": {who: {name: asdict(median_round(each)) for name, each in rounds.items()} for who, rounds in found.items()},

@@ -11,6 +11,7 @@ from terrain.level.parts import SunSpec
 SUNS = SunSpec(azimuth=350.0, altitude=35.0), SunSpec(azimuth=80.0, altitude=5.0)
 """Along rows and along columns, high and low: loops differ. The level's own has its turn, too."""
 
+
 def served_pictures(levels: ServedLevels) -> tuple[ServedPictures, ...]:
     """What to draw of each level: tiles whose pixels are coarse, of the data's size and magnified, and all views."""
     return tuple(ServedPictures(level.key, (*_blocks(level), *_views(level))) for level in levels.known())

@@ -26,12 +26,15 @@ from terrain.lights import LightPosition
 LOOK_COLS, LOOK_ROWS = 2048, 384
 """Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
 
+FEW = 0.5
+"""Share of a map's pixels that show a surface below which only these are looked up, one after another."""
+
 TINY = np.float32(1e-9)
 
-MAP_UNIT = 4
+MAP_UNIT = 5
 """Texture unit of the depth map."""
 
-LEAST_UNIT = 5
+LEAST_UNIT = 6
 """Texture unit of the least depths of its blocks."""
 
 
@@ -62,14 +65,21 @@ def look_up(
             # what was lifted lies on none of the triangles round its node: a crease below 0 says so
             crease = facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - TINY, facets.crease)
             facing = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
-            arrays = [buffer.position_frame_m, facing, _nodes(window.sheet)]
-            if corners is not None:
-                arrays.append(corners.reshape(rows, cols * 3, 3))
-            program = _program(gl, drawn, settings, settings.filter, {"on_nodes": True, "has_corners": corners is not None})
+            chosen = np.flatnonzero(buffer.there)
+            known = {"on_nodes": True, "has_corners": corners is not None, "placed": chosen.size < FEW * buffer.there.size}
+            program = _program(gl, drawn, settings, settings.filter, known)
             first = (view.col0 - window.col0, view.row0 - window.row0)
             nodes = {"node_frame_m": 2, "first_node": first, "node_step": (view.col_step, view.row_step)}
-            set_uniforms(program, {**nodes, "corner_frame_m": len(arrays) - 1})
-            visibility[:] = _drawn_pixels(gl, program, arrays, target, drawn, record)
+            set_uniforms(program, {**nodes, "corner_frame_m": 3, "place": 3 if corners is None else 4})
+            arrays = [buffer.position_frame_m, facing, *(() if corners is None else (corners.reshape(rows, cols * 3, 3),))]
+            visibility[:] = 1.0
+            if known["placed"]:
+                place = np.stack(np.nonzero(buffer.there)[::-1], axis=-1).astype(np.float32)
+                gathered = [_in_rows(array.reshape(rows * cols, -1)[chosen]) for array in arrays] + [_in_rows(place)]
+                arrays = [gathered[0], gathered[1], *(array.reshape(len(array), -1, 3) for array in gathered[2:-1]), gathered[-1]]
+            arrays.insert(2, _nodes(window.sheet))
+            lit = _drawn_pixels(gl, program, arrays, target, drawn, record)
+            visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if known["placed"] else lit.ravel()[chosen]
             visibility[facets.blocked] = 0.0  # a map need not tell what lies nearer than its texels
             return
         assert corners is not None and drawn.pixels is not None
@@ -94,7 +104,7 @@ def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | s
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
     constants = known | {
         "lamp": drawn.uniforms["lamp"], "faces": len(drawn.faces), "by_triangles": settings.bias == "receiver_plane",
-        "by_offset": settings.bias != "polygon_offset", "taps": taps,
+        "by_offset": settings.bias != "polygon_offset", "taps": taps, "lit_by_taps": not disc,
         # Beside known triangles there are fewer: a point moved far clear of its own misses what touches it.
         "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps,
     }  # fmt: skip
@@ -162,6 +172,14 @@ def _drawn_pixels(
     for texture in textures:
         texture.release()
     return lit
+
+
+def _in_rows(values: np.ndarray) -> np.ndarray:
+    """Values (n, k) one after another in rows (rows, ``LOOK_COLS``, k), the last filled up with NaN."""
+    rows = max(-(-len(values) // LOOK_COLS), 1)
+    out = np.full((rows * LOOK_COLS, values.shape[1]), np.nan, np.float32)
+    out[: len(values)] = values
+    return out.reshape(rows, LOOK_COLS, -1)
 
 
 def _nodes(sheet: Sheet) -> np.ndarray:

@@ -9,8 +9,10 @@ uniform ivec2 map_size;
 uniform float bias_scale;            // 1: as derived
 uniform float position_error;        // of a position in float32, as a share of its coordinates
 uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
+uniform int taps;                    // that decide on a point, a side of their square, ...
+uniform int taps_beside;             // ... and where no triangle is known
 
-const bool lamp = false, on_nodes = false, own = true;
+const bool lamp = false, on_nodes = false, own = true, in_the_open = false;
 const int triangles = 1;
 const float ROUNDING = 2.4e-7;       // of a division, as a share of the whole depth
 

@@ -19,11 +19,16 @@ uniform mat3 face_from_lamp[6];
 uniform ivec2 map_size;              // of a face
 uniform vec2 first_node;             // node coordinates (column, row) of the first pixel's centre
 uniform vec2 node_step;
+uniform bool placed;                 // whether pixels are some of a map's, one after another, and where each lies is told
+uniform sampler2D place;             // rg: column and row of a pixel
 uniform bool by_triangles;           // whether depths are compared on triangles that are known
 uniform bool by_offset;              // whether a point is moved along its normal elsewhere
 uniform float bias_scale;            // 1: as derived
 uniform float error_m;               // of a position in float32
 uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
+uniform int taps;                    // that decide on a point, a side of their square, ...
+uniform int taps_beside;             // ... and where no triangle is known
+uniform bool lit_by_taps;            // whether nothing else decides
 
 // Round a node, counter-clockwise from above: the nodes beside it, and the corners of its quads between them.
 const ivec2 RING[8] = ivec2[](
@@ -39,6 +44,7 @@ vec3 middle, ring[9];                // a corner of the known triangles, and fro
 int triangles = 0;
 bool own = false;                    // whether there is one, the point's own
 bool on_top;                         // of a column: the triangle and its other half
+bool in_the_open = false;            // whether nothing lies before it, wherever its taps may fall
 vec3 e, g;                           // its sides over its area as the sun sees it, its slope, and what is taken off its depth
 vec2 slope;
 float slack_m;
@@ -90,6 +96,27 @@ bool meets(vec3 base, vec3 e, vec3 g, vec2 centre, out float z, out float slack)
 
 vec3 in_light(vec3 frame_m) { return light_from_frame * frame_m + light_offset_m; }
 
+// The point moved clear, for ``count`` taps a side, of every surface that passes through it.
+vec3 clear_of(int count) {
+    if (!by_offset) return point;
+    vec2 side = lamp ? vec2(2.0 * tangent * point.z) / vec2(map_size) : texel_m;
+    vec2 reach = (0.5 * float(count) + 1.0 / 128.0) * side;
+    float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
+    return point + normal * (bias_scale * offset_m + error_m) - vec3(0.0, 0.0, error_m);
+}
+
+// Whether the map holds nothing in a square of taps round a point.
+bool is_empty(vec3 p, int count) {
+    vec2 first = floor(texel_of(p) - 0.5 * float(count - 1));
+    for (int row = 0; row < count; row++) {
+        for (int col = 0; col < count; col++) {
+            vec2 at = first + vec2(col, row);
+            if (!is_outside(at) && held(at) < 1.0) return false;
+        }
+    }
+    return true;
+}
+
 // Read a pixel; false where there is no surface.
 bool receive(ivec2 pixel) {
     vec3 seen = texelFetch(position_frame_m, pixel, 0).xyz;
@@ -115,6 +142,10 @@ bool receive(ivec2 pixel) {
     }
     if (dot(normal, lamp ? point : vec3(0.0, 0.0, 1.0)) > 0.0) normal = -normal;  // foliage is lit from either side
     if (!by_triangles) return true;
+    if (lit_by_taps && !lamp && is_empty(point, taps) && is_empty(clear_of(taps_beside), taps_beside)) {
+        in_the_open = true;
+        return true;
+    }
 
     // The triangles that the map may hold where the point is looked up: those round the nearest node of a map's ground, else the
     // point's own.
@@ -131,7 +162,7 @@ bool receive(ivec2 pixel) {
         }
     }
     if (on_nodes && !own && facing.w >= 0.0) {
-        vec2 at = first_node + node_step * vec2(pixel);
+        vec2 at = first_node + node_step * (placed ? texelFetch(place, pixel, 0).xy : vec2(pixel));
         ivec2 low = ivec2(ceil(at - 0.5 - ON_EDGE)), high = ivec2(floor(at + 0.5 + ON_EDGE)), node = low;
         vec3 centre = texelFetch(node_frame_m, node, 0).xyz;
         middle = turned * in_light(centre);
@@ -206,13 +237,4 @@ bool is_on_any(vec2 at, out float z) {
         if (k == 0) return true;
     }
     return least < 1e30;
-}
-
-// The point moved clear, for ``taps`` taps a side, of every surface that passes through it.
-vec3 clear_of(int taps) {
-    if (!by_offset) return point;
-    vec2 side = lamp ? vec2(2.0 * tangent * point.z) / vec2(map_size) : texel_m;
-    vec2 reach = (0.5 * float(taps) + 1.0 / 128.0) * side;
-    float offset_m = (dot(reach, abs(normal.xy)) + length(reach) * crease) / max(1.0 - 0.5 * crease * crease, 0.25);
-    return point + normal * (bias_scale * offset_m + error_m) - vec3(0.0, 0.0, error_m);
 }

@@ -1,6 +1,4 @@
 // Visibility of a light from a depth map: the share of lit texels in a square round the point.
-uniform int taps;
-uniform int taps_beside;  // where no triangle is known
 out float visibility;
 
 // How much of a tap lies in the square of count - 1 texels round the point: the share of lit texels in it has no stairs.
@@ -14,6 +12,7 @@ float weight_of(int count, int col, int row, vec2 beyond) {
 void main() {
     if (!receive(ivec2(gl_FragCoord.xy))) { visibility = 1.0; return; }
     if (lamp && point.z <= 0.0) { visibility = 0.0; return; }
+    if (in_the_open) { visibility = 1.0; return; }
     precise float lit = 0.0, counted = 0.0;  // summed alike, so that what is all lit is exactly 1
     float z;
     vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
