@@ -12,10 +12,12 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from api.layers import frame_layer
 from shadows import map_edges
 from shadows.map_edges import edge_pixels
+from shadows.maps import lookup
 from shadows.render import Frame, render_frame
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import MESHES
 from terrain.geo.grid import MapView
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
@@ -146,3 +148,38 @@ def test_lamps_and_the_sun_each_have_their_own(gl, tower):
     again = frame.under("sun")
     assert list(again.shown_visibilities) == list(again.visibilities) == ["sun"]
     np.testing.assert_array_equal(again.opacity, frame.opacity)
+
+
+@pytest.mark.parametrize("place", ["ridge", "tower"])
+@pytest.mark.parametrize("light", [(250, 12), (110, 40)])
+def test_points_are_looked_up_alike_among_all_and_one_after_another(gl, place, light, request, monkeypatch):
+    scene = request.getfixturevalue(place).with_sun(SunSpec(azimuth=light[0], altitude=light[1]))
+    gathered: list[int] = []
+    in_rows = lookup._in_rows
+    monkeypatch.setattr(lookup, "_in_rows", lambda values: (gathered.append(len(values)), in_rows(values))[1])
+    some = render(scene, view_of(scene), algorithm="shadow_map")
+    assert gathered and 0 < max(gathered) < SIDE_M * SIDE_M
+    gathered.clear()
+    monkeypatch.setattr(lookup, "FEW", 0.0)
+    every = render(scene, view_of(scene), algorithm="shadow_map")
+    assert not gathered
+    np.testing.assert_array_equal(some.color, every.color)
+    np.testing.assert_array_equal(some.opacity, every.opacity)
+
+
+@pytest.mark.parametrize("place", ["ridge", "tower"])
+@pytest.mark.parametrize("filter", [1, 3, 5])
+def test_where_a_map_is_empty_nothing_but_time_is_saved(gl, place, filter, request, monkeypatch):
+    scene = request.getfixturevalue(place)
+    quick = render(scene, view_of(scene), algorithm="shadow_map", filter=filter)
+    program = type(gl).program
+
+    def thorough(device, vertex, fragment, constants=None):
+        assert constants is None or constants.get("lit_by_taps", True)
+        return program(device, vertex, fragment, None if constants is None else {**constants, "lit_by_taps": False})
+
+    monkeypatch.setattr(type(gl), "program", thorough)
+    slow = render(scene, view_of(scene), algorithm="shadow_map", filter=filter)
+    assert 0.0 < np.nanmean(slow.visibility) < 1.0
+    np.testing.assert_array_equal(quick.visibility, slow.visibility)
+    np.testing.assert_array_equal(quick.color, slow.color)
