@@ -54,6 +54,9 @@ def prepare(served: Sequence[ServedPictures], state: WorkerState, say: Callable[
             _find_sky(level, scene, state)
         except SkuggaError as error:
             say(f"level {name} cannot be drawn yet: {error}")
+        except Exception as error:  # a bug with one level's pictures must not keep the service from the others
+            log.exception("level %s cannot be prepared for", name)
+            say(f"level {name} cannot be prepared for: {type(error).__name__}")
 
 
 def _needed(level: ServedPictures, scene: Scene) -> list[BlockJob | SnapshotJob]:

@@ -81,6 +81,21 @@ def test_a_level_that_cannot_be_opened_holds_nothing_up(gl, tmp_path: Path, hill
     assert drawn == list(hills.pictures)
 
 
+def test_a_level_that_fails_unexpectedly_holds_nothing_up(gl, tmp_path: Path, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
+    odd, hills = served_pictures(ServedLevels([write_level(tmp_path, "odd"), hills_level]))
+    drawn = []
+
+    def draw(job: BlockJob | SnapshotJob, state: WorkerState) -> None:
+        if job.level == odd.level:
+            raise ZeroDivisionError
+        drawn.append(job)
+
+    monkeypatch.setattr(preparation, "run_job", draw)
+    said = said_to(state_of(gl), odd, hills)
+    assert said[1] == "level odd cannot be prepared for: ZeroDivisionError"
+    assert drawn == list(hills.pictures)
+
+
 def test_a_cache_that_cannot_be_written_is_no_error(
     gl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hills_level: Path, drawn: list[BlockJob | SnapshotJob]
 ):
