@@ -5,7 +5,6 @@ uniform int block_texels;
 uniform ivec2 first_texel;           // of the map, counted from the anchor
 uniform float disc_tangent;          // of the disc's radius
 uniform vec2 widest_m;               // the widest that the disc is taken for across the map
-uniform int taps_beside;             // as the square filter's
 uniform uvec4 left_of[129];          // bits of the samples whose place right (in [-1, 1]) is less than that of an edge
 uniform uvec4 below[129];            // ... and up
 out float visibility;
