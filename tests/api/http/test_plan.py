@@ -223,7 +223,7 @@ def test_pictures_of_another_calibration_have_other_tags(serve_with):
 
 def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     from api.workers.jobs import BlockJob, LevelKey
-    from api.workers.render_worker import _plan_of_tiles
+    from api.workers.render_worker import plan_of_tiles
 
     scene = build_scene(load_level(hills_level))
     jobs = [
@@ -233,12 +233,12 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     plans = [plan_of_view(scene, block_view(job), policy="rules") for job in jobs]
     assert plans[0] == plans[1]
     state = WorkerState("a renderer")
-    made = [_plan_of_tiles(job, scene, state) for job in jobs]
+    made = [plan_of_tiles(job, scene, state) for job in jobs]
     assert made[0] is made[1]
     assert made[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
     tiles = tiles_view(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
     assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
-    other = _plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
+    other = plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
     assert other is not made[0]
 
 
