@@ -7,17 +7,14 @@ angles given by a user are apparent, at the anchor.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 
 import numpy as np
 
 from terrain.errors import InputError
+from terrain.geo.sun_path import sun_path
 from terrain.geo.world import LocalFrame, World
 from terrain.level.parts import SunSpec
-
-YEARS = (1678, 2261)
-"""Years for which the sun's position is computed (the range of the library's time stamps)."""
-
 
 SUN_RADIUS_DEG = 0.265
 """Half the sun's apparent diameter: 0.262 in July, 0.271 in January."""
@@ -66,20 +63,9 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
 
 
 def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
-    """Apparent azimuth and altitude, and how much of the altitude is refraction, in degrees, by NREL's solar position algorithm
-    (Reda & Andreas 2004), at sea level.
-
-    Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
-    """
-    if not YEARS[0] <= time.year <= YEARS[1]:
-        raise InputError("time", time.isoformat(), f"years {YEARS[0]} to {YEARS[1]}")
-    moment = time.astimezone(UTC)
-    import pandas  # with pvlib 0.8 s: paid only where a time is asked for
-    from pvlib.solarposition import spa_python
-
-    position = spa_python(pandas.DatetimeIndex([moment]), lat_deg, lon_deg, altitude=0, pressure=101325, temperature=12)
-    apparent = float(position["apparent_elevation"].iloc[0])
-    return float(position["azimuth"].iloc[0]) % 360.0, apparent, apparent - float(position["elevation"].iloc[0])
+    """Apparent azimuth and altitude, and how much of the altitude is refraction, in degrees, by ``sun_path``."""
+    path = sun_path([time], lon_deg, lat_deg)
+    return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.lift_deg[0])
 
 
 def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:

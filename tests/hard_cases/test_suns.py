@@ -9,7 +9,8 @@ import pytest
 
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.errors import InputError, LevelError
-from terrain.geo.sun import YEARS, sun_of
+from terrain.geo.sun import sun_of
+from terrain.geo.sun_path import YEARS
 from terrain.geo.world import LONGITUDE_LATITUDE, World
 from terrain.level.level import load_level, parse_sun
 from terrain.level.parts import SunSpec

@@ -1,0 +1,62 @@
+"""Where the sun stands at many times, seen from one place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from terrain.errors import InputError
+
+YEARS = (1678, 2261)
+"""Years for which the sun's position is computed (the range of the library's time stamps)."""
+
+PRESSURE_PA, TEMPERATURE_C = 101325.0, 12.0
+"""Of the air that refraction is computed for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SunPath:
+    """The sun at ``times`` (n,), datetime64[us] in UTC: azimuths clockwise from north and apparent altitudes, degrees (n,), and by
+    how much refraction lifts it there (0 well below the horizon).
+    """
+
+    times: np.ndarray
+    azimuth_deg: np.ndarray
+    altitude_deg: np.ndarray
+    lift_deg: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: float) -> SunPath:
+    """The sun at times, aware ones or datetime64 in UTC, by NREL's solar position algorithm (Reda & Andreas 2004), at sea level.
+
+    Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius. Raises ``InputError`` for years beyond ``YEARS``.
+    """
+    moments = as_utc(times)
+    first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
+    zones = np.timedelta64(1, "D")  # a year begins and ends in each zone at its own time
+    for moment in moments[(moments < first - zones) | (moments >= last + zones)][:1]:
+        raise InputError("time", str(moment), f"years {YEARS[0]} to {YEARS[1]}")
+    import pandas  # with pvlib 0.8 s: paid only where a time is asked for
+    from pvlib.solarposition import spa_python
+
+    position = spa_python(
+        pandas.DatetimeIndex(moments.astype("datetime64[ns]"), tz="UTC"), lat_deg, lon_deg,
+        altitude=0, pressure=PRESSURE_PA, temperature=TEMPERATURE_C,
+    )  # fmt: skip
+    apparent, geometric = (position[name].to_numpy() for name in ("apparent_elevation", "elevation"))
+    return SunPath(moments, position["azimuth"].to_numpy() % 360.0, apparent, apparent - geometric)
+
+
+def as_utc(times: Sequence[datetime] | np.ndarray) -> np.ndarray:
+    """Times as datetime64[us] in UTC (n,)."""
+    if isinstance(times, np.ndarray):
+        return times.astype("datetime64[us]")
+    own = np.array([time.replace(tzinfo=None) for time in times], "datetime64[us]")
+    offsets = np.array([time.utcoffset() or timedelta(0) for time in times], "timedelta64[us]")
+    return own - offsets  # ``astimezone`` leaves the years 1 to 9999

@@ -1,0 +1,41 @@
+"""Many positions of the sun at once."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+
+from terrain.errors import InputError
+from terrain.geo.sun import apparent_position
+from terrain.geo.sun_path import as_utc, sun_path
+
+START = datetime(2024, 3, 21, 4, tzinfo=UTC)
+
+
+def test_many_times_are_as_each_by_itself():
+    times = [START + timedelta(hours=n) for n in range(16)]
+    path = sun_path(times, 10.0, 60.0)
+    alone = np.array([apparent_position(time, 10.0, 60.0) for time in times])
+    np.testing.assert_allclose(np.stack([path.azimuth_deg, path.altitude_deg, path.lift_deg], axis=1), alone, atol=1e-9)
+    assert len(path) == 16
+
+
+def test_the_equinox_s_sun_is_at_most_as_high_as_the_pole_is_low():
+    """And nearly that: 90 degrees less the latitude, refraction of a minute of arc apart, in the south."""
+    path = sun_path(np.arange("2024-03-20T00:00", "2024-03-21T00:00", 60, dtype="datetime64[s]"), 15.0, 50.0)
+    noon = int(path.altitude_deg.argmax())
+    assert path.altitude_deg[noon] == pytest.approx(40.0, abs=0.2)
+    assert path.azimuth_deg[noon] == pytest.approx(180.0, abs=0.3)
+
+
+def test_times_of_any_zone_are_utc():
+    east = datetime(1, 1, 1, tzinfo=timezone(timedelta(hours=14)))
+    assert as_utc([START.astimezone(timezone(timedelta(hours=-5)))]) == np.datetime64("2024-03-21T04:00")
+    assert as_utc([east]) == np.datetime64("0000-12-31T10:00")
+
+
+def test_years_beyond_the_library_s_are_told():
+    with pytest.raises(InputError, match="years 1678 to 2261"):
+        sun_path([START, START.replace(year=2300)], 10.0, 60.0)
