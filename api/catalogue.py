@@ -27,7 +27,7 @@ def find_level(name: str) -> Path:
     if path.is_file():
         return path
     names = ", ".join(level.stem for level in bundled_levels())
-    raise InputError("LEVEL", name, f"a level file, or one of the bundled levels: {names}")
+    raise InputError("LEVEL", name, f"a level file, a raster, or one of the bundled levels: {names}")
 
 
 def summary(path: Path) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from shadows.plan import Plan
 from shadows.registry import NO_SHADOWS
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN
+from terrain.level.level import SUN, is_level_raster
 
 POLICY_CHOSEN = ("map_size",)
 """Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""
@@ -254,6 +254,8 @@ def _load(text: str) -> Any:
 
 
 def _read(path: Path) -> str:
+    if is_level_raster(path):
+        raise LevelError(str(path), "a raster", "a level file to write into: a YAML file with 'terrain: {source: ...}'")
     try:
         return path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -113,7 +113,7 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, lo
     for window in _parts(pixels, own):
         part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
         nodes = pixels.nodes(part)
-        seen = _of_bare_nodes(pixels, nodes, beside, log) if pixels.bare else _of_points(pixels, nodes, beside, log)
+        seen = lit_nodes(pixels, nodes, beside, log) if pixels.bare else _of_points(pixels, nodes, beside, log)
         there, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
@@ -168,7 +168,7 @@ def caster_pass(plan: Plan) -> str:
     return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
 
 
-def _of_bare_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show ground, and the sun's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):

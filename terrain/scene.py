@@ -25,6 +25,7 @@ from terrain.ground.surface import Surface
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.lights import Lamp, LightPosition, lamp_of, light_position
+from terrain.own_sun import own_sun
 from terrain.scene_objects import SceneObjects
 
 DEFAULT_VIEW_PX = 1024
@@ -35,6 +36,9 @@ MAX_PERSPECTIVE_PX = 4096
 """Longest side of a perspective view."""
 
 UTM_WIDTH_DEG = 18.0
+
+PLACES_A_SIDE = 33
+"""Places along a side by which it is told whether a map shows anything of a level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +200,7 @@ class Scene:
         size: tuple[int, int] | None,
     ) -> MapView:
         target = self._crs(crs or spec.crs)
-        extent = bounds or (spec.bounds if crs is None else None) or self._default_bounds(target)
+        extent = bounds or (spec.bounds if crs is None else None) or self.default_bounds(target)
         west, south, east, north = extent
         if not (np.isfinite(extent).all() and west < east and south < north):
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
@@ -205,6 +209,9 @@ class Scene:
             raise InputError("bounds", extent, "coordinates below 1e9, and pixels larger than their rounding")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
+        if bounds is not None and not self._shows(target, extent):
+            own = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
+            raise InputError("bounds", extent, f"bounds that meet the level, in units of {target.name}; its own: {own}")
         size = size or spec.size
         if size is None:  # square pixels: the shorter side grows to a whole number of them
             pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
@@ -212,6 +219,20 @@ class Scene:
             wider, higher = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
             extent = west, south, east, north = west - wider, south - higher, east + wider, north + higher
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
+
+    def _shows(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
+        """Whether an extent in a CRS meets the raster: some place of a lattice over the one lies in the other."""
+        west, south, east, north = extent
+        x, y = np.meshgrid(np.linspace(west, east, PLACES_A_SIDE), np.linspace(south, north, PLACES_A_SIDE))
+        with np.errstate(invalid="ignore"):
+            own = (x, y) if crs == self.elevation.crs else transformer(crs, self.elevation.crs).transform(x, y)
+            if self.elevation.covers(*own).any():
+                return True
+            rows, cols = (np.linspace(-0.5, count - 0.5, PLACES_A_SIDE) for count in (self.elevation.rows, self.elevation.cols))
+            x, y = self.elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
+            x, y = (x, y) if crs == self.elevation.crs else transformer(self.elevation.crs, crs).transform(x, y)
+            turns = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
+            return any(bool(((x + t >= west) & (x + t <= east) & (y >= south) & (y <= north)).any()) for t in turns)
 
     def _crs(self, text: str | None) -> CRS:
         if text is None:
@@ -226,7 +247,8 @@ class Scene:
             raise InputError("crs", text, "a projected or geographic CRS")
         return crs
 
-    def _default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
+    def default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
+        """West, south, east, north in a CRS of what is looked at. Raises ``InputError``."""
         if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
             west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
@@ -255,9 +277,17 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     if terrain.surface == "blocks" and not elevation.upright:
         raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
     world = _world(loaded, elevation)
+    loaded = with_own_sun(loaded, world, elevation)
     spec = loaded.level.sun
-    sun = None if spec == "none" else sun_of(spec, world)
+    sun = None if spec is None or spec == "none" else sun_of(spec, world)
     return Scene(loaded, world, elevation, sun, SceneObjects(loaded, world, elevation, loaded.level.seconds))
+
+
+def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:
+    """A level with a sun of its own place where it names none."""
+    if loaded.level.sun is not None:
+        return loaded
+    return loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": own_sun(world, elevation)})})
 
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:

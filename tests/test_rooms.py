@@ -26,7 +26,8 @@ MAY_IMPORT = {
     "terrain.trees": "geo ground level",
     "terrain.lights": "geo ground level",
     "terrain.scene_objects": "geo ground level meshes trees",
-    "terrain.scene": "geo ground level lights scene_objects",
+    "terrain.own_sun": "geo ground level",
+    "terrain.scene": "geo ground level lights own_sun scene_objects",
     "terrain.gl": "",
     "terrain.gbuffer": "geo gl ground level lights meshes scene scene_objects trees",
     "terrain.casters": "gbuffer geo ground level scene scene_objects trees",
@@ -55,6 +56,7 @@ MAY_IMPORT = {
     "shadows.map_edges": "coarse_pixels passes plan visibility",
     "shadows.render": "coarse_pixels executed_effects layer_collector map_edges passes plan registry visibility",
     "shadows.ground_pictures": "coarse_pixels passes plan registry render visibility",
+    "shadows.sunlit_ground": "attached coarse_pixels passes plan visibility",
     "selector.formatting": "",
     "selector.choices": "",
     "selector.mixes": "",
@@ -76,10 +78,12 @@ MAY_IMPORT = {
     "api.shadow_parameters": "",
     "api.catalogue": "",
     "api.report": "",
+    "api.raster_file": "",
+    "api.shade": "device_calibration layers raster_file",
     "api.device_calibration": "report",
     "api.workers": "device_calibration errors layers settings",
     "api.http": "errors layers settings shadow_parameters workers",
-    "api.cli": "catalogue device_calibration errors http layers report settings shadow_parameters",
+    "api.cli": "catalogue device_calibration errors http layers report settings shade shadow_parameters",
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
 

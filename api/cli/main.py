@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +15,10 @@ import typer
 from api.catalogue import bundled_levels, find_level
 from api.cli import doctor as doctor_checks
 from api.cli.options import overrides_of, with_shadow_options
+from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError
 from terrain.level.level import parse_sun
 
@@ -29,7 +32,9 @@ app = typer.Typer(
 _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
-LevelArgument = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name or the path of a level file.")]
+LevelArgument = Annotated[
+    str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")
+]
 _FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
 LayerName = Annotated[
     str,
@@ -50,8 +55,19 @@ CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.
 SecondsOption = Annotated[float | None, typer.Option(help="Clock for moving casters, seconds.")]
 
 
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"skugga {version('skugga')}")
+        raise typer.Exit
+
+
 @app.callback()
-def _everywhere(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+def _everywhere(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
     """Terrain with the sun's true cast shadows."""
 
 
@@ -103,6 +119,36 @@ def render(
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")
+
+
+@app.command("shade")
+@with_shadow_options("render")
+def shade_raster(
+    level: LevelArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG); of several times {time} in its name stands for each.")
+    ],
+    layer: Annotated[str, typer.Option(help=f"{', '.join(SHADE_LAYERS)}.")] = "mask",
+    time: TimeOption = None,
+    times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, in one run.")] = None,
+    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last, ...")] = None,
+    step: Annotated[str | None, typer.Option(metavar="15m", help="... and what lies between two: as 15m, 1h or 1d.")] = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    **asked: Any,
+) -> None:
+    """Write the shade of a raster of any size, by default on its own grid."""
+    from api.cli.shading import shade_level
+
+    overrides = overrides_of("render", asked)
+    suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
+    with _progress("Shading") as advance:
+        shade_level(find_level(level), output, layer, suns, _bounds(bounds), crs, resolution, like, overrides, advance)
 
 
 @app.command()

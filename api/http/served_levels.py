@@ -20,7 +20,7 @@ from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from terrain.scene import Scene, build_scene, with_own_sun
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
 
@@ -85,13 +85,13 @@ class ServedLevel:
     def sun(self, spec: SunSpec | None) -> Sun | None:
         """The sun of a request, or the level's own; ``None`` where it has none. Raises ``InputError``."""
         level_sun = self.loaded.level.sun
-        chosen = spec if spec is not None else None if level_sun == "none" else level_sun
-        return None if chosen is None else sun_of(chosen, self.world)
+        chosen = spec or level_sun
+        return None if chosen is None or chosen == "none" else sun_of(chosen, self.world)
 
     def summary(self) -> dict[str, Any]:
         """What ``/levels`` says of it; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
         level, zooms = self.loaded.level, self.zooms.get(DEFAULT_MATRIX_SET)
-        sun = None if level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
+        sun = None if level.sun is None or level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
         kinds = {**({} if sun is None else {SUN: SUN}), **{name: light.kind for name, light in level.lights.items()}}
         return {
             "name": self.name,
@@ -176,7 +176,7 @@ class ServedLevels:
         # Without its sun: a time needs the sun's library, which the service may never need.
         scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
         try:
-            return _served(loaded, scene)
+            return _served(with_own_sun(loaded, scene.world, scene.elevation), scene)
         finally:
             scene.close()
 

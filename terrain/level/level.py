@@ -32,6 +32,7 @@ from terrain.level.parts import (
     Water,
     Weather,
 )
+from terrain.level.rasters import is_raster
 from terrain.level.setting import Requests
 
 EffectName = Literal[
@@ -118,7 +119,7 @@ class Level(Model):
     water: Water | None = None
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
-    sun: SunSpec | Literal["none"] = SunSpec(azimuth=315, altitude=45)
+    sun: SunSpec | Literal["none"] | None = None  # a low one of the level's own place: ``terrain.own_sun``
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
     seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
@@ -304,14 +305,32 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
+RASTER_DIGEST = "raster"
+"""Digest of a level without a text: what is in the raster is told by its own date."""
+
+LEVEL_SUFFIXES = ".yaml", ".yml"
+"""Of level files."""
+
+
+def is_level_raster(path: Path) -> bool:
+    """Whether a file is no level file but a raster, which is a level by itself."""
+    return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)
+
+
 def load_level(path: Path | str) -> LoadedLevel:
-    """Read and check a level file. Raises ``LevelError``."""
+    """Read and check a level file, or make the level that a raster is by itself: its ground, and all else by default.
+
+    Raises ``LevelError``.
+    """
     path = Path(path)
+    if is_level_raster(path):
+        level = Level(version=1, title=path.stem, terrain=Terrain(source=path.name))
+        return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=RASTER_DIGEST)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), reason, "a readable YAML file") from None
+        raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None
     try:
         data = YAML(typ="safe", pure=True).load(text)
     except (ValueError, RecursionError) as error:  # a date that is none, brackets without end

@@ -280,17 +280,6 @@ def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
     return row * rows - 0.5, col * cols - 0.5
 
 
-def is_raster(source: str) -> bool:
-    """Whether GDAL reads a file as a raster."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with rasterio.open(source) as dataset:
-                return dataset.count > 0
-    except RasterioError:
-        return False
-
-
 def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     """Mean distance float64 (n,) of each place to its ``NEIGHBOURS`` nearest, metres; infinite where there are not so many."""
     if len(x) <= NEIGHBOURS:

@@ -22,7 +22,8 @@ from terrain.geo.world import World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import ForestSpec, Species
-from terrain.trees.canopy import MAX_CROWN_RATIO, TREETOP_WINDOW_M, Canopy, border_cells, is_raster, room_m
+from terrain.level.rasters import is_raster
+from terrain.trees.canopy import MAX_CROWN_RATIO, TREETOP_WINDOW_M, Canopy, border_cells, room_m
 from terrain.trees.foliage import TREE_VARIANTS
 from terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
 from terrain.trees.thinning import thinning_ranks

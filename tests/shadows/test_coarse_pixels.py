@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from morecantile import tms
 
-from shadows.coarse_pixels import _of_bare_nodes, _of_points, coarse_pixels
+from shadows.coarse_pixels import _of_points, coarse_pixels, lit_nodes
 from shadows.passes import PassLog
 from shadows.render import render_frame
 from terrain.describe import describe
@@ -158,7 +158,7 @@ def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     pixels = coarse_pixels(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.bare
     nodes = pixels.nodes(view)
-    (shown, lean), (there, full) = _of_bare_nodes(pixels, nodes, True, PassLog()), _of_points(pixels, nodes, True, PassLog())
+    (shown, lean), (there, full) = lit_nodes(pixels, nodes, True, PassLog()), _of_points(pixels, nodes, True, PassLog())
     np.testing.assert_array_equal(shown, there)
     assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
 

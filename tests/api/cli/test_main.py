@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +13,8 @@ import pytest
 import rasterio
 from PIL import Image
 
-from api.cli import main as cli
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """``run("render", ...)`` gives exit status, standard output and standard error."""
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code, out, err
-
-    return call
-
+from tests.rasters import write_geotiff
 
 SMALL = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
 
@@ -136,6 +122,8 @@ def test_options_change_the_picture(gl, run, tmp_path):
         (("render", "jacksboro", "--bounds", "741000,4008000,741000.0000001,4008000.0000001", "-o", "x.png"), ("bounds",)),
         (("render", "jacksboro", "--crs", "4326", "--bounds", "0,-100,1,0", "-o", "x.png"), ("bounds", "-90 to 90")),
         (("render", "jacksboro", "--time", "0001-01-01T00:00:00+14:00", "-o", "x.png"), ("time", "1678")),
+        (("render", "jacksboro", "--bounds", "0,0,1000,1000", "-o", "x.png"), ("bounds", "UTM zone 16N", "its own: 73")),
+        (("render", "jacksboro", "--crs", "4326", "--bounds", "8,47,9,48", "-o", "x.png"), ("bounds", "WGS 84", "its own: -84")),
         (("validate", "nowhere.yaml"), ("nowhere.yaml",)),
         (("frobnicate",), ("frobnicate",)),
     ],
@@ -212,6 +200,31 @@ def test_doctor_finds_this_machine_able_to_draw(gl, run):
     assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
     assert findings["a shadowed map"]["ok"]
     assert status == (0 if all(finding["ok"] for finding in findings.values()) else 1)
+
+
+def test_a_raster_is_a_level(gl, run, tmp_path):
+    row, col = np.mgrid[:200, :200].astype(np.float32)
+    raster = write_geotiff(tmp_path / "hills.tif", 400 * np.sin(col / 9) * np.cos(row / 13), "EPSG:32633", 500e3, 5200e3, 30.0)
+    assert run("render", str(raster), "--layer", "mask", "-o", str(tmp_path / "mask.png")) == (0, "", "")
+    mask = np.asarray(Image.open(tmp_path / "mask.png"))
+    assert 0.05 < (mask == MASK_SHADOW).mean() < 0.6
+    status, out, _ = run("validate", str(raster))
+    assert status == 0 and "hills" in out and "200 x 200 cells" in out
+    status, out, _ = run("select", str(raster), "--policy", "rules")
+    assert status == 0 and "sweep" in out
+    before = raster.read_bytes()
+    status, _, err = run("select", str(raster), "--policy", "rules", "--write")
+    assert status == 2 and "hills.tif" in err and "level file" in err and raster.read_bytes() == before
+
+
+def test_what_is_neither_level_nor_raster(run, tmp_path):
+    (tmp_path / "noise.bin").write_bytes(bytes(range(128, 256)) * 9)
+    status, out, err = run("validate", str(tmp_path / "noise.bin"))
+    assert (status, out) == (2, "") and "noise.bin" in err and "YAML file, or a raster that GDAL reads" in err
+
+
+def test_the_version(run):
+    assert run("--version") == (0, f"skugga {version('skugga')}\n", "")
 
 
 def test_the_installed_command_runs():

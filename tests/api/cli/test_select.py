@@ -5,34 +5,18 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from api.catalogue import bundled_levels
-from api.cli import main as cli
 from api.report.plan_text import format_expectation, format_overshoot, format_plan
 from scripts.write_schemas import DOCS, MODELS, schema_text
 from selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
 from shadows.plan import Plan, Predicted, Target
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import load_level
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """``run("select", ...)`` gives exit status, standard output and standard error."""
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code, out, err
-
-    return call
 
 
 @pytest.fixture

@@ -1,0 +1,55 @@
+"""``skugga shade``: from its options to files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from api.cli.times import time_in_name
+from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
+from terrain.errors import InputError
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+
+TIME_WORD = "{time}"
+SUFFIXES = ".tif", ".tiff"
+
+
+def shade_level(
+    level: Path,
+    output: Path,
+    layer: str,
+    suns: Sequence[SunSpec | None],
+    bounds: Bounds | None,
+    crs: str | None,
+    resolution: float | None,
+    like: Path | None,
+    overrides: dict[str, Any],
+    on_block: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write a level's shade under some suns; the files. Raises ``SkuggaError`` and ``OSError``."""
+    if layer not in SHADE_LAYERS:
+        raise InputError("--layer", layer, ", ".join(SHADE_LAYERS))
+    paths = files_of(output, suns)
+    scene = build_scene(load_level(level))
+    try:
+        write_shade(scene, raster_view(scene, bounds, crs, resolution, like), layer, suns, paths, overrides, on_block)
+    finally:
+        scene.close()
+    return paths
+
+
+def files_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
+    """A file for each sun. Raises ``InputError``, and ``FileNotFoundError`` where there is no folder."""
+    if output.suffix.lower() not in SUFFIXES:
+        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
+    if not output.parent.is_dir():
+        raise FileNotFoundError(2, "folder not found", str(output))
+    if len(suns) > 1 and TIME_WORD not in output.name:
+        raise InputError("--output", str(output), f"{TIME_WORD} in the file's name, for {len(suns)} times")
+    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
+    if len(set(paths)) < len(paths):
+        raise InputError("--times", "a time twice", "different times")
+    return paths

@@ -1,0 +1,65 @@
+"""Many times on a command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+from terrain.errors import InputError
+from terrain.level.level import parse_sun
+from terrain.level.parts import SunSpec
+
+MOST_TIMES = 10_000
+
+_UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
+
+
+def suns_of(
+    sun: SunSpec | None, times: str | None, start: str | None, end: str | None, step: str | None
+) -> Sequence[SunSpec | None]:
+    """The suns of ``--times``, or of ``--from``, ``--to`` and ``--step`` (both ends included); else the one given (``None``: the
+    level's own). Raises ``InputError``.
+    """
+    steps = {"--from": start, "--to": end, "--step": step}
+    given = [name for name, value in steps.items() if value is not None]
+    ways = [*(["--time or --azimuth"] if sun is not None else []), *(["--times"] if times is not None else []), *given[:1]]
+    if len(ways) > 1:
+        raise InputError(ways[1], "given", f"one way to say when: {ways[0]} is there already")
+    if times is not None:
+        return [parse_sun(text, None, None) for text in times.split(",")]
+    if not given:
+        return [sun]
+    if start is None or end is None or step is None:
+        missing = next(name for name, value in steps.items() if value is None)
+        raise InputError(missing, "nothing", "--from, --to and --step together")
+    first, last = (_moment(name, text) for name, text in (("--from", start), ("--to", end)))
+    every = _duration(step)
+    count = (last - first) // every + 1
+    if not 1 <= count <= MOST_TIMES:
+        raise InputError("--to", end, f"1 to {MOST_TIMES} times from --from on, in steps of {step}; these are {count}")
+    return [SunSpec(time=first + n * every) for n in range(count)]
+
+
+def time_in_name(sun: SunSpec | None, number: int) -> str:
+    """What stands for a sun in a file's name: its time in UTC, as 20240321T090000Z, or else its number."""
+    if sun is None or sun.time is None:
+        return str(number)
+    return sun.time.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+
+
+def _moment(name: str, text: str) -> datetime:
+    try:
+        sun = parse_sun(text, None, None)
+    except InputError as error:
+        raise InputError(name, text, error.allowed) from None
+    assert sun is not None and sun.time is not None
+    return sun.time
+
+
+def _duration(text: str) -> timedelta:
+    found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,6})?)([smhd])", text.strip())
+    length = timedelta(**{_UNITS[found[2]]: float(found[1])}) if found else timedelta(0)
+    if length < timedelta(seconds=1):
+        raise InputError("--step", text, "a number and s, m, h or d, as 15m; at least 1s")
+    return length

@@ -1,0 +1,23 @@
+"""The command line, called in this process."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from api.cli import main as cli
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """``run("render", ...)`` gives exit status, standard output and standard error."""
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["skugga", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code, out, err
+
+    return call

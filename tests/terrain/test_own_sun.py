@@ -1,0 +1,67 @@
+"""The sun of a level that names none."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terrain.geo.sun_path import sun_path
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+
+CELL_M, CELLS = 30.0, 64
+
+
+def scene_over(folder: Path, heights: np.ndarray, crs: str = ENGINEERING, x0: float = 0.0, y0: float = 0.0) -> Scene:
+    return build_scene(load_level(write_geotiff(folder / "ground.tif", heights.astype(np.float32), crs, x0, y0, CELL_M)))
+
+
+def falling(slope_deg: float, azimuth_deg: float) -> np.ndarray:
+    """A plane that rises towards an azimuth, (CELLS, CELLS), metres."""
+    row, col = np.mgrid[:CELLS, :CELLS] * CELL_M
+    towards = col * np.sin(np.radians(azimuth_deg)) - row * np.cos(np.radians(azimuth_deg))
+    return towards * np.tan(np.radians(slope_deg))
+
+
+@pytest.mark.parametrize("slope_deg", [6.0, 15.0, 28.0])
+def test_it_stands_as_high_as_slopes_fall_away_from_it(tmp_path, slope_deg):
+    scene = scene_over(tmp_path, falling(slope_deg, 240.0))
+    assert scene.sun is not None
+    assert (scene.sun.azimuth_deg, scene.sun.altitude_deg) == (240.0, pytest.approx(slope_deg, abs=0.5))
+
+
+@pytest.mark.parametrize(
+    ("heights", "altitude_deg"), [(np.zeros((8, 8)), 30.0), (falling(2.0, 240.0), 4.0), (falling(60, 240), 35.0)]
+)
+def test_level_ground_and_the_bounds(tmp_path, heights, altitude_deg):
+    scene = scene_over(tmp_path, heights)
+    assert scene.sun is not None and scene.sun.altitude_deg == altitude_deg
+
+
+@pytest.mark.parametrize(("zone", "north_m"), [(32633, 1_000_000), (32633, 5_300_000), (32633, 7_800_000), (32733, 6_200_000)])
+def test_the_sun_does_stand_there(tmp_path, zone, north_m):
+    """On an afternoon of the equinox, or beyond 60 degrees of midsummer's."""
+    row, col = np.mgrid[:CELLS, :CELLS]
+    scene = scene_over(tmp_path, 300 * np.sin(col / 5.0) * np.cos(row / 7.0), f"EPSG:{zone}", 500_000, north_m)
+    assert scene.sun is not None
+    lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
+    noon = datetime(2024, 6, 20, 11, tzinfo=UTC) if lat > 60 else datetime(2024, 3, 20, 11, tzinfo=UTC)
+    path = sun_path([noon + timedelta(minutes=minutes) for minutes in range(0, 13 * 60, 2)], lon, lat)
+    apart = np.hypot(path.azimuth_deg - scene.sun.azimuth_deg, path.altitude_deg - scene.sun.altitude_deg)
+    assert apart.min() < 1.5
+    assert 180 < scene.sun.azimuth_deg < 360 and scene.sun.altitude_deg > 0
+
+
+def test_the_poles_have_one_too(tmp_path):
+    scene = scene_over(tmp_path, falling(20, 240), "EPSG:3413", -CELLS * CELL_M / 2, CELLS * CELL_M / 2)
+    assert scene.sun is not None and 0 < scene.sun.altitude_deg <= 22
+
+
+def test_what_a_level_says_goes_before_it(tmp_path, make_scene):
+    raster = write_geotiff(tmp_path / "g.tif", falling(15, 240).astype(np.float32), ENGINEERING, 0, 0, CELL_M)
+    scene = make_scene(raster, 100, 50)
+    assert scene.sun is not None and (scene.sun.azimuth_deg, scene.sun.altitude_deg) == (100, 50)
