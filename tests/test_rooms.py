@@ -82,6 +82,7 @@ MAY_IMPORT = {
     "api.shade": "device_calibration layers raster_file",
     "api.device_calibration": "report",
     "api.workers": "device_calibration errors layers settings",
+    "api.library": "catalogue device_calibration layers raster_file shade",
     "api.http": "errors layers settings shadow_parameters workers",
     "api.cli": "catalogue device_calibration errors http layers report settings shade shadow_parameters",
 }

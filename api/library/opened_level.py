@@ -1,0 +1,151 @@
+"""A level that is open: pictures and rasters of it as arrays, one after the other."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+from rasterio.io import MemoryFile
+
+from api.catalogue import find_level
+from api.device_calibration import calibration_for
+from api.layers import PASS_LAYERS, frame_layer
+from api.shade import Bounds, raster_view, shade_array, transform_of
+from selector.select import plan_of_view
+from shadows.render import render_frame
+from terrain.level.level import load_level, parse_sun
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+Time = datetime | np.datetime64 | str
+
+
+class OpenLevel:
+    """A level's scene; its arrays have row 0 in the north. To be closed, or used by ``with``; not to be shared between threads."""
+
+    def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
+        self._scene = scene
+        self._held = held
+        self._own = raster_view(scene)
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self._scene.loaded.name
+
+    @property
+    def path(self) -> Path:
+        """The file that it was opened from."""
+        return self._scene.loaded.path
+
+    @property
+    def crs(self) -> CRS:
+        """The CRS of its own grid."""
+        return self._own.grid.crs
+
+    @property
+    def transform(self) -> Affine:
+        """The geotransform of its own grid."""
+        return transform_of(self._own)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of its own grid."""
+        return self._own.rows, self._own.cols
+
+    def render(
+        self,
+        view: str = "map",
+        layer: str = "color",
+        *,
+        time: Time | None = None,
+        azimuth: float | None = None,
+        altitude: float | None = None,
+        size: tuple[int, int] | None = None,
+        bounds: Bounds | None = None,
+        crs: str | None = None,
+        seconds: float | None = None,
+        **shadows: Any,
+    ) -> np.ndarray:
+        """A layer of one of the level's views: uint8 (rows, cols, 4) of ``color`` and ``shadow``, (rows, cols) of ``mask``; else as
+        ``skugga render --help`` tells.
+
+        The sun is that of a ``time`` (with an offset from UTC, or datetime64 in UTC), or of ``azimuth`` and ``altitude``, degrees;
+        else the level's own. ``size`` is (columns, rows); ``bounds`` are west, south, east, north in ``crs``. ``shadows`` are the
+        keys of a level's ``shadows``, as ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
+        """
+        scene = self._scene.with_sun(_sun(time, azimuth, altitude)).at_second(seconds)
+        seen = scene.view(view, bounds, crs, size)
+        device = calibration_for(scene.loaded.level.shadows, shadows)
+        plan = plan_of_view(scene, seen, view, shadows, device=device)
+        kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
+        return frame_layer(scene, render_frame(scene, seen, plan, None, kept), layer)
+
+    def shade(
+        self,
+        layer: str = "mask",
+        *,
+        time: Time | None = None,
+        azimuth: float | None = None,
+        altitude: float | None = None,
+        bounds: Bounds | None = None,
+        crs: str | None = None,
+        resolution: float | None = None,
+        like: Path | None = None,
+        **shadows: Any,
+    ) -> np.ndarray:
+        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``: one of
+        ``api.shade.SHADE_LAYERS``, (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as in ``render``.
+
+        Raises ``SkuggaError``.
+        """
+        view = raster_view(self._scene, bounds, crs, resolution, like)
+        return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
+
+    def close(self) -> None:
+        """Close its files."""
+        self._scene.close()
+        if self._held is not None:
+            self._held.close()
+
+    def __enter__(self) -> OpenLevel:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+def open_level(source: str | Path) -> OpenLevel:
+    """Open a level: a bundled one by its name, a level file, or a raster of heights. Raises ``SkuggaError``."""
+    return OpenLevel(build_scene(load_level(find_level(str(source)))))
+
+
+def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel:
+    """Open an array of heights (rows, cols), metres, NaN where there is no ground, as a level: its geotransform, and its CRS as
+    pyproj takes it. Raises ``SkuggaError``, and ``ValueError`` for heights that are no grid.
+    """
+    height_m = np.asarray(height_m, np.float32)
+    if height_m.ndim != 2:
+        raise ValueError(f"height_m has the shape {height_m.shape}; it must be (rows, cols)")
+    held = MemoryFile(ext=".tif")
+    try:
+        with held.open(
+            driver="GTiff", height=height_m.shape[0], width=height_m.shape[1], count=1, dtype="float32", nodata=float("nan"),
+            crs=CRS.from_user_input(crs).to_wkt(), transform=transform,
+        ) as dataset:  # fmt: skip
+            dataset.write(height_m, 1)
+        return OpenLevel(build_scene(load_level(held.name)), held)
+    except BaseException:
+        held.close()
+        raise
+
+
+def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
+    if isinstance(time, np.datetime64):
+        time = f"{np.datetime_as_string(time, unit='s')}Z"
+    return parse_sun(time.isoformat() if isinstance(time, datetime) else time, azimuth, altitude)

@@ -1,0 +1,136 @@
+"""Skugga from Python: arrays, open levels, xarray."""
+
+from __future__ import annotations
+
+import threading
+from datetime import datetime
+
+import numpy as np
+import pytest
+import rasterio
+import xarray
+from affine import Affine
+
+import skugga
+from api.layers import MASK_SHADOW
+from tests.rasters import write_geotiff
+
+CELL_M = 30.0
+LOW = {"azimuth": 250.0, "altitude": 12.0}
+
+
+@pytest.fixture(scope="module")
+def height_m() -> np.ndarray:
+    row, col = np.mgrid[:200, :300].astype(np.float32)
+    height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
+    height[20:30, 50:70] = np.nan
+    return height
+
+
+@pytest.fixture(scope="module")
+def heights(height_m) -> xarray.DataArray:
+    y, x = 5200e3 - CELL_M * (np.arange(200) + 0.5), 500e3 + CELL_M * (np.arange(300) + 0.5)
+    return xarray.DataArray(height_m, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
+
+
+def test_a_wall_shades_as_many_cells_as_it_must():
+    """90 m high, the sun in the west, half as high as it is far: 180 m, 6 cells of 30 m."""
+    height_m = np.zeros((40, 200), np.float32)
+    height_m[:, 100] = 90.0
+    dark = skugga.shadow(height_m, CELL_M, 270.0, float(np.degrees(np.arctan(0.5)) - 0.01))
+    np.testing.assert_array_equal(np.flatnonzero(dark[20]), np.arange(101, 107))
+    assert dark.dtype == np.bool_
+
+
+def test_holes_have_no_shadow_and_the_night_has_nothing_else(height_m):
+    dark = skugga.shadow(height_m, CELL_M, 250.0, -1.0)
+    np.testing.assert_array_equal(dark, np.isfinite(height_m))
+    assert not skugga.shadow(height_m, CELL_M, 250.0, 12.0)[~np.isfinite(height_m)].any()
+
+
+def test_heights_that_are_no_grid():
+    with pytest.raises(ValueError, match=r"\(4,\)"):
+        skugga.shadow(np.zeros(4), CELL_M, 0.0, 10.0)
+
+
+def test_an_open_raster_is_shaded_and_drawn(gl, height_m, tmp_path):
+    raster = write_geotiff(tmp_path / "hills.tif", height_m, "EPSG:32633", 500e3, 5200e3, CELL_M, nodata=float("nan"))
+    with skugga.open_level(raster) as level, rasterio.open(raster) as dataset:
+        assert (level.transform, level.shape, level.crs.to_epsg(), level.name) == (dataset.transform, dataset.shape, 32633, "hills")
+        mask = level.shade(**LOW)
+        assert mask.shape == level.shape and 0.1 < (mask == MASK_SHADOW).mean() < 0.7
+        part = level.shade(bounds=(500e3, 5197e3, 503e3, 5200e3), **LOW)
+        np.testing.assert_array_equal(part, mask[:100, :100])
+        picture = level.render(size=(60, 40), **LOW)
+        assert picture.shape == (40, 60, 4) and picture.dtype == np.uint8 and picture[..., :3].std() > 5
+        by_time = [level.shade(time=time) for time in ("2024-03-21T16:00+01:00", np.datetime64("2024-03-21T15:00"))]
+        np.testing.assert_array_equal(*by_time)
+        np.testing.assert_array_equal(by_time[0], level.shade(time=datetime.fromisoformat("2024-03-21T15:00Z")))
+        assert (by_time[0] != mask).any()
+
+
+def test_an_array_of_heights_is_a_level(height_m, tmp_path):
+    with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
+        visibility = level.shade("visibility", **LOW)
+    np.testing.assert_array_equal(np.isnan(visibility), np.isnan(height_m))
+    flat_world = skugga.shadow(height_m, CELL_M, 250.0, 12.0)  # on the globe north turns, and the ground falls away
+    assert ((visibility == 0.0) != flat_world).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: skugga.open_level("nowhere.tif"), ("LEVEL", "nowhere.tif")),
+        (lambda: skugga.open_level("jacksboro").shade("depth"), ("layer", "depth", "mask")),
+        (lambda: skugga.open_level("jacksboro").shade(time="2024-02-30T00:00Z"), ("time", "2024-02-30")),
+        (lambda: skugga.open_level("jacksboro").shade(azimuth=10.0), ("altitude",)),
+    ],
+)
+def test_wrong_input(call, words):
+    with pytest.raises(skugga.SkuggaError) as error:
+        call()
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_the_accessor_keeps_coordinates_and_says_what_the_level_says(heights, height_m):
+    dark = heights.skugga.shadow(**LOW)
+    assert dark.dtype == np.bool_ and dark.dims == ("y", "x") and dark.rio.crs.to_epsg() == 32633
+    xarray.testing.assert_equal(dark.x, heights.x)
+    with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
+        np.testing.assert_array_equal(dark, level.shade(**LOW) == MASK_SHADOW)
+
+
+def test_rows_from_south_to_north_and_turned_dimensions(heights):
+    dark = heights.skugga.shadow(**LOW)
+    southern_first = heights.isel(y=slice(None, None, -1)).skugga.shadow(**LOW)
+    assert float(southern_first.y[0]) < float(southern_first.y[-1])
+    xarray.testing.assert_equal(southern_first.isel(y=slice(None, None, -1)), dark)
+    xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW), dark)
+
+
+def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
+    """Shadows fall from one chunk on another; what is asked for is made, and nothing before."""
+    read, lock = [], threading.Lock()
+
+    def noted(chunk: np.ndarray) -> np.ndarray:
+        with lock:
+            read.append(chunk.shape)
+        return chunk
+
+    chunked = heights.chunk({"y": 70, "x": 110})
+    chunked = chunked.copy(data=chunked.data.map_blocks(noted, dtype=np.float32, meta=np.empty((0, 0), np.float32)))
+    lazy = chunked.skugga.shadow(**LOW)
+    assert lazy.chunks == chunked.chunks and not read
+    xarray.testing.assert_equal(lazy.compute(), heights.skugga.shadow(**LOW))
+    assert len(read) == 9, "each chunk is read once"
+    np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW)[80:90, 120:130])
+
+
+def test_what_the_accessor_refuses(heights):
+    with pytest.raises(skugga.SkuggaError, match="write_crs"):
+        heights.drop_vars("spatial_ref").skugga.shadow(**LOW)
+    with pytest.raises(skugga.SkuggaError, match="time"):
+        heights.skugga.shadow()
+    with pytest.raises(ValueError, match="two, y and x"):
+        heights.expand_dims("band").skugga.shadow(**LOW)
