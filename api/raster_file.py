@@ -16,9 +16,6 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
-GDAL_CACHE_MB = 128
-"""Memory that GDAL may take for blocks that are being written."""
-
 TILE = 512
 
 
@@ -43,7 +40,7 @@ def cog(
     It takes its place when all is written; where that fails, what lay there stays. Raises ``OSError`` and rasterio's errors.
     """
     rows, cols = shape
-    with rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_MB), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+    with rasterio.Env(), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         raw, done = Path(folder) / "raw.tif", Path(folder) / "cog.tif"
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,

@@ -28,6 +28,7 @@ from shadows.plan import Plan
 from shadows.render import render_frame
 from shadows.sunlit_ground import cosine_of_incidence, sunlit_ground
 from terrain.errors import InputError, SourceError
+from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.geo.grid import Grid, MapView, blocks_of
 from terrain.ground.surface import step_at_anchor_m
 from terrain.level.parts import SunSpec
@@ -203,6 +204,7 @@ def shaded_blocks(
             inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
             for sun, (seen, plan) in enumerate(zip(scenes, plans, strict=True)):
                 yield ShadedBlock(sun, max(row, 0), max(col, 0), SHADE_LAYERS[layer].make(seen, block, plan)[inside])
+            forget_ground_before(1)
 
     return len(blocks) * len(scenes), made()
 

@@ -54,6 +54,11 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
 
+def forget_ground_before(most: int) -> None:
+    """Let go of the ground of all blocks but the ``most`` seen last: of a raster that is gone through once."""
+    _bare_ground.cache.trim(most)
+
+
 @cached("scene", 448 * MIB)
 def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView | None) -> BareGround | None:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)

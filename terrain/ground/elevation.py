@@ -14,6 +14,7 @@ out of the water, and not along cells.
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 
@@ -59,6 +60,8 @@ UNIT_WORDS: dict[str, Units] = {
     "us-ft": "us-ft", "us survey foot": "us-ft", "ussurveyfoot": "us-ft", "ft-us": "us-ft",
 }  # fmt: skip
 """What files call their units, in lower case."""
+
+os.environ.setdefault("GDAL_CACHEMAX", "128")  # MB of blocks as read; GDAL's own 5 % of the machine's memory are gigabytes
 
 
 @dataclass(frozen=True, eq=False)
