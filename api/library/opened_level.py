@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 from affine import Affine
@@ -15,6 +17,7 @@ from rasterio.io import MemoryFile
 from api.catalogue import find_level
 from api.device_calibration import calibration_for
 from api.layers import PASS_LAYERS, frame_layer
+from api.library.tile_service import TileService
 from api.shade import Bounds, raster_view, shade_array, transform_of
 from selector.select import plan_of_view
 from shadows.render import render_frame
@@ -32,6 +35,8 @@ class OpenLevel:
         self._scene = scene
         self._held = held
         self._own = raster_view(scene)
+        self._served: TileService | None = None
+        self._folder: TemporaryDirectory[str] | None = None
 
     @property
     def name(self) -> str:
@@ -107,8 +112,47 @@ class OpenLevel:
         view = raster_view(self._scene, bounds, crs, resolution, like)
         return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
 
+    def as_leaflet_layer(
+        self,
+        layer: str = "color",
+        *,
+        time: Time | None = None,
+        azimuth: float | None = None,
+        altitude: float | None = None,
+        **shadows: Any,
+    ) -> Any:
+        """The level as a layer of an ipyleaflet map, served by a process on this machine: ``map.add(level)`` calls it.
+
+        ``layer`` is ``color``, ``shadow`` (to lie over another map) or ``mask``; the sun and ``shadows`` are as in ``render``.
+        Raises ``SkuggaError``, and ``ImportError`` without ipyleaflet.
+        """
+        from ipyleaflet import TileLayer
+
+        spec = _sun(time, azimuth, altitude)
+        sun = {} if spec is None else spec.model_dump(mode="json", exclude_none=True)
+        query = {key: value for key, value in {"layer": layer, **sun, **shadows}.items() if value is not None}
+        said = self._service().tile_json(urlencode(query))
+        return TileLayer(
+            url=said["tiles"][0], name=self.name, attribution=said.get("attribution", ""), max_zoom=24,
+            min_zoom=said["minzoom"], max_native_zoom=said["maxzoom"],
+        )  # fmt: skip
+
+    def _service(self) -> TileService:
+        if self._served is None:
+            path = self.path
+            if self._held is not None:  # memory that another process cannot read
+                self._folder = TemporaryDirectory(prefix="skugga-")
+                path = Path(self._folder.name) / "heights.tif"
+                path.write_bytes(self._held.getbuffer())
+            self._served = TileService(path)
+        return self._served
+
     def close(self) -> None:
-        """Close its files."""
+        """Close its files, and end its tile service."""
+        if self._served is not None:
+            self._served.close()
+        if self._folder is not None:
+            self._folder.cleanup()
         self._scene.close()
         if self._held is not None:
             self._held.close()

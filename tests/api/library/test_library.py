@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import threading
 from datetime import datetime
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 import rasterio
 import xarray
 from affine import Affine
+from PIL import Image
 
 import skugga
 from api.layers import MASK_SHADOW
@@ -134,3 +137,32 @@ def test_what_the_accessor_refuses(heights):
         heights.skugga.shadow()
     with pytest.raises(ValueError, match="two, y and x"):
         heights.expand_dims("band").skugga.shadow(**LOW)
+
+
+def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
+    """By a service of its own, which ends with the level."""
+    import ipyleaflet
+
+    with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
+        shown = ipyleaflet.Map()
+        shown.add(level)
+        layer = shown.layers[-1]
+        assert layer.min_zoom <= layer.max_native_zoom < layer.max_zoom
+        x, y = mercator_tile(15.02, 46.94, layer.max_native_zoom)
+        address = layer.url.format(z=layer.max_native_zoom, x=x, y=y)
+        with urlopen(address) as answer:
+            tile = np.asarray(Image.open(answer))
+        assert tile.shape[:2] == (256, 256) and tile[..., :3].std() > 5
+        low = level.as_leaflet_layer("mask", azimuth=250.0, altitude=12.0).url
+        with urlopen(low.format(z=layer.max_native_zoom, x=x, y=y)) as answer:
+            assert 0.1 < (np.asarray(Image.open(answer)) == MASK_SHADOW).mean() < 0.9
+        with pytest.raises(skugga.SkuggaError, match="layer"):
+            level.as_leaflet_layer("depth")
+    with pytest.raises(URLError):
+        urlopen(address)
+
+
+def mercator_tile(lon_deg: float, lat_deg: float, zoom: int) -> tuple[int, int]:
+    """Column and row of the tile at a place."""
+    y = np.arcsinh(np.tan(np.radians(lat_deg))) / np.pi
+    return int((lon_deg + 180.0) / 360.0 * 2**zoom), int((1.0 - y) / 2.0 * 2**zoom)
