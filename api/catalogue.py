@@ -10,6 +10,7 @@ from selector.select import plan_of_view
 from terrain.errors import InputError, UnsupportedError
 from terrain.gbuffer.picture import imagery_of
 from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
 from terrain.scene import build_scene
 
 
@@ -30,9 +31,9 @@ def find_level(name: str) -> Path:
     raise InputError("LEVEL", name, f"a level file, a raster, or one of the bundled levels: {names}")
 
 
-def summary(path: Path) -> dict[str, Any]:
+def summary(source: Path | LevelSource) -> dict[str, Any]:
     """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
-    scene = build_scene(load_level(path))
+    scene = build_scene(load_level(source))
     level = scene.loaded.level
     return {
         "name": scene.loaded.name,
@@ -42,13 +43,13 @@ def summary(path: Path) -> dict[str, Any]:
     }
 
 
-def remarks(path: Path) -> list[str]:
+def remarks(source: Path | LevelSource) -> list[str]:
     """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
     and the algorithms that it asks for can serve each of its views.
 
     Raises ``SkuggaError``.
     """
-    scene = build_scene(load_level(path))
+    scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
     for name in scene.loaded.level.views:
         scene.view(name)
@@ -58,7 +59,7 @@ def remarks(path: Path) -> list[str]:
         try:
             plan_of_view(scene, scene.view(name), name, policy="rules")
         except UnsupportedError as error:
-            raise UnsupportedError(f"{path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
+            raise UnsupportedError(f"{scene.loaded.path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
     elevation, notes = scene.elevation, []
     low, high = scene.height_range_m
     notes.append(
@@ -73,6 +74,7 @@ def remarks(path: Path) -> list[str]:
         notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
+    notes += [f"warning: {text}" for text in scene.warnings]
     if elevation.units is None and not is_generated:
         notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
         if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):

@@ -18,10 +18,12 @@ from terrain.geo.grid import Grid, MapView, map_view
 from terrain.geo.light_space import LightSpace, light_space
 from terrain.geo.sun import Sun, position_at, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
+from terrain.ground.collar import collar_of
 from terrain.ground.elevation import Elevation
 from terrain.ground.generated_ground import generated_ground
 from terrain.ground.geolocate import Geolocator
 from terrain.ground.surface import Surface
+from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
 from terrain.lights import Lamp, LightPosition, lamp_of, light_position
@@ -102,6 +104,15 @@ class Scene:
     def light(self) -> LightSpace | None:
         """The sun's light space."""
         return None if self.sun is None else light_space(self.world, self.sun)
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong with the level although it can be drawn: sentences that say what to write."""
+        source = self.loaded.level.terrain.source
+        if source is None or source in BUNDLED:
+            return ()
+        collar = collar_of(self.elevation)
+        return () if collar is None else (collar.warning,)
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
@@ -273,7 +284,9 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     made = None if terrain.source is not None else generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
-    elevation = Elevation(name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface)
+    elevation = Elevation(
+        name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface, terrain.nodata
+    )
     if terrain.surface == "blocks" and not elevation.upright:
         raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
     world = _world(loaded, elevation)

@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
-from api.catalogue import bundled_levels, find_level
+from api.catalogue import bundled_levels
 from api.cli import doctor as doctor_checks
+from api.cli.level_argument import takes_level
 from api.cli.options import overrides_of, with_shadow_options
 from api.cli.times import suns_of
 from api.errors import exit_status
@@ -21,6 +22,7 @@ from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError
 from terrain.level.level import parse_sun
+from terrain.level.level_source import LevelSource
 
 app = typer.Typer(
     help="Terrain with the sun's true cast shadows.",
@@ -32,9 +34,6 @@ app = typer.Typer(
 _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's error of usage, which it exports under no name of its own."""
 
-LevelArgument = Annotated[
-    str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")
-]
 _FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
 LayerName = Annotated[
     str,
@@ -72,8 +71,9 @@ def _everywhere(
 
 
 @app.command()
+@takes_level
 def serve(
-    levels: Annotated[list[str] | None, typer.Argument(metavar="[LEVEL]...", help="Default: all bundled levels.")] = None,
+    levels: list[LevelSource],
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
@@ -84,13 +84,14 @@ def serve(
 
     options = {"host": host, "port": port, "workers": workers}
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
-    run(settings, [find_level(name) for name in levels] if levels else bundled_levels())
+    run(settings, levels)
 
 
 @app.command()
+@takes_level
 @with_shadow_options("render")
 def render(
-    level: LevelArgument,
+    level: LevelSource,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write; the suffix sets the format.")],
     view: ViewOption = "map",
     layer: LayerName = "color",
@@ -115,16 +116,17 @@ def render(
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
         kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
-        scene, frame = snapshot(find_level(level), view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
+        scene, frame = snapshot(level, view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")
 
 
 @app.command("shade")
+@takes_level
 @with_shadow_options("render")
 def shade_raster(
-    level: LevelArgument,
+    level: LevelSource,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG); of several times {time} in its name stands for each.")
     ],
@@ -148,13 +150,14 @@ def shade_raster(
     overrides = overrides_of("render", asked)
     suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
     with _progress("Shading") as advance:
-        shade_level(find_level(level), output, layer, suns, _bounds(bounds), crs, resolution, like, overrides, advance)
+        shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, like, overrides, advance)
 
 
 @app.command()
+@takes_level
 @with_shadow_options("select")
 def select(
-    level: LevelArgument,
+    level: LevelSource,
     view: ViewOption = "map",
     policy: Annotated[
         str,
@@ -184,7 +187,7 @@ def select(
     overrides = overrides_of("select", asked)
     view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
-        choice = plan_level_view(find_level(level), view, policy, overrides, *view_options, ignore_pin=write)
+        choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write)
         message = pin_plan(choice) if write else None
     if descriptor is not None:
         write_descriptor(choice, descriptor)
@@ -207,8 +210,9 @@ def calibrate(as_json: JsonOption = False) -> None:
 
 
 @app.command()
+@takes_level
 def compare(
-    level: LevelArgument,
+    level: LevelSource,
     view: ViewOption = "map",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
@@ -232,9 +236,9 @@ def compare(
     from selector.measure.compare import TIME_LIMIT_S
     from selector.measure.compare import compare as measure
 
-    path, sun, shape = find_level(level), parse_sun(time, azimuth, altitude), _size(size)
+    sun, shape = parse_sun(time, azimuth, altitude), _size(size)
     check_outputs(output, json_file)
-    scene, view_value = scene_and_view(path, view, sun, shape, _bounds(bounds), crs)
+    scene, view_value = scene_and_view(level, view, sun, shape, _bounds(bounds), crs)
     with _progress("Comparing") as advance:
         comparison = measure(scene, view_value, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
     show(comparison)
@@ -265,13 +269,13 @@ def levels(as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def validate(level: LevelArgument) -> None:
+@takes_level
+def validate(level: LevelSource) -> None:
     """Check a level file and the data it names."""
     from api.catalogue import remarks, summary
 
-    path = find_level(level)
-    row, notes = summary(path), remarks(path)
-    typer.echo(f"{path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}")
+    row, notes = summary(level), remarks(level)
+    typer.echo(f"{level.path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}")
     for remark in notes:
         typer.echo(f"  note: {remark}")
 

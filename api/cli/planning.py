@@ -20,6 +20,7 @@ from terrain.errors import InputError, UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.level.level import override
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 
@@ -40,7 +41,7 @@ class PlannedView:
 
 
 def plan_level_view(
-    path: Path,
+    level: LevelSource,
     view: str,
     policy: str,
     overrides: dict[str, Any],
@@ -56,11 +57,13 @@ def plan_level_view(
     """
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
-    scene, view_value = scene_and_view(path, view, sun, size, bounds, crs, seconds)
+    scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
         scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
-    return PlannedView(path, scene, view_value, plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device))
+    return PlannedView(
+        level.path, scene, view_value, plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device)
+    )
 
 
 def pin_plan(choice: PlannedView) -> str:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from api.cli.times import time_in_name
+from api.cli.warnings import say_warnings
 from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
 from terrain.errors import InputError
 from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
@@ -18,7 +20,7 @@ SUFFIXES = ".tif", ".tiff"
 
 
 def shade_level(
-    level: Path,
+    level: LevelSource,
     output: Path,
     layer: str,
     suns: Sequence[SunSpec | None],
@@ -34,6 +36,7 @@ def shade_level(
         raise InputError("--layer", layer, ", ".join(SHADE_LAYERS))
     paths = files_of(output, suns)
     scene = build_scene(load_level(level))
+    say_warnings(scene)
     try:
         write_shade(scene, raster_view(scene, bounds, crs, resolution, like), layer, suns, paths, overrides, on_block)
     finally:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from api.cli.warnings import say_warnings
 from api.device_calibration import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
@@ -14,12 +15,13 @@ from shadows.render import Frame, render_frame
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 
 def snapshot(
-    level: Path,
+    level: Path | LevelSource,
     view: str,
     sun: SunSpec | None,
     overrides: dict[str, Any],
@@ -38,7 +40,7 @@ def snapshot(
 
 
 def scene_and_view(
-    level: Path,
+    level: Path | LevelSource,
     view: str,
     sun: SunSpec | None,
     size: tuple[int, int] | None = None,
@@ -48,6 +50,7 @@ def scene_and_view(
 ) -> tuple[Scene, MapView | PerspectiveView]:
     """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
     scene = build_scene(load_level(level)).with_sun(sun).at_second(seconds)
+    say_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)
 
 

@@ -25,6 +25,7 @@ from api.settings import Settings
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
 from api.workers.worker_process import WorkerTarget
+from terrain.level.level_source import LevelSource
 
 CLIENT_GONE = 499
 """Status in the access log of a request whose client has gone, as nginx has it; nobody reads it."""
@@ -47,8 +48,8 @@ LOG_CONFIG: dict[str, Any] = {
 log = logging.getLogger("skugga")
 
 
-def create_app(settings: Settings, levels: Sequence[Path], worker_target: WorkerTarget = worker_main) -> FastAPI:
-    """The application over some level files; its render processes run from its start-up to its shutdown.
+def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_target: WorkerTarget = worker_main) -> FastAPI:
+    """The application over some levels; its render processes run from its start-up to its shutdown.
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
     """
@@ -160,7 +161,7 @@ class Server(uvicorn.Server):
         log.info("Skugga has stopped")
 
 
-def serve(settings: Settings, levels: Sequence[Path]) -> None:
+def serve(settings: Settings, levels: Sequence[Path | LevelSource]) -> None:
     """Serve levels until SIGINT or SIGTERM. Raises as ``create_app`` does."""
     app = create_app(settings, levels)
     config = uvicorn.Config(

@@ -20,7 +20,8 @@ router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
 @router.get("/levels", summary="The levels", dependencies=[Depends(allow_only())], response_model=list[dict[str, Any]])
 async def levels(request: Request, service: TheService) -> Response:
-    """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
+    """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms, sun, and
+    `warnings` on what may be wrong with its files.
 
     `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
     `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.

@@ -19,6 +19,7 @@ from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene, with_own_sun
 
@@ -33,16 +34,19 @@ class ServedLevel:
 
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
     a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
-    whether the level names it or not), ``None`` for a view that cannot be drawn.
+    whether the level names it or not), ``None`` for a view that cannot be drawn. ``warnings`` are sentences on what may be wrong
+    with it.
     """
 
     loaded: LoadedLevel
+    origin: LevelSource
     version: str
     world: World
     bounds: LonLatBounds | None
     data_bounds: LonLatBounds | None
     zooms: dict[str, ZoomRange]
     view_sizes: dict[str, tuple[int, int] | None]
+    warnings: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -52,7 +56,7 @@ class ServedLevel:
     @property
     def key(self) -> LevelKey:
         """What render processes are told."""
-        return LevelKey(path=self.loaded.path, version=self.version)
+        return LevelKey(**{**self.origin.model_dump(), "path": self.loaded.path, "version": self.version})
 
     def zooms_in(self, matrix_set: str) -> ZoomRange:
         """The zooms of a tile matrix set.
@@ -106,6 +110,7 @@ class ServedLevel:
             "layers": list(PICTURE_LAYERS),
             "algorithms": list(served_algorithms()),
             "sun": sun,
+            "warnings": list(self.warnings),
             "tile_matrix_sets": {name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()},
         }
 
@@ -117,14 +122,14 @@ class ServedLevels:
     ``InputError`` for a level that cannot be served, naming it.
     """
 
-    def __init__(self, paths: Sequence[Path], remote_sources: bool = False) -> None:
+    def __init__(self, sources: Sequence[Path | LevelSource], remote_sources: bool = False) -> None:
         self._remote_sources = remote_sources
         self._lock = threading.Lock()
         self._levels: dict[str, tuple[tuple[Any, ...], ServedLevel]] = {}
-        for path in paths:
-            level = self._read(Path(path))
+        for source in map(LevelSource.of, sources):
+            level = self._read(source)
             if level.name in self._levels:
-                raise InputError("LEVEL", str(path), f"files of different names: a level '{level.name}' is served already")
+                raise InputError("LEVEL", str(source.path), f"files of different names: a level '{level.name}' is served already")
             self._levels[level.name] = _stamps(level.loaded), level
 
     def get(self, name: str) -> ServedLevel:
@@ -135,7 +140,7 @@ class ServedLevels:
             stamps, level = self._levels[name]
             current_stamps = _stamps(level.loaded)
             if current_stamps != stamps:
-                level = self._read(level.loaded.path)
+                level = self._read(level.origin)
                 self._levels[name] = _stamps(level.loaded), level
                 log.info("level %s has changed and was read anew", name)
             return level
@@ -159,8 +164,8 @@ class ServedLevels:
                 log.error("level %s: %s", name, error)
         return levels
 
-    def _read(self, path: Path) -> ServedLevel:
-        loaded = load_level(path)
+    def _read(self, origin: LevelSource) -> ServedLevel:
+        loaded, path = load_level(origin), origin.path
         remote = [source for source in loaded.sources if not _is_local(source)]
         if remote and not self._remote_sources:
             raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
@@ -176,7 +181,7 @@ class ServedLevels:
         # Without its sun: a time needs the sun's library, which the service may never need.
         scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
         try:
-            return _served(with_own_sun(loaded, scene.world, scene.elevation), scene)
+            return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene)
         finally:
             scene.close()
 
@@ -188,7 +193,7 @@ def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     return {name for kinds in expand_override(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
 
 
-def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
+def _served(loaded: LoadedLevel, origin: LevelSource, scene: Scene) -> ServedLevel:
     world, bounds, data_bounds, zooms = scene.world, scene.bounds_lon_lat, None, {}
     if bounds is not None:
         west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
@@ -201,7 +206,9 @@ def _served(loaded: LoadedLevel, scene: Scene) -> ServedLevel:
     text = repr((loaded.digest, *(_stamp(Path(source)) for source in loaded.sources)))
     version = hashlib.sha256(text.encode()).hexdigest()[:16]
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
-    return ServedLevel(loaded, version, world, bounds, data_bounds, zooms, view_sizes)
+    for text in scene.warnings:
+        log.warning("level %s: %s", loaded.name, text)
+    return ServedLevel(loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.warnings)
 
 
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:

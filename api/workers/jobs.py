@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
@@ -14,6 +13,7 @@ from api.errors import OUTCOMES
 from api.layers import PictureFormat, PictureLayer
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 
 if TYPE_CHECKING:
@@ -78,10 +78,9 @@ class PictureRequest(_Value):
         return scene.with_sun(self.sun)
 
 
-class LevelKey(_Value):
-    """A level's file and a version that changes with its text and the files that it names."""
+class LevelKey(LevelSource):
+    """What a level is loaded from, and a version that changes with its text and the files that it names."""
 
-    path: Path
     version: str
 
 

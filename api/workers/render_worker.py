@@ -118,7 +118,7 @@ class SceneCache:
         entry = self._scenes.get(path)
         if isinstance(entry, Missing) or entry[0] != key.version:
             self._scenes.drop(path)
-            entry = key.version, build_scene(load_level(key.path))
+            entry = key.version, build_scene(load_level(key))
             self._scenes.put(path, value=entry)
         if self._process_bytes() > MAX_PROCESS_BYTES:
             self._scenes.trim(1)

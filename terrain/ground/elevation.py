@@ -15,15 +15,13 @@ out of the water, and not along cells.
 from __future__ import annotations
 
 import os
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import rasterio
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.enums import Resampling
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
@@ -34,6 +32,7 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
+from terrain.ground.open_raster import EXACT_HIGH_CELLS, open_heights
 from terrain.level.bundled import BUNDLED
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
 
@@ -45,10 +44,6 @@ PLAUSIBLE_M = (-11500.0, 9500.0)
 
 OVERVIEW_CELLS = 512
 """Longest side of the overview that reach and relief are read from."""
-
-EXACT_HIGH_CELLS = 32_000_000
-"""Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
-cells and not from overviews that somebody else made."""
 
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
@@ -84,7 +79,8 @@ class Elevation:
 
     ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
     the place of the file ``source``. ``water_m`` is the height of standing water (``None``: no water): the surface wherever the
-    ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres.
+    ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres. ``nodata`` is a
+    value of the file's cells that means no height, besides the one that the file declares.
 
     Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
     """
@@ -98,6 +94,7 @@ class Elevation:
         made: MemoryFile | None = None,
         water_m: float | None = None,
         surface: GroundSurface = "smooth",
+        nodata: float | None = None,
     ) -> None:
         self.name = source
         self.surface = surface
@@ -105,7 +102,7 @@ class Elevation:
         self.water_m = -np.inf if water_m is None else float(np.float32(water_m))  # heights are float32
         try:
             held = BUNDLED[source]() if source in BUNDLED else made
-            self._dataset = _open(source) if held is None else held.open()
+            self._dataset = open_heights(source, held, nodata)
         except (RasterioError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             reason = reason or "it cannot be opened"
@@ -170,6 +167,25 @@ class Elevation:
     def nbytes(self) -> int:
         """Bytes that it holds in memory: its overview; the rest is read as it is asked for."""
         return bytes_of(self.overview)
+
+    def stored(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The cells of a window as the file has them, and which of them are taken for heights (bool); with a smaller ``shape``
+        every so many of them.
+        """
+        window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
+        try:
+            data = self._dataset.read(1, window=window, out_shape=shape, masked=True)
+        except RasterioIOError:
+            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+        height = data.data.astype(np.float64) * self._scale + self._offset
+        with np.errstate(invalid="ignore"):
+            plausible = (height >= self._limits[0]) & (height <= self._limits[1])
+        return data.data, plausible & ~np.ma.getmaskarray(data)
+
+    @property
+    def metres_per_count(self) -> float:
+        """What a step of 1 of the file's cells is of height as drawn, metres."""
+        return float(self._scale)
 
     def close(self) -> None:
         """Close the raster."""
@@ -400,17 +416,6 @@ class Elevation:
 def _lowest(height_m: np.ndarray) -> float:
     """The lowest of some heights, NaN without any."""
     return float(np.fmin.reduce(height_m, axis=None))
-
-
-def _open(source: str) -> rasterio.DatasetReader:
-    """Open a raster; a small one without its overviews, which may have been made by averaging sentinels into heights."""
-    with rasterio.Env(), warnings.catch_warnings():  # in an Env GDAL's remarks go to the log and not to standard error
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
-        dataset = rasterio.open(source)
-        if dataset.width * dataset.height > EXACT_HIGH_CELLS or not (dataset.count and dataset.overviews(1)):
-            return dataset
-        dataset.close()
-        return rasterio.open(source, OVERVIEW_LEVEL="NONE")
 
 
 @compiled

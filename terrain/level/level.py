@@ -19,6 +19,7 @@ from ruamel.yaml.error import YAMLError
 
 from terrain.errors import Fault, InputError, LevelError
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
+from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
@@ -305,9 +306,6 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
-RASTER_DIGEST = "raster"
-"""Digest of a level without a text: what is in the raster is told by its own date."""
-
 LEVEL_SUFFIXES = ".yaml", ".yml"
 """Of level files."""
 
@@ -317,15 +315,25 @@ def is_level_raster(path: Path) -> bool:
     return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)
 
 
-def load_level(path: Path | str) -> LoadedLevel:
-    """Read and check a level file, or make the level that a raster is by itself: its ground, and all else by default.
+def load_level(source: Path | str | LevelSource) -> LoadedLevel:
+    """Read and check a level file, or make the level that a raster is by itself, with what its options say stands on it.
 
-    Raises ``LevelError``.
+    Raises ``LevelError``, and ``InputError`` for options that are not for a level file.
     """
-    path = Path(path)
+    source = LevelSource.of(source)
+    path = source.path
     if is_level_raster(path):
-        level = Level(version=1, title=path.stem, terrain=Terrain(source=path.name))
-        return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=RASTER_DIGEST)
+        for file in ("canopy", "buildings"):
+            if (value := getattr(source, file)) is not None and not value.is_file():
+                raise InputError(file, str(value), "a file that is there")
+        level = Level.model_validate(source.level_keys)
+        return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=source.digest)
+    for name in source.options:
+        raise InputError(
+            name,
+            str(getattr(source, name)),
+            f"a raster's own level; the level file {path} says it itself, as {KEYS_OF_OPTIONS[name]}",
+        )
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -78,9 +78,10 @@ class Terrain(Model):
     """The ground: a raster of heights, or a floor or ground that is made.
 
     ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
-    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``imagery`` is an
-    RGB raster draped over the ground. ``surface`` is what lies between the heights: ``smooth`` (bilinear between the cells'
-    centres) or, in maps, ``blocks`` (every cell is a column with a flat top and upright walls, as in surface models of cities).
+    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``nodata`` is a value of
+    the raster's cells that means no height, besides the one that the file declares. ``imagery`` is an RGB raster draped over the
+    ground. ``surface`` is what lies between the heights: ``smooth`` (bilinear between the cells' centres) or, in maps, ``blocks``
+    (every cell is a column with a flat top and upright walls, as in surface models of cities).
     """
 
     source: FileName | None = None
@@ -89,6 +90,7 @@ class Terrain(Model):
     bounds: tuple[float, float, float, float] | None = None
     resolution: float | None = Field(default=None, gt=0)
     units: Units | None = None
+    nodata: float | None = None
     exaggeration: float = Field(default=1.0, gt=0, le=100)
     imagery: FileName | None = None
     surface: GroundSurface = "smooth"

@@ -1,0 +1,61 @@
+"""LEVEL on a command line, and the options of a raster that is a level by itself."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from api.catalogue import bundled_levels, find_level
+from terrain.errors import InputError
+from terrain.level.level_source import LevelSource
+
+_LEVEL = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")]
+_LEVELS = Annotated[
+    list[str] | None, typer.Argument(metavar="[LEVEL]...", help="Level files, rasters or names; default: all bundled levels.")
+]
+
+_OPTIONS: dict[str, Any] = {
+    "canopy": Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Trees on a raster: a raster of canopy heights, or points.")
+    ],
+    "buildings": Annotated[Path | None, typer.Option(metavar="FILE", help="Buildings on a raster: footprints with heights.")],
+    "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="A raster's value of cells without a height.")],
+}
+
+
+def takes_level(function: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``: LEVEL is looked up for
+    it, with the options of a raster, which come last.
+    """
+    signature = inspect.signature(function, eval_str=True)
+    first, *others = signature.parameters.values()
+    shown = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
+    options = [
+        inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
+        for name, annotation in _OPTIONS.items()
+    ]
+
+    def command(**given: Any) -> None:
+        asked = {name: given.pop(name) for name in _OPTIONS}
+        named = given.pop(first.name)
+        found = _find(named, asked) if first.name == "level" else _find_all(named, asked)
+        function(**{first.name: found}, **given)
+
+    command.__name__, command.__doc__ = function.__name__, function.__doc__
+    vars(command)["__signature__"] = signature.replace(parameters=[shown, *others, *options])
+    return command
+
+
+def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSource]:
+    for name, value in asked.items():
+        if value is not None and len(names or ()) != 1:
+            raise InputError(f"--{name}", str(value), "one LEVEL beside it, the raster that it is about")
+    return [_find(name, asked) for name in names] if names else [LevelSource(path=path) for path in bundled_levels()]
+
+
+def _find(name: str, asked: dict[str, Any]) -> LevelSource:
+    return LevelSource(path=find_level(name), **asked)

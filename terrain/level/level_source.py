@@ -1,0 +1,57 @@
+"""What a level is loaded from: a level file by itself; or a raster of heights, with what options say stands on it."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+KEYS_OF_OPTIONS = {
+    "canopy": "forest: [{source: FILE}]",
+    "buildings": "meshes: [{source: FILE}]",
+    "nodata": "terrain: {nodata: VALUE}",
+}
+"""What may be said of a raster beside its path, and how a level file says the same."""
+
+
+class LevelSource(BaseModel):
+    """A level file's path, or that of a raster that is a level by itself: its ground, and all else by default.
+
+    With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
+    heights) and ``nodata``, the cells' value that means that no height is known there. Of a level file they are ``None``.
+    """
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    path: Path
+    canopy: Path | None = None
+    buildings: Path | None = None
+    nodata: float | None = None
+
+    @classmethod
+    def of(cls, source: Path | str | LevelSource) -> LevelSource:
+        """A path as the source of a level."""
+        return source if isinstance(source, LevelSource) else cls(path=Path(source))
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The names of the options that were given."""
+        return tuple(name for name in KEYS_OF_OPTIONS if getattr(self, name) is not None)
+
+    @property
+    def level_keys(self) -> dict[str, Any]:
+        """The level file's keys that say the same of the raster as this does."""
+        return {
+            "version": 1,
+            "title": self.path.stem,
+            "terrain": {"source": self.path.name, **({} if self.nodata is None else {"nodata": self.nodata})},
+            **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
+            **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),
+        }
+
+    @property
+    def digest(self) -> str:
+        """Changes with the options; what is in the files is told by their own dates."""
+        return hashlib.sha256(repr(self.level_keys).encode()).hexdigest()[:16]

@@ -1,0 +1,139 @@
+"""A raster as LEVEL: with what stands on it, with cells that mean nothing, and with one line where a level file would say it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+
+from api.http.served_levels import ServedLevels
+from api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from terrain.errors import InputError
+from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
+from terrain.scene import build_scene
+from tests.rasters import write_geotiff
+
+WEST, NORTH, CELL = 500e3, 5200e3, 2.0
+SUN = ("--azimuth", "180", "--altitude", "30")
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """A folder with level ground of 100 m, a canopy raster with a tree of 20 m, a house of 10 m, and a level file."""
+    write_geotiff(tmp_path / "dem.tif", np.full((80, 80), 100.0, np.float32), "EPSG:32633", WEST, NORTH, CELL)
+    canopy = np.zeros((80, 80), np.float32)
+    canopy[58:63, 18:23] = [[9, 12, 14, 12, 9]] * 5
+    canopy[60, 20] = 20.0
+    write_geotiff(tmp_path / "canopy.tif", canopy, "EPSG:32633", WEST, NORTH, CELL)
+    x, y = WEST + 110.0, NORTH - 110.0
+    ring = [[x, y], [x + 20, y], [x + 20, y + 20], [x, y + 20], [x, y]]
+    house = {
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}},
+        "features": [{"type": "Feature", "properties": {"height_m": 10}, "geometry": {"type": "Polygon", "coordinates": [ring]}}],
+    }
+    (tmp_path / "houses.geojson").write_text(json.dumps(house), encoding="utf-8")
+    (tmp_path / "level.yaml").write_text(
+        "version: 1\ntitle: dem\nterrain: {source: dem.tif, nodata: 7}\nforest: [{source: canopy.tif}]\n"
+        "meshes: [{source: houses.geojson}]\n",
+        encoding="utf-8",
+    )
+    return tmp_path
+
+
+def all_of(site: Path) -> LevelSource:
+    return LevelSource(path=site / "dem.tif", canopy=site / "canopy.tif", buildings=site / "houses.geojson", nodata=7.0)
+
+
+def test_options_make_the_level_that_a_file_would(site):
+    options, file = (build_scene(load_level(source)) for source in (all_of(site), site / "level.yaml"))
+    assert options.objects.kinds == file.objects.kinds == ("relief", "meshes", "forest")
+    assert set(options.loaded.sources) == set(file.loaded.sources)
+    assert options.loaded.level.terrain == file.loaded.level.terrain and options.loaded.level.title == file.loaded.level.title
+
+
+def test_what_stands_on_a_raster_throws_shadows(gl, run, site):
+    options = {"--canopy": site / "canopy.tif", "--buildings": site / "houses.geojson"}
+    shaded = {}
+    for names in ((), ("--canopy",), ("--buildings",), ("--canopy", "--buildings")):
+        given = [word for name in names for word in (name, str(options[name]))]
+        path = site / "mask.png"
+        where = ("--layer", "mask", "--size", "160x160", "--algorithm", "shadow_map", "-o", str(path))
+        assert run("render", str(site / "dem.tif"), *given, *SUN, *where) == (0, "", "")
+        shaded[names] = int((np.asarray(Image.open(path)) == MASK_SHADOW).sum())
+    assert shaded[()] == 0
+    # The house: 20 m wide, 10 m / tan 30 degrees = 17.3 m of shadow, in pixels of 1 m.
+    assert shaded[("--buildings",)] == pytest.approx(20 * 10 / np.tan(np.radians(30)), rel=0.08)
+    assert 50 < shaded[("--canopy",)] < 700
+    assert shaded[("--canopy", "--buildings")] == pytest.approx(shaded[("--canopy",)] + shaded[("--buildings",)], abs=5)
+
+
+def test_shade_select_and_validate_take_them(gl, run, site):
+    raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
+    assert run("shade", raster, *given, *SUN, "-o", str(site / "mask.tif")) == (0, "", "")
+    with rasterio.open(site / "mask.tif") as dataset:
+        assert (dataset.read(1) == MASK_SHADOW).sum() > 60
+    status, out, _ = run("validate", raster, *given)
+    assert status == 0 and " trees, " in out and "1 meshes of" in out
+    status, out, _ = run("select", raster, *given, "--policy", "rules", "--json")
+    assert status == 0 and set(json.loads(out)["algorithm"]["sun"]) == {"relief", "meshes", "forest"}
+
+
+def test_the_service_takes_them_and_its_render_processes_too(site):
+    levels = ServedLevels([all_of(site)])
+    level = levels.get("dem")
+    assert level.loaded.level.forest and level.summary()["warnings"] == []
+    assert build_scene(load_level(level.key)).objects.kinds == ("relief", "meshes", "forest")
+    other = ServedLevels([LevelSource(path=site / "dem.tif")]).get("dem")
+    assert other.version != level.version
+
+
+def test_a_collar_is_told_and_mended(gl, run, site, caplog):
+    row, col = np.mgrid[:90, :120].astype(np.float32)
+    heights = 600 + 90 * np.sin(col / 9) * np.cos(row / 13)
+    heights[:, :30] = 0.0
+    raster = str(write_geotiff(site / "cut.tif", heights, "EPSG:32633", WEST, NORTH, 30.0))
+    for command in (("render", raster, "--layer", "mask", "--size", "120x90"), ("shade", raster)):
+        out = str(site / f"{command[0]}.tif")
+        status, _, err = run(*command, *SUN, "-o", out)
+        assert status == 0 and err.startswith("skugga: warning: ") and err.count("\n") == 1 and "--nodata 0" in err
+        assert run(*command, "--nodata", "0", *SUN, "-o", out) == (0, "", "")
+        with rasterio.open(out) as dataset:
+            mask = dataset.read(1)[3:-3, :-3]  # a picture's outermost pixels may be halves
+            assert (mask[:, :30] == MASK_NO_SURFACE).all() and (mask[:, 31:] != MASK_NO_SURFACE).all()
+    assert "warning" in run("validate", raster)[1] and "warning" not in run("validate", raster, "--nodata", "0")[1]
+    (warned,) = ServedLevels([Path(raster)]).get("cut").summary()["warnings"]
+    assert "nodata: 0" in warned and "cut.tif" not in warned and warned in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("validate", "level.yaml", "--canopy", "canopy.tif"), ("canopy", "level.yaml", "forest: [{source: FILE}]")),
+        (("validate", "level.yaml", "--buildings", "houses.geojson"), ("buildings", "level.yaml", "meshes: [{source: FILE}]")),
+        (("validate", "level.yaml", "--nodata", "0"), ("nodata", "level.yaml", "terrain: {nodata: VALUE}")),
+        (("validate", "dem.tif", "--canopy", "nowhere.tif"), ("canopy", "nowhere.tif", "a file that is there")),
+        (("validate", "dem.tif", "--buildings", "nowhere.shp"), ("buildings", "nowhere.shp", "a file that is there")),
+        (("validate", "dem.tif", "--buildings", "canopy.tif"), ("canopy.tif",)),
+        (("validate", "dem.tif", "--canopy", "level.yaml"), ("level.yaml",)),
+        (("validate", "dem.tif", "--nodata", "many"), ("--nodata", "number")),
+        (("serve", "--nodata", "0"), ("--nodata", "one LEVEL")),
+        (("serve", "dem.tif", "canopy.tif", "--canopy", "canopy.tif"), ("--canopy", "one LEVEL")),
+    ],
+)
+def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):
+    monkeypatch.chdir(site)
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+def test_a_level_file_refuses_options_wherever_it_is_loaded(site):
+    with pytest.raises(InputError, match=r"level.yaml says it itself"):
+        load_level(LevelSource(path=site / "level.yaml", nodata=0.0))

@@ -1,0 +1,121 @@
+"""Collars that a file does not declare: noticed where there is one, and not where there is a shore."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.ndimage import rotate
+
+from terrain.ground.collar import Collar, collar_of
+from terrain.ground.elevation import Elevation
+from tests.rasters import write_geotiff
+
+WITH_A_COLLAR = ("lisbon_1arcsec_4326.tif",)
+"""Real rasters in which zeros surround the data."""
+
+
+def hills(rows: int, cols: int, low_m: float = 300.0, high_m: float = 900.0) -> np.ndarray:
+    row, col = np.mgrid[:rows, :cols].astype(np.float32)
+    wave = np.sin(col / 37) * np.cos(row / 53) + 0.1 * np.sin(col / 5) * np.sin(row / 7)
+    return (low_m + (high_m - low_m) * (wave - wave.min()) / np.ptp(wave)).astype(np.float32)
+
+
+def found(path: Path, heights: np.ndarray, **options) -> Collar | None:
+    elevation = Elevation(str(write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)))
+    try:
+        return collar_of(elevation)
+    finally:
+        elevation.close()
+
+
+@pytest.mark.parametrize("value", [0.0, -9999.0, 9000.0])
+@pytest.mark.parametrize("size", [200, 1500])
+def test_what_warping_leaves_behind_is_noticed(tmp_path, value, size):
+    collar = found(tmp_path, rotate(hills(size, size), 15.0, order=0, cval=value))
+    assert collar is not None and collar.value == value and collar.border_share > 0.9
+    assert collar.cliff_m == pytest.approx(abs(value - 600.0), abs=120.0)
+    assert f"nodata: {value:g}" in collar.warning
+
+
+@pytest.mark.parametrize("side", [np.s_[:3], np.s_[-2:], np.s_[:, :4], np.s_[:, -1:]])
+def test_a_thin_one_on_a_side_of_a_large_raster_is_noticed(tmp_path, side):
+    heights = hills(1400, 1300)
+    assert found(tmp_path, heights) is None
+    heights[side] = 0.0
+    collar = found(tmp_path, heights)
+    assert collar is not None and collar.value == 0.0
+
+
+def test_scaled_cells_are_compared_in_metres(tmp_path):
+    """Counts of half a centimetre: a cliff of 600 counts is 3 m, and of 60,000 counts 300 m."""
+    for metres, there in ((1.0, False), (100.0, True)):
+        counts = np.rint(rotate(hills(200, 200, 3.0 * metres, 6.0 * metres) / 0.005, 15.0, order=0, cval=0.0)).astype(np.int32)
+        path = write_geotiff(tmp_path / "counts.tif", counts, "EPSG:32633", 500e3, 5200e3, 30.0)
+        with rasterio.open(path, "r+") as dataset:
+            dataset.scales = (0.005,)
+        assert (collar_of(Elevation(str(path))) is not None) is there
+
+
+@pytest.mark.parametrize("level_m", [350.0, 500.0, 700.0])
+def test_a_sea_or_lake_is_none(tmp_path, level_m):
+    for rows in (300, 1400):
+        heights = hills(rows, rows)
+        assert found(tmp_path, np.maximum(heights, level_m)) is None
+
+
+def test_a_river_between_quays_is_none(tmp_path):
+    """Walls of 12 m along flat water, in a town on hills."""
+    heights = hills(300, 300, 40.0, 160.0)
+    col = np.arange(300)
+    heights[:, np.abs(col - 150) < 40] = 32.0
+    heights[:, np.abs(col - 150) < 20] = 20.0
+    assert found(tmp_path, heights) is None
+
+
+def test_things_on_a_plain_are_none(tmp_path):
+    heights = np.zeros((200, 200), np.float32)
+    heights[80:120, 60:110] = 40.0
+    assert found(tmp_path, heights) is None
+    heights[80:120, 60:110] += hills(40, 50, 0.0, 20.0)
+    assert found(tmp_path, heights) is None
+
+
+def test_a_declared_one_is_none(tmp_path):
+    assert found(tmp_path, rotate(hills(200, 200), 15.0, order=0, cval=0.0), nodata=0.0) is None
+
+
+def test_real_rasters(shared_data):
+    """None is suspected wrongly; where there is sea in place of holes neither."""
+    seen = 0
+    for path in sorted(shared_data.rglob("*.tif")):
+        if path.name == "CHM_empty.tif":
+            continue
+        elevation = Elevation(str(path))
+        assert (collar_of(elevation) is not None) is (path.name in WITH_A_COLLAR), path
+        elevation.close()
+        seen += 1
+    assert seen > 20
+
+
+def test_real_coasts(shared_data, tmp_path):
+    for name, lowest in (("odd/nz_elev_1km_oceanholes.tif", 0.0), ("odd/etopo1_1deg_global.tif", 0.0),
+                         ("urban/sanfrancisco_elev_3857.tif", 0.5), ("mountain/grenoble_copernicus_4326.tif", 300.0)):  # fmt: skip
+        with rasterio.open(shared_data / name) as dataset:
+            heights = np.nan_to_num(dataset.read(1).astype(np.float32), nan=lowest)
+            profile = {"crs": dataset.crs.to_wkt(), "transform": dataset.transform}
+        path = write_geotiff(
+            tmp_path / "coast.tif", np.maximum(heights, lowest), profile["crs"], 0, 0, 1, transform=profile["transform"]
+        )
+        assert collar_of(Elevation(str(path))) is None, name
+
+
+def test_real_ground_with_a_collar(shared_data, tmp_path):
+    for name in ("mountain/bigtujunga_30m_utm11.tif", "odd/texas_flat_3arcsec_4326.tif", "urban/goteborg_1m/DSM.tif",
+                 "urban/bilbao/DEM.tif", "urban/essen_dom1_32_356_5699_1_nw_2020.tif"):  # fmt: skip
+        with rasterio.open(shared_data / name) as dataset:
+            turned = rotate(dataset.read(1).astype(np.float32), 10.0, order=0, cval=0.0)
+        collar = found(tmp_path, turned)
+        assert collar is not None and collar.value == 0.0, name
