@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from configs import LEVELS_FOLDER
 from selector.select import plan_of_view
-from terrain.errors import InputError, UnsupportedError
+from terrain.errors import InputError, UnsupportedError, all_at_once
 from terrain.gbuffer.picture import imagery_of
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
-from terrain.scene import build_scene
+from terrain.scene import Scene, build_scene
 
 
 def bundled_levels() -> list[Path]:
@@ -47,13 +49,11 @@ def remarks(source: Path | LevelSource) -> list[str]:
     """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
     and the algorithms that it asks for can serve each of its views.
 
-    Raises ``SkuggaError``.
+    Raises ``SkuggaError``: of what is read and placed for all at once.
     """
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
-    for name in scene.loaded.level.views:
-        scene.view(name)
-    imagery_of(scene)
+    _read_all(scene)
     level = scene.loaded.level
     for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
         try:
@@ -82,3 +82,18 @@ def remarks(source: Path | LevelSource) -> list[str]:
     if scene.world.flat and not is_generated:
         notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes
+
+
+def _read_all(scene: Scene) -> None:
+    """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
+    objects = scene.objects
+    wrong: list[InputError] = []
+    views: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
+    files: list[Callable[[], object]] = [lambda: imagery_of(scene), lambda: objects.placement, lambda: objects.trees]
+    for read in (*views, *files, lambda: scene.lamps):
+        try:
+            read()
+        except InputError as error:
+            wrong.append(error)
+    if wrong:
+        raise all_at_once(wrong)

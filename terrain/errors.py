@@ -14,9 +14,14 @@ SkuggaError
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TypeVar
+
+InputErrorT = TypeVar("InputErrorT", bound="InputError")
+
 
 class SkuggaError(Exception):
-    """Base of all errors that Skugga raises on purpose; the message is one line for a person."""
+    """Base of all errors that Skugga raises on purpose; the message is a line for a person, or one for each error of a file."""
 
 
 class Fault(str):
@@ -34,7 +39,11 @@ class InputError(SkuggaError):
         What was given, or a ``Fault``.
     allowed
         What would be right, as a phrase.
+
+    ``others`` are further errors of the same input (``all_at_once``); the message has a line for each.
     """
+
+    others: tuple[InputError, ...] = ()
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         self.name = name
@@ -62,6 +71,14 @@ class UnsupportedError(InputError):
     def __init__(self, name: str, value: object, reason: str) -> None:
         super().__init__(name, value, reason)
         self.args = (f"{name}: {_short(value)} cannot be served: {reason}",)
+
+
+def all_at_once(errors: Sequence[InputErrorT]) -> InputErrorT:
+    """Some errors, at least one, as the first of them, whose message has a line for each."""
+    first, *others = errors
+    first.others = tuple(others)
+    first.args = ("\n".join(str(error) for error in errors),)
+    return first
 
 
 class NotFoundError(SkuggaError):

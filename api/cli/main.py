@@ -305,7 +305,7 @@ def main() -> None:
     except SkuggaError as error:
         if debug:
             raise
-        status = _fail(str(error), exit_status(error))
+        status = _fail(str(error), exit_status(error), several=isinstance(error, InputError) and bool(error.others))
     except OSError as error:
         if debug:
             raise
@@ -317,8 +317,10 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _fail(message: str, status: int) -> int:
-    typer.echo(f"skugga: {' '.join(message.split())}", err=True)
+def _fail(message: str, status: int, several: bool = False) -> int:
+    """Say what went wrong: one line, or one for each of ``several`` errors."""
+    for line in message.split("\n") if several else [message]:
+        typer.echo(f"skugga: {' '.join(line.split())}", err=True)
     return status
 
 

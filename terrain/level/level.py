@@ -7,18 +7,18 @@ and what is allowed.
 from __future__ import annotations
 
 import hashlib
-import re
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import PydanticCustomError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import Fault, InputError, LevelError
+from terrain.errors import InputError, LevelError
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
+from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.parts import (
     TIME_WORDS,
@@ -352,44 +352,6 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     try:
         level = Level.model_validate(data)
     except ValidationError as error:
-        raise _level_error(str(path), data, error.errors()) from None
+        raise level_error(str(path), data, error.errors()) from None
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=digest)
-
-
-_OF_THE_WHOLE = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
-"""Kinds of errors that only the whole level can make, for what is in other parts of it, and the keys that they are about."""
-
-
-def _level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
-    """One message of pydantic's many (a union gives one per branch): the one that leads deepest into the file."""
-    for error in errors:
-        if error["type"] == "unknown_key":
-            context = error["ctx"]
-            where = ".".join([*_keys(data, error["loc"]), context["key"]])
-            return LevelError(f"{path}: {where}", Fault("unknown key"), context["known"])
-    for kind, (part, key) in _OF_THE_WHOLE.items():
-        if [(error["type"], error["loc"]) for error in errors] == [(kind, ())]:
-            errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
-    paths = [_keys(data, error["loc"]) for error in errors]
-    deepest = max(paths, key=len)
-    here = [error for error, keys in zip(errors, paths, strict=True) if keys == deepest]
-    if here[-1]["type"] == "missing" and isinstance(items := here[-1]["loc"][-1], int):  # a list that is too short
-        return LevelError(f"{path}: {'.'.join(deepest)}", here[-1]["input"], f"{items + 1} items")
-    value = "nothing" if here[0]["type"] == "missing" else here[0]["input"]
-    allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in here))
-    allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
-    return LevelError(f"{path}: {'.'.join(deepest)}", value, allowed.replace("input should be ", ""))
-
-
-def _keys(data: Any, location: tuple[int | str, ...]) -> list[str]:
-    """The keys of a file on the way to an error: pydantic's location without the names of its own union branches."""
-    keys: list[str] = []
-    for number, part in enumerate(location):
-        inside = isinstance(data, dict) and part in data
-        if inside or (isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)):
-            keys.append(str(part))
-            data = data[part]
-        elif isinstance(data, dict) and number == len(location) - 1 and part != "[key]" and "[" not in str(part):
-            keys.append(str(part))  # a key that is missing
-    return keys

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from terrain.level.level_errors import UNKNOWN_KEY
 
 Units = Literal["m", "ft", "us-ft"]
 METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
@@ -41,14 +52,30 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _name_unknown_keys(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            for key in data:
-                if key not in cls.model_fields:
-                    raise PydanticCustomError("unknown_key", "unknown key", {"key": str(key), "known": ", ".join(cls.model_fields)})
-        return data
+    def _name_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
+        """Unknown keys are told together with what is wrong with the known ones, each with the keys that there are."""
+        unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
+        if not unknown:
+            return validate(data)
+        known = ", ".join(cls.model_fields)
+        errors = [
+            InitErrorDetails(
+                type=PydanticCustomError(UNKNOWN_KEY, "unknown key", {"key": str(key), "known": known}), input=data[key]
+            )
+            for key in unknown
+        ]
+        try:
+            validate({key: value for key, value in data.items() if key not in unknown})
+        except ValidationError as error:
+            errors += [
+                InitErrorDetails(
+                    type=PydanticCustomError(each["type"], each["msg"], each.get("ctx")), loc=each["loc"], input=each["input"]
+                )
+                for each in error.errors()
+            ]
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
 class FlatGround(Model):

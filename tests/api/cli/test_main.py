@@ -138,6 +138,30 @@ def test_wrong_input_is_one_line_and_status_2(run, arguments, words, tmp_path, m
     assert not list(tmp_path.iterdir())
 
 
+def test_all_errors_of_a_file_are_told_a_line_each(run, tmp_path):
+    level = tmp_path / "level.yaml"
+    level.write_text("version: 1\ntitel: x\nterrain: {source: jacksboro, units: yards}\nsun: {azimuth: 1, altitude: 91}\n")
+    status, out, err = run("validate", str(level))
+    assert (status, out) == (2, "") and err.count("\n") == 3
+    assert [line.split(": ")[:3] for line in err.splitlines()] == [
+        ["skugga", str(level), key] for key in ("titel", "terrain.units", "sun.altitude")
+    ]
+
+
+def test_validate_tells_of_every_file_and_place(run, tmp_path):
+    level = tmp_path / "level.yaml"
+    keys = {
+        "version": 1, "terrain": {"source": "jacksboro", "imagery": "no.tif"}, "forest": [{"source": "no.gpkg"}],
+        "meshes": [{"source": "no.obj"}], "lights": {"lamp": {"kind": "omni", "position": [0, 0, 1]}},
+        "views": {"eye": {"kind": "perspective", "eye": [0, 0, 9], "target": [-84.2, 36.3, 0]}},
+    }  # fmt: skip
+    level.write_text(json.dumps(keys))
+    status, _, err = run("validate", str(level))
+    assert status == 2
+    for line, word in zip(err.splitlines(), ("views.eye.eye", "no.tif", "no.obj", "no.gpkg", "lights.lamp"), strict=True):
+        assert word in line
+
+
 def test_a_raster_that_cannot_be_used_is_status_2(run, tmp_path):
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\nterrain: {source: absent.tif}\n")

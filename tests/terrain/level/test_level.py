@@ -80,6 +80,38 @@ def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, 
         assert part in message, message
 
 
+def test_all_that_is_wrong_is_told_at_once(tmp_path):
+    text = (
+        "version: 2\ntitel: x\nterrain: {sourc: jacksboro, units: yards}\n"
+        "forest: [{source: a.geojson, densty: 3}, {source: b.geojson, height: [30, 2]}]\nsun: {azimut: 3, altitude: 99}\n"
+        "views: {a: {kind: perspective, target: [1, 2, 3], fovv: 3}, b: {kind: fisheye}}\neffects: {haze: maybe, glitter: on}\n"
+    )
+    with pytest.raises(LevelError) as caught:
+        load_level(level(tmp_path, text))
+    lines = str(caught.value).split("\n")
+    assert all(line.startswith(f"{tmp_path / 'my.yaml'}: ") for line in lines)
+    keys = [line.removeprefix(f"{tmp_path / 'my.yaml'}: ").split(":")[0] for line in lines]
+    assert sorted(keys) == [
+        "effects.glitter", "effects.haze", "forest.0.densty", "forest.1.height", "sun.altitude", "sun.azimut", "terrain.sourc",
+        "terrain.units", "titel", "version", "views.a.eye", "views.a.fovv", "views.b.kind",
+    ]  # fmt: skip
+    assert len(caught.value.others) == len(keys) - 1
+    said = dict(zip(keys, lines, strict=True))
+    for wrong, right in (
+        ("titel", "title"),
+        ("terrain.sourc", "source"),
+        ("forest.0.densty", "density"),
+        ("sun.azimut", "azimuth"),
+    ):
+        assert f"unknown key, did you mean '{right}'?; allowed: " in said[wrong]
+    assert "3 items" not in said["views.a.eye"] and "'nothing'" in said["views.a.eye"]
+
+
+def test_a_key_like_no_other_gets_the_list_alone(tmp_path):
+    with pytest.raises(LevelError, match=r"my\.yaml: zzz: unknown key; allowed: version, title"):
+        load_level(level(tmp_path, GOOD + "zzz: 1\n"))
+
+
 def test_a_missing_level_and_one_that_is_no_text(tmp_path):
     with pytest.raises(LevelError, match="No such file"):
         load_level(tmp_path / "absent.yaml")

@@ -1,0 +1,68 @@
+"""What is wrong with a level file, in the file's own terms: each wrong key with its value and what is allowed."""
+
+from __future__ import annotations
+
+import re
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic_core import ErrorDetails
+
+from terrain.errors import Fault, LevelError, all_at_once
+
+UNKNOWN_KEY = "unknown_key"
+"""Type of the errors of keys that a part of the file does not have."""
+
+_OF_THE_WHOLE = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
+"""Kinds of errors that only the whole level can make, for what is in other parts of it, and the keys that they are about."""
+
+_Keys = tuple[str, ...]
+
+
+def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
+    """One error that tells of every wrong key of a file.
+
+    Of pydantic's many (a union gives one for each of its branches) those count that lead deepest into the file: what is said of
+    a key goes before what is said of a part that it lies in.
+    """
+    if [error["loc"] for error in errors] == [()] and (whole := _OF_THE_WHOLE.get(errors[0]["type"])):
+        part, key = whole
+        errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
+    of_keys: dict[_Keys, list[ErrorDetails]] = {}
+    for error in errors:
+        of_keys.setdefault(_keys(data, error), []).append(error)
+    deepest = [keys for keys in of_keys if not any(other[: len(keys)] == keys for other in of_keys if other != keys)]
+    return all_at_once([_of_key(path, keys, of_keys[keys]) for keys in deepest])
+
+
+def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
+    """What is wrong with one key, by all that was said of it."""
+    where, first, last = f"{path}: {'.'.join(keys)}", errors[0], errors[-1]
+    if first["type"] == "union_tag_invalid":
+        return LevelError(
+            f"{where}.{first['ctx']['discriminator'].strip(chr(39))}", first["ctx"]["tag"], first["ctx"]["expected_tags"]
+        )
+    if first["type"] == UNKNOWN_KEY:
+        known = first["ctx"]["known"]
+        near = get_close_matches(keys[-1], known.split(", "), 1)
+        return LevelError(where, Fault(f"unknown key, did you mean '{near[0]}'?" if near else "unknown key"), known)
+    if last["type"] == "missing" and isinstance(items := last["loc"][-1], int):  # a list that is too short
+        return LevelError(where, last["input"], f"{items + 1} items")
+    value = "nothing" if first["type"] == "missing" else first["input"]
+    allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in errors))
+    allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
+    return LevelError(where, value, allowed.replace("input should be ", ""))
+
+
+def _keys(data: Any, error: ErrorDetails) -> _Keys:
+    """The keys of a file on the way to an error: pydantic's location without the names of its own union branches."""
+    keys: list[str] = []
+    location = error["loc"]
+    for number, part in enumerate(location):
+        inside = isinstance(data, dict) and part in data
+        if inside or (isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)):
+            keys.append(str(part))
+            data = data[part]
+        elif isinstance(data, dict) and number == len(location) - 1 and error["type"] == "missing":
+            keys.append(str(part))
+    return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else tuple(keys)
