@@ -88,9 +88,9 @@ def _read_all(scene: Scene) -> None:
     """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
     objects = scene.objects
     wrong: list[InputError] = []
-    views: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
-    files: list[Callable[[], object]] = [lambda: imagery_of(scene), lambda: objects.placement, lambda: objects.trees]
-    for read in (*views, *files, lambda: scene.lamps):
+    reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
+    reads += [lambda: imagery_of(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
+    for read in reads:
         try:
             read()
         except InputError as error:

@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "terrain.lights": "geo ground level",
     "terrain.scene_objects": "geo ground level meshes trees",
     "terrain.own_sun": "geo ground level",
+    "terrain.viewpoint": "geo ground level",
     "terrain.scene": "geo ground level lights own_sun scene_objects",
     "terrain.gl": "",
     "terrain.gbuffer": "geo gl ground level lights meshes scene scene_objects trees",

@@ -250,6 +250,20 @@ def compare(
 
 
 @app.command()
+@takes_level
+def init(
+    level: LevelSource,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Level file to write; default: NAME.yaml.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+) -> None:
+    """Write the level file of a raster, with views, and with comments on what else it may say."""
+    from api.cli.first_level import write_first_level
+
+    path = write_first_level(level, output, force)
+    typer.echo(f"Wrote {path}. To see it: skugga serve {path}")
+
+
+@app.command()
 def levels(as_json: JsonOption = False) -> None:
     """List the bundled levels."""
     from api.catalogue import summary

@@ -1,0 +1,250 @@
+"""Where to look at a level from: a perspective view as a person would choose it, found by trying many.
+
+A view is tried on a lattice of the level's heights: rays through some pixels are followed to the ground that they meet. It is the
+better
+
+* the more light and shadow there is in its picture: the spread, over its pixels, of how brightly the ground is lit;
+* the more the ground rises and falls, measured against its distance;
+* the more the sun stands to one side, so that shadows are seen along their length;
+* the wider it is: the farther off the ground usually lies, with none right in front of the eye;
+* and the fewer rays miss the ground: sky, holes and the raster's edge count against it by far.
+
+What stands on the ground is left out: it does not decide from where a landscape is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from terrain.compiled import compiled
+from terrain.geo.sun import Sun
+from terrain.geo.world import World
+from terrain.ground.elevation import Elevation
+from terrain.level.parts import PerspectiveSpec
+
+LATTICE_NODES = 257
+"""Nodes of the lattice along its longer side."""
+
+WIDEST_M = 60_000.0
+"""Longest side of the part of a level that is looked at: beyond it air takes what is seen."""
+
+FOV_DEG, ASPECT = 40.0, 1.25
+"""Vertical field of view, and the picture's width over its height."""
+
+EYES = 12
+"""Places tried along either side, ..."""
+
+AZIMUTHS = 16
+PITCHES_DEG = (14.0, 20.0, 26.0, 33.0)
+"""... directions at each, and how far down from the horizon, ..."""
+
+HEIGHT_SHARES = (0.1, 0.15, 0.22)
+"""... heights of the eye above the ground, as shares of the shorter side, ..."""
+
+LEAST_HEIGHT_CELLS = 12.0
+"""... but so many cells at least: seen from nearer, the ground has no detail."""
+
+RAYS = (9, 11)
+"""Rays of a tried picture: rows and columns."""
+
+FILLED_POWER = 40.0
+"""Power of the share of rays that meet ground in a view's worth: at a fiftieth of sky it is less than half."""
+
+WIDE_SHARE = 0.6
+"""Usual distance of the ground that is seen, as a share of the level's shorter side, from which a view counts as wide."""
+
+NEAR_SHARE = 1.2
+"""Distance of the nearest ground, in heights of the eye above it, from which nothing stands in the way."""
+
+RELIEF_SHARE = 0.6
+"""Weight of relief against that of light and shadow."""
+
+SIDE_SHARE = 0.6
+"""How much of a view's worth hangs on the sun's standing to one side."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """Heights (rows, cols) float64 in metres, NaN without ground, on nodes ``step_m`` apart, the first in the north-west; how
+    brightly each is lit, 0 to 1; earth-fixed points (rows, cols, 3) of height 0.
+    """
+
+    height_m: np.ndarray
+    light: np.ndarray
+    step_m: float
+    points_earth_m: np.ndarray
+
+
+def good_view(world: World, elevation: Elevation, sun: Sun | None) -> PerspectiveSpec | None:
+    """A perspective view of a level under its sun (``None``: lit from above); ``None`` where the ground fills none."""
+    lattice = _lattice(world, elevation, sun)
+    rows, cols = lattice.height_m.shape
+    short_m = (min(rows, cols) - 1) * lattice.step_m
+    heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), LEAST_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
+    row, col = (np.linspace(0.04, 0.96, EYES) * (count - 1) for count in (rows, cols))
+    eyes = np.stack(np.meshgrid(np.rint(row), np.rint(col), indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
+    azimuths = np.radians(np.arange(AZIMUTHS) * 360.0 / AZIMUTHS)
+    sun_azimuth = np.nan if sun is None else np.radians(sun.azimuth_deg)
+    worth = _worth(
+        lattice.height_m, lattice.light, lattice.step_m, eyes, np.unique(heights_m), azimuths, np.radians(PITCHES_DEG), sun_azimuth
+    )
+    if not worth.max() > 0.0:
+        return None
+    eye, height, azimuth, pitch = (int(index) for index in np.unravel_index(worth.argmax(), worth.shape))
+    eye_m = float(f"{np.unique(heights_m)[height]:.3g}")
+    row0, col0 = eyes[eye]
+    down = np.radians(PITCHES_DEG[pitch])
+    direction = np.array([np.sin(azimuths[azimuth]) * np.cos(down), np.cos(azimuths[azimuth]) * np.cos(down), -np.sin(down)])
+    hit = _hit(lattice.height_m, lattice.step_m, row0, col0, lattice.height_m[row0, col0] + eye_m, *direction)
+    if not np.isfinite(hit[0]):
+        return None
+    target = lattice.points_earth_m[int(np.rint(hit[1])), int(np.rint(hit[2]))]
+    places = _places(world, elevation, np.stack([lattice.points_earth_m[row0, col0], target]))
+    return PerspectiveSpec(kind="perspective", eye=(*places[0], eye_m), target=(*places[1], 0.0), fov=FOV_DEG)
+
+
+def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> list[tuple[float, float]]:
+    """Places as level files state them: degrees, or metres from the anchor in a flat world; written to a thousandth of a cell."""
+    if world.flat:
+        return [(round(float(east), 2), round(float(north), 2)) for east, north, _ in points_earth_m]
+    cell_deg = elevation.cell_size_m(world.metres_per_unit) / 111_320.0
+    digits = int(np.clip(np.ceil(-np.log10(cell_deg / 10.0)), 3, 8))
+    lon, lat = world.lon_lat(elevation.crs, *world.map_position(elevation.crs, points_earth_m)[:2])
+    return [(round(float(x), digits), round(float(y), digits)) for x, y in zip(lon, lat, strict=True)]
+
+
+def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
+    """The level's heights, or those of its most rugged part where it is wider than ``WIDEST_M``."""
+    cell_m = elevation.cell_size_m(world.metres_per_unit)
+    row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
+    if max(elevation.rows, elevation.cols) * cell_m > WIDEST_M:
+        row, col = _most_rugged(world, elevation, sun, WIDEST_M / cell_m)
+    high_m, wide_m = (min((count - 1) * cell_m, WIDEST_M) for count in (elevation.rows, elevation.cols))
+    step_m = max(high_m, wide_m, cell_m) / (LATTICE_NODES - 1)
+    rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
+    x, y = (float(v) for v in elevation.xy(row, col))
+    origin, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
+    axes = world.earth_from_enu(origin, up)
+    north, east = np.meshgrid(
+        (np.arange(rows)[::-1] - (rows - 1) / 2) * step_m, (np.arange(cols) - (cols - 1) / 2) * step_m, indexing="ij"
+    )
+    points = origin + east[..., None] * axes[:, 0] + north[..., None] * axes[:, 1]
+    level = max(int(np.log2(max(step_m / cell_m, 1.0))), 0)
+    map_x, map_y, _ = world.map_position(elevation.crs, points)
+    inside = elevation.covers(map_x, map_y)
+    at_row, at_col = elevation.cell_of(map_x, map_y)
+    height, there = elevation.heights_at(level, np.where(inside, at_row, np.nan), np.where(inside, at_col, np.nan))
+    height_m = np.where(there, height, np.nan).astype(np.float64)
+    if sun is None:
+        light = np.ones_like(height_m)
+    else:
+        light = _light(height_m, step_m, axes.T @ sun.to_sun_earth)
+    return _Lattice(height_m, light, step_m, points)
+
+
+def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
+    """Row and column of the middle of the square of so many cells a side with the most relief, from the overview; where the sun
+    stands lower than at the anchor, relief counts for less.
+    """
+    heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.level
+    known = np.isfinite(heights)
+    side = max(round(cells / factor), 3)
+    share = uniform_filter(known.astype(np.float64), side, mode="constant")
+    filled = np.where(known, heights, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = uniform_filter(filled, side, mode="constant") / share
+        spread = np.sqrt(np.maximum(uniform_filter(filled**2, side, mode="constant") / share - mean**2, 0.0))
+    worth = np.where(known, spread * share**4, -1.0)
+    if sun is not None:
+        at = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
+        _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*at, indexing="ij")))
+        worth *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
+    row, col = np.unravel_index(worth.argmax(), worth.shape)
+    return (float(row) + 0.5) * factor - 0.5, (float(col) + 0.5) * factor - 0.5
+
+
+def _light(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarray:
+    """How brightly nodes are lit (rows, cols): the cosine of incidence, 0 in shadow."""
+    if min(height_m.shape) < 2 or to_sun[2] <= 0.0:
+        return np.zeros_like(height_m)
+    south, east = np.gradient(height_m, step_m)
+    cosine = (to_sun[2] - east * to_sun[0] + south * to_sun[1]) / np.sqrt(1.0 + east**2 + south**2)
+    return np.where(_sees(height_m, step_m, *to_sun), np.clip(np.nan_to_num(cosine), 0.0, 1.0), 0.0)
+
+
+@compiled
+def _hit(height_m, step_m, row, col, z_m, east, north, up):
+    """Where a ray meets the ground: its distance along the level (metres), row and column; NaN where it does not."""
+    rows, cols = height_m.shape
+    along = np.sqrt(east**2 + north**2)
+    d_row, d_col, rise = -north / along / step_m, east / along / step_m, up / along
+    t = 0.7 * step_m
+    while t < 1e7:
+        r, c = row + t * d_row, col + t * d_col
+        if r < 0.0 or c < 0.0 or r > rows - 1.0 or c > cols - 1.0:
+            break
+        ground = height_m[int(r + 0.5), int(c + 0.5)]
+        if np.isnan(ground):
+            break
+        if z_m + t * rise <= ground:
+            return t, r, c
+        t += max(0.7 * step_m, 0.01 * t)
+    return np.nan, np.nan, np.nan
+
+
+@compiled
+def _sees(height_m, step_m, east, north, up):
+    """Which nodes a far light in a direction reaches past the others (bool)."""
+    rows, cols = height_m.shape
+    out = np.zeros(height_m.shape, np.bool_)
+    for i in range(rows):
+        for j in range(cols):
+            if not np.isnan(height_m[i, j]):
+                distance, _, _ = _hit(height_m, step_m, float(i), float(j), height_m[i, j] + 0.02 * step_m, east, north, up)
+                out[i, j] = np.isnan(distance)
+    return out
+
+
+@compiled
+def _worth(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
+    """What each view is worth: (eyes, heights, azimuths, pitches), 0 for none."""
+    rows, cols = RAYS
+    tall = np.tan(np.radians(FOV_DEG) / 2.0)
+    out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))
+    seen = np.empty((3, rows * cols))
+    for e in range(len(eyes)):
+        row, col = eyes[e, 0], eyes[e, 1]
+        if np.isnan(height_m[row, col]):
+            continue
+        for h in range(len(eye_heights_m)):
+            z = height_m[row, col] + eye_heights_m[h]
+            for a in range(len(azimuths)):
+                side = 1.0 - SIDE_SHARE
+                if not np.isnan(sun_azimuth):
+                    side += SIDE_SHARE * abs(np.sin(azimuths[a] - sun_azimuth))
+                for p in range(len(pitches)):
+                    count = 0
+                    for i in range(rows):
+                        down = tall * (2.0 * i / (rows - 1) - 1.0)
+                        for j in range(cols):
+                            right = tall * ASPECT * (2.0 * j / (cols - 1) - 1.0)
+                            forward = np.cos(pitches[p]) - down * np.sin(pitches[p])
+                            up = -np.sin(pitches[p]) - down * np.cos(pitches[p])
+                            east = forward * np.sin(azimuths[a]) + right * np.cos(azimuths[a])
+                            north = forward * np.cos(azimuths[a]) - right * np.sin(azimuths[a])
+                            t, r, c = _hit(height_m, step_m, float(row), float(col), z, east, north, up)
+                            if not np.isnan(t):
+                                k, m = int(r + 0.5), int(c + 0.5)
+                                seen[0, count], seen[1, count], seen[2, count] = light[k, m], height_m[k, m], t
+                                count += 1
+                    if count > 8:
+                        filled = count / (rows * cols)
+                        usual_m = np.median(seen[2, :count])
+                        wide = np.sqrt(min(usual_m / (WIDE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0))
+                        free = min(np.min(seen[2, :count]) / (NEAR_SHARE * eye_heights_m[h]), 1.0) ** 2
+                        beauty = np.std(seen[0, :count]) + RELIEF_SHARE * np.std(seen[1, :count]) / usual_m
+                        out[e, h, a, p] = filled**FILLED_POWER * side * wide * free * beauty
+    return out
