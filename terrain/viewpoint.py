@@ -25,10 +25,10 @@ from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.level.parts import PerspectiveSpec
 
-LATTICE_NODES = 257
+VIEWED_NODES = 257
 """Nodes of the lattice along its longer side."""
 
-WIDEST_M = 60_000.0
+WIDEST_VIEWED_M = 60_000.0
 """Longest side of the part of a level that is looked at: beyond it air takes what is seen."""
 
 FOV_DEG, ASPECT = 40.0, 1.25
@@ -56,7 +56,7 @@ FILLED_POWER = 40.0
 WIDE_SHARE = 0.6
 """Usual distance of the ground that is seen, as a share of the level's shorter side, from which a view counts as wide."""
 
-NEAR_SHARE = 1.2
+FREE_SHARE = 1.2
 """Distance of the nearest ground, in heights of the eye above it, from which nothing stands in the way."""
 
 RELIEF_SHARE = 0.6
@@ -117,13 +117,13 @@ def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> l
 
 
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
-    """The level's heights, or those of its most rugged part where it is wider than ``WIDEST_M``."""
+    """The level's heights, or those of its most rugged part where it is wider than ``WIDEST_VIEWED_M``."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
-    if max(elevation.rows, elevation.cols) * cell_m > WIDEST_M:
-        row, col = _most_rugged(world, elevation, sun, WIDEST_M / cell_m)
-    high_m, wide_m = (min((count - 1) * cell_m, WIDEST_M) for count in (elevation.rows, elevation.cols))
-    step_m = max(high_m, wide_m, cell_m) / (LATTICE_NODES - 1)
+    if max(elevation.rows, elevation.cols) * cell_m > WIDEST_VIEWED_M:
+        row, col = _most_rugged(world, elevation, sun, WIDEST_VIEWED_M / cell_m)
+    high_m, wide_m = (min((count - 1) * cell_m, WIDEST_VIEWED_M) for count in (elevation.rows, elevation.cols))
+    step_m = max(max(high_m, wide_m) / (VIEWED_NODES - 1), cell_m)
     rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
     x, y = (float(v) for v in elevation.xy(row, col))
     origin, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
@@ -244,7 +244,7 @@ def _worth(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_
                         filled = count / (rows * cols)
                         usual_m = np.median(seen[2, :count])
                         wide = np.sqrt(min(usual_m / (WIDE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0))
-                        free = min(np.min(seen[2, :count]) / (NEAR_SHARE * eye_heights_m[h]), 1.0) ** 2
+                        free = min(np.min(seen[2, :count]) / (FREE_SHARE * eye_heights_m[h]), 1.0) ** 2
                         beauty = np.std(seen[0, :count]) + RELIEF_SHARE * np.std(seen[1, :count]) / usual_m
                         out[e, h, a, p] = filled**FILLED_POWER * side * wide * free * beauty
     return out

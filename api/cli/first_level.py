@@ -9,7 +9,7 @@ from typing import Any
 
 from api.cli.warnings import say_warnings
 from terrain.errors import InputError
-from terrain.level.level import is_raster, load_level
+from terrain.level.level import is_level_raster, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import PerspectiveSpec, SunSpec
 from terrain.scene import Scene, build_scene
@@ -25,7 +25,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     Raises ``InputError`` for a level that is no raster, and for a file that is there already unless ``force`` is given; else as
     ``build_scene``, and ``OSError``.
     """
-    if not is_raster(source.path):
+    if not is_level_raster(source.path):
         raise InputError("LEVEL", str(source.path), "a raster of heights: this is a level file already")
     path = Path(f"{source.path.stem}.yaml") if output is None else output
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -43,8 +43,9 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
 
 
 def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, folder: Path) -> str:
-    """The level file of a raster's scene, to lie in a folder. Lines that begin with "#" and one blank are comments; the other lines that begin
-    with "#" are parts of a level, left out.
+    """The level file of a raster's scene, to lie in a folder.
+
+    Lines that begin with "#" and one blank are comments; the other lines that begin with "#" are parts of a level, left out.
     """
     sun, low_m = scene.loaded.level.sun, scene.height_range_m[0]
     assert isinstance(sun, SunSpec)
@@ -62,8 +63,8 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     meshes = [f"  - source: {_file(folder, source.buildings)}"] if source.buildings else None
     return "\n".join(
         [
-            '# A level of Skugga. `skugga validate` checks it, `skugga serve` shows it. Where a line has no blank behind its "#", or several,',
-            '# it is a part of the level that is left out: take the "#" away to have it.',
+            "# A level of Skugga. `skugga validate` checks it, `skugga serve` shows it. A line that has no blank behind its # or",
+            "# more than one is a part of the level that is left out: take the # away to have it.",
             "version: 1",
             f"title: {_quoted(source.path.stem)}",
             '#attribution: "Whose data these are"',
@@ -79,7 +80,9 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             "# A picture of the ground, as an RGB raster.",
             "#  imagery: ortho.tif",
             "",
-            *_why(sun),
+            "# An afternoon's sun of this place, low enough that its slopes throw shadows (at the equinox; beyond 60 degrees of",
+            "# latitude at midsummer). Degrees: azimuth clockwise from north, altitude above the horizon. Or a moment, as",
+            '# sun: {time: "2024-10-21T16:30:00+02:00"}',
             f"sun: {{azimuth: {sun.azimuth:g}, altitude: {sun.altitude:g}}}",
             "",
             "views:",
@@ -106,15 +109,6 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             "",
         ]
     )
-
-
-def _why(sun: SunSpec) -> list[str]:
-    assert sun.altitude is not None
-    return [
-        "# An afternoon's sun of this place, low enough that its slopes throw shadows (at the equinox; beyond 60 degrees of",
-        "# latitude at midsummer). Degrees: azimuth clockwise from north, altitude above the horizon. Or a moment, as",
-        '# sun: {time: "2024-10-21T16:30:00+02:00"}',
-    ]
 
 
 def _part(name: str, stated: list[str] | None, example: list[str]) -> list[str]:

@@ -1,0 +1,118 @@
+"""``skugga init``: a raster's level file says what the raster is by itself, and what it leaves out is right when it is put in."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from terrain.level.level import load_level
+from terrain.scene import build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+
+LEFT_OUT = re.compile(r"^#(?! \S)(?=.)")
+"""A line of the level that is left out: it begins with "#", but not as comments do."""
+
+
+def hills(folder: Path, crs: str = "EPSG:32633", name: str = "dem.tif") -> Path:
+    row, col = np.mgrid[:120, :150].astype(np.float32)
+    return write_geotiff(folder / name, 600 + 250 * np.sin(col / 11) * np.cos(row / 9), crs, 500e3, 5200e3, 30.0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32633", ENGINEERING])
+def test_it_is_the_rasters_own_level(run, folder, crs):
+    raster = hills(folder, crs)
+    assert run("init", "dem.tif") == (0, "Wrote dem.yaml. To see it: skugga serve dem.yaml\n", "")
+    written, own = load_level(folder / "dem.yaml"), build_scene(load_level(raster)).loaded
+    assert written.source == own.source == str(raster)
+    keep = {"views"}
+    assert written.level.model_dump(exclude=keep) == own.level.model_dump(exclude=keep)
+    assert list(written.level.views) == ["map", "view"]
+    status, out, err = run("validate", "dem.yaml")
+    assert (status, err) == (0, "") and "right. dem; views: map, view" in out
+
+
+def test_the_view_can_be_drawn_and_is_full_of_lit_and_shaded_ground(gl, run, folder):
+    hills(folder)
+    assert run("init", "dem.tif", "-o", "a.yaml")[0] == 0
+    assert run("render", "a.yaml", "--view", "view", "--layer", "mask", "--size", "160x128", "-o", "mask.png") == (0, "", "")
+    mask = np.asarray(Image.open("mask.png"))
+    assert (mask == 128).mean() < 0.01 and 0.05 < (mask == 0).mean() < 0.7
+
+
+def test_every_part_that_is_left_out_is_right_when_it_is_put_in(run, folder):
+    hills(folder)
+    assert run("init", "dem.tif")[0] == 0
+    lines = (folder / "dem.yaml").read_text(encoding="utf-8").splitlines()
+    parts, part = [], []
+    for number, line in enumerate([*lines, ""]):
+        if LEFT_OUT.match(line):
+            part.append(number)
+        elif part:
+            parts.append(part)
+            part = []
+    assert len(parts) == 11
+    for chosen in (*parts, [number for part in parts for number in part]):
+        text = "\n".join(LEFT_OUT.sub("", line) if number in chosen else line for number, line in enumerate(lines))
+        (folder / "more.yaml").write_text(text, encoding="utf-8")
+        load_level(folder / "more.yaml")
+    level = load_level(folder / "more.yaml").level
+    assert level.forest and level.meshes and level.lights and level.water and level.weather.cloud_cover and level.terrain.imagery
+    assert level.terrain.nodata == 0 and level.attribution
+
+
+def test_options_of_the_raster_are_written(run, folder):
+    hills(folder)
+    (folder / "trees").mkdir()
+    write_geotiff(folder / "trees" / "canopy.tif", np.zeros((9, 9), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+    (folder / "houses.geojson").write_text("{}")
+    options = ("--canopy", "trees/canopy.tif", "--buildings", "houses.geojson", "--nodata", "-1")
+    assert run("init", "dem.tif", *options)[0] == 0
+    level = load_level(folder / "dem.yaml").level
+    assert (
+        level.forest[0].source == "trees/canopy.tif" and level.meshes[0].source == "houses.geojson" and level.terrain.nodata == -1
+    )
+
+
+def test_a_title_and_a_path_that_yaml_would_read_otherwise(run, folder):
+    (folder / "there").mkdir()
+    hills(folder, name='yes: "8" #1.tif')
+    assert run("init", 'yes: "8" #1.tif', "-o", "there/it.yaml")[0] == 0
+    loaded = load_level(folder / "there" / "it.yaml")
+    assert loaded.level.title == 'yes: "8" #1' and loaded.source == str(folder / 'yes: "8" #1.tif')
+
+
+def test_nothing_is_written_over(run, folder):
+    hills(folder)
+    (folder / "dem.yaml").write_text("mine")
+    status, out, err = run("init", "dem.tif")
+    assert (status, out) == (2, "") and err.count("\n") == 1 and "dem.yaml" in err and "--force" in err
+    assert (folder / "dem.yaml").read_text() == "mine"
+    assert run("init", "dem.tif", "--force")[0] == 0 and load_level(folder / "dem.yaml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (("jacksboro",), 2, ("LEVEL", "jacksboro.yaml", "already")),
+        (("nowhere.tif",), 2, ("nowhere.tif",)),
+        (("dem.tif", "-o", "level.txt"), 2, ("--output", "level.txt", ".yaml")),
+        (("dem.tif", "-o", "nowhere/level.yaml"), 1, ("nowhere/level.yaml",)),
+    ],
+)
+def test_wrong_input(run, folder, arguments, status, words):
+    hills(folder)
+    said, out, err = run("init", *arguments)
+    assert (said, out) == (status, "") and err.count("\n") == 1
+    for word in words:
+        assert word in err
+    assert [path.name for path in folder.iterdir()] == ["dem.tif"]
