@@ -9,11 +9,14 @@ from typing import Any
 
 from configs import LEVELS_FOLDER
 from selector.select import plan_of_view
-from terrain.errors import InputError, UnsupportedError, all_at_once
+from terrain.errors import Fault, InputError, UnsupportedError, all_at_once
 from terrain.gbuffer.picture import imagery_of
-from terrain.level.level import load_level
+from terrain.level.level import LEVEL_SUFFIXES, is_level_raster, load_level
 from terrain.level.level_source import LevelSource
 from terrain.scene import Scene, build_scene
+
+RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
+"""Usual ones of rasters of heights, by which those in a folder are named."""
 
 
 def bundled_levels() -> list[Path]:
@@ -27,8 +30,17 @@ def find_level(name: str) -> Path:
     if Path(name).name == name and bundled.is_file():
         return bundled
     path = Path(name)
-    if path.is_file():
+    if path.is_file() or ((path.is_dir() or name.startswith("/vsi")) and is_level_raster(path)):
         return path
+    if path.is_dir():
+        inside = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
+        raise InputError(
+            "LEVEL", Fault(f"{name} is a folder"), f"a level file or a raster{', as ' if inside else ''}{', '.join(inside[:3])}"
+        )
+    if path.suffix or path.name != name:
+        raise InputError(
+            "LEVEL", Fault(f"there is no file {name}"), "a level file or a raster that is there, or a bundled level's name"
+        )
     names = ", ".join(level.stem for level in bundled_levels())
     raise InputError("LEVEL", name, f"a level file, a raster, or one of the bundled levels: {names}")
 

@@ -25,6 +25,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     Raises ``InputError`` for a level that is no raster, and for a file that is there already unless ``force`` is given; else as
     ``build_scene``, and ``OSError``.
     """
+    loaded = load_level(source)
     if not is_level_raster(source.path):
         raise InputError("LEVEL", str(source.path), "a raster of heights: this is a level file already")
     path = Path(f"{source.path.stem}.yaml") if output is None else output
@@ -32,7 +33,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
         raise InputError("--output", str(path), "a level file: .yaml or .yml")
     if path.exists() and not force:
         raise InputError("--output", str(path), "a file that is not there yet; --force writes over one")
-    scene = build_scene(load_level(source))
+    scene = build_scene(loaded)
     try:
         say_warnings(scene)
         view = good_view(scene.world, scene.elevation, scene.sun)

@@ -18,8 +18,6 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
@@ -32,6 +30,7 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
+from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import EXACT_HIGH_CELLS, open_heights
 from terrain.level.bundled import BUNDLED
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
@@ -82,7 +81,8 @@ class Elevation:
     ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres. ``nodata`` is a
     value of the file's cells that means no height, besides the one that the file declares.
 
-    Raises ``SourceError`` if the raster is missing, broken, without a CRS or without a single height.
+    Raises ``SourceError`` if the raster is missing, broken, without a CRS, not where its CRS is, or
+    without a single height.
     """
 
     def __init__(
@@ -110,22 +110,8 @@ class Elevation:
         dataset = self._dataset
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of real numbers")
-        if dataset.crs is None:
-            raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
-        try:
-            self.crs = CRS.from_user_input(dataset.crs.to_wkt())
-        except (CRSError, RasterioError):
-            raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
-        if self.crs.is_geocentric:
-            raise SourceError(source, self.crs.name, "a projected, geographic or engineering CRS")
-        if dataset.transform.is_identity and not self.crs.is_engineering:
-            raise SourceError(source, "not georeferenced", "a raster with a geotransform")
-        if dataset.transform.determinant == 0:
-            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of a size above 0")
+        self.crs = crs_of(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width
-        _, south, _, north = self.bounds
-        if self.crs.is_geographic and not -91.0 <= south <= north <= 91.0:  # files overshoot the poles by a cell
-            raise SourceError(source, f"latitudes from {south:g} to {north:g}", "latitudes from -90 to 90 degrees")
         self.flat = self.crs.is_engineering
         self.units: Units | None = units or self._own_units()
         self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration

@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import InputError, LevelError
+from terrain.errors import Fault, InputError, LevelError
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
@@ -309,6 +309,12 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
 LEVEL_SUFFIXES = ".yaml", ".yml"
 """Of level files."""
 
+TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
+"""Of files whose text is looked at closely: of another, what is wrong with it as YAML means nothing."""
+
+_NEITHER = "neither a level file nor a raster that GDAL reads"
+_EITHER = "a raster of heights, or a YAML file that starts with 'version: 1'"
+
 
 def is_level_raster(path: Path) -> bool:
     """Whether a file is no level file but a raster, which is a level by itself."""
@@ -341,13 +347,17 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
         raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None
     try:
         data = YAML(typ="safe", pure=True).load(text)
-    except (ValueError, RecursionError) as error:  # a date that is none, brackets without end
-        raise LevelError(str(path), str(error), "well-formed YAML 1.2") from None
-    except YAMLError as error:
+    except (ValueError, RecursionError, YAMLError) as error:  # also of a date that is none, brackets without end
+        if path.suffix.lower() not in TEXT_SUFFIXES:
+            raise LevelError(str(path), Fault(_NEITHER), _EITHER) from None
+        if not isinstance(error, YAMLError):
+            raise LevelError(str(path), str(error), "well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
         where = f"{path}: line {mark.line + 1}" if mark else str(path)
         raise LevelError(where, getattr(error, "problem", None) or "broken YAML", "well-formed YAML 1.2") from None
     if not isinstance(data, dict):
+        if path.suffix.lower() not in TEXT_SUFFIXES:
+            raise LevelError(str(path), Fault(_NEITHER), _EITHER)
         raise LevelError(str(path), data, "a mapping that starts with 'version: 1'")
     try:
         level = Level.model_validate(data)

@@ -1,0 +1,63 @@
+"""Where a raster says that it lies: its CRS, and whether its coordinates can be ones of that CRS."""
+
+from __future__ import annotations
+
+import numpy as np
+import rasterio
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.errors import RasterioError
+
+from terrain.errors import SourceError
+
+MOST_LATITUDE_DEG = 91.0
+"""Files overshoot the poles by a cell."""
+
+MOST_LONGITUDE_DEG = 540.0
+
+DEGREES_CELL = 0.02
+"""Cells smaller than this, in units of a projected CRS, are no cells of a map of ground if they lie where degrees do."""
+
+TO_STATE_IT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
+
+
+def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
+    """The CRS of an open raster that lies somewhere in it.
+
+    Raises ``SourceError`` where it has none, no place in it, or coordinates of another kind: metres in a CRS in degrees, or
+    degrees in one in metres or feet.
+    """
+    gt, (rows, cols) = dataset.transform, dataset.shape
+    col, row = np.array([0, cols, 0, cols]), np.array([0, 0, rows, rows])
+    x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
+    west, south, east, north = float(x.min()), float(y.min()), float(x.max()), float(y.max())
+    like_degrees = (
+        -MOST_LONGITUDE_DEG <= west <= east <= MOST_LONGITUDE_DEG and -MOST_LATITUDE_DEG <= south <= north <= MOST_LATITUDE_DEG
+    )
+    small = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < DEGREES_CELL
+    where = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
+    if dataset.crs is None:
+        guess = "; its coordinates may be degrees: EPSG:4326" if like_degrees and small and not gt.is_identity else ""
+        raise SourceError(source, "no coordinate reference system", f"a raster with a CRS ({TO_STATE_IT}{guess})")
+    try:
+        crs = CRS.from_user_input(dataset.crs.to_wkt())
+    except (CRSError, RasterioError):
+        raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
+    if crs.is_geocentric:
+        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS")
+    if gt.is_identity and not crs.is_engineering:
+        raise SourceError(source, "not georeferenced", "a raster with a geotransform")
+    if gt.determinant == 0:
+        raise SourceError(source, str(tuple(gt)[:6]), "cells of a size above 0")
+    if crs.is_geographic and not like_degrees:
+        raise SourceError(
+            source, f"{where} in {crs.name}",
+            f"degrees, latitudes from -90 to 90; or the CRS that these coordinates are of, as metres in a UTM zone ({TO_STATE_IT})",
+        )  # fmt: skip
+    if crs.is_projected and like_degrees and small:
+        unit = crs.axis_info[0].unit_name if crs.axis_info else "metre"
+        raise SourceError(
+            source, f"{where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit}), in {crs.name}",
+            f"coordinates of that CRS; these look like degrees, as of EPSG:4326 ({TO_STATE_IT})",
+        )  # fmt: skip
+    return crs

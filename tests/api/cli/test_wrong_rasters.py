@@ -1,0 +1,78 @@
+"""A raster that cannot be used is one line that says why and what is needed, whatever the command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.rasters import write_geotiff
+
+COMMANDS = {
+    "render": ("-o", "out.png"),
+    "shade": ("-o", "out.tif"),
+    "select": ("--policy", "rules"),
+    "compare": (),
+    "validate": (),
+    "init": (),
+    "serve": (),
+}
+
+WRONG = {
+    "no_crs.tif": ("no coordinate reference system", "a raster with a CRS", "gdal_edit.py -a_srs"),
+    "metres.tif": ("x from 500000 to 500600", "WGS 84", "degrees"),
+    "degrees.tif": ("x from 12.5 to", "UTM zone 33N", "look like degrees"),
+    "empty.tif": ("no height in any cell", "a raster with heights"),
+    "complex.tif": ("complex64", "real numbers"),
+    "text.tif": ("neither a level file nor a raster", "version: 1"),
+    "nothing.tif": ("neither a level file nor a raster",),
+    "cut.tif": ("neither a level file nor a raster",),
+    "bytes.tif": ("not UTF-8 text", "a raster that GDAL reads"),
+    "folder": ("folder is a folder", "a level file or a raster, as inside.tif"),
+    "missing.tif": ("no file missing.tif",),
+    "missing": ("'missing' is not allowed", "jacksboro"),
+}
+
+
+@pytest.fixture
+def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    heights = np.ones((20, 20), np.float32)
+    utm, degrees = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
+    write_geotiff(tmp_path / "no_crs.tif", heights, None, *utm)  # type: ignore[arg-type]
+    write_geotiff(tmp_path / "metres.tif", heights, "EPSG:4326", *utm)
+    write_geotiff(tmp_path / "degrees.tif", heights, "EPSG:32633", *degrees)
+    write_geotiff(tmp_path / "empty.tif", heights, "EPSG:32633", *utm, nodata=1.0)
+    whole = write_geotiff(tmp_path / "complex.tif", heights.astype(np.complex64), "EPSG:32633", *utm)
+    (tmp_path / "text.tif").write_text("no raster")
+    (tmp_path / "nothing.tif").write_bytes(b"")
+    (tmp_path / "cut.tif").write_bytes(b"II*\0" + bytes(20))
+    (tmp_path / "bytes.tif").write_bytes(bytes(range(128, 256)) * 9)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "inside.tif").write_bytes(whole.read_bytes())
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_one_line_says_why(run, wrong, command):
+    before = sorted(wrong.iterdir())
+    for name, words in WRONG.items():
+        status, out, err = run(command, name, *COMMANDS[command])
+        assert (status, out) == (2, "") and err.startswith("skugga: ") and err.count("\n") == 1, (name, err)
+        for word in words:
+            assert word in err, name
+    assert sorted(wrong.iterdir()) == before
+
+
+def test_all_cells_missing_by_the_value_that_is_stated(run, wrong):
+    write_geotiff(wrong / "flat.tif", np.ones((20, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+    assert run("validate", "flat.tif")[0] == 0
+    status, _, err = run("validate", "flat.tif", "--nodata", "1")
+    assert status == 2 and "no height in any cell" in err
+
+
+def test_a_single_row_is_a_map(gl, run, wrong):
+    write_geotiff(wrong / "row.tif", np.ones((1, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+    assert run("shade", "row.tif", "-o", "mask.tif") == (0, "", "")
+    assert "20 x 1 cells" in run("validate", "row.tif")[1]

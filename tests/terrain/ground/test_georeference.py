@@ -1,0 +1,62 @@
+"""Where rasters say that they lie: what cannot be is told, and what may be is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from terrain.errors import SourceError
+from terrain.ground.georeference import crs_of
+from tests.rasters import ENGINEERING, write_geotiff
+
+UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
+
+
+def crs_at(folder, crs, place, **options):
+    path = write_geotiff(folder / "dem.tif", np.ones((40, 50), np.float32), crs, *place, **options)
+    with rasterio.open(path) as dataset:
+        return crs_of("dem.tif", dataset)
+
+
+@pytest.mark.parametrize(
+    ("crs", "place"),
+    [
+        ("EPSG:32633", UTM), ("EPSG:4326", DEGREES), ("EPSG:4326", (179.9, 10.0, 0.01)), ("EPSG:4326", (359.9, 10.0, 0.01)),
+        ("EPSG:4326", (-180.5, 90.5, 1.0)), (ENGINEERING, (0.0, 0.0, 0.01)), ("EPSG:3857", (10.0, 40.0, 1.0)),
+        ("EPSG:32633", (500e3, 47.0, 0.01)), ("EPSG:2994", (0.0, 80.0, 0.5)),
+    ],
+)  # fmt: skip
+def test_what_may_be_is_taken(tmp_path, crs, place):
+    assert crs_at(tmp_path, crs, place).is_geographic is (crs == "EPSG:4326")
+
+
+@pytest.mark.parametrize(
+    ("crs", "place", "words"),
+    [
+        ("EPSG:4326", UTM, ("x from 500000 to 501500", "y from 5198800 to 5200000", "WGS 84", "degrees", "UTM")),
+        ("EPSG:4326", (1000.0, 80.0, 1.0), ("x from 1000 to 1050", "degrees")),
+        ("EPSG:4326", (10.0, 100.0, 0.1), ("y from 96 to 100", "-90 to 90")),
+        ("EPSG:32633", DEGREES, ("x from 12.5 to 12.515", "0.0003 (metre)", "UTM zone 33N", "EPSG:4326")),
+        ("EPSG:3857", DEGREES, ("Pseudo-Mercator", "EPSG:4326")),
+        ("EPSG:2994", DEGREES, ("(foot)", "EPSG:4326")),
+        (None, UTM, ("no coordinate reference system", "-a_srs EPSG:CODE")),
+        (None, DEGREES, ("no coordinate reference system", "may be degrees: EPSG:4326")),
+        ("EPSG:4978", UTM, ("projected, geographic or engineering",)),
+    ],
+)
+def test_what_cannot_be_is_told(tmp_path, crs, place, words):
+    with pytest.raises(SourceError) as caught:
+        crs_at(tmp_path, crs, place)
+    message = str(caught.value)
+    assert message.startswith("dem.tif: ") and "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_cells_without_a_size_or_place(tmp_path):
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), pytest.raises(SourceError, match="not georeferenced"):
+        crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine.identity())
+    with pytest.raises(SourceError, match="cells of a size above 0"):
+        crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine(0, 0, 5e5, 0, 0, 5e6))
