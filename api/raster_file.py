@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,17 @@ from rasterio.shutil import copy
 from rasterio.windows import Window
 
 TILE = 512
+
+
+@dataclass(frozen=True, eq=False)
+class RasterCells:
+    """The cells of a raster, whoever states them: ``name``, CRS, geotransform, rows and columns."""
+
+    name: str
+    crs: CRS
+    transform: Affine
+    rows: int
+    cols: int
 
 
 class RasterFile:

@@ -21,7 +21,7 @@ from rasterio.errors import RasterioError
 
 from api.device_calibration import calibration_for
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
-from api.raster_file import RasterFile, cog
+from api.raster_file import RasterCells, RasterFile, cog
 from selector.select import plan_of_view
 from shadows.ground_pictures import shown_map
 from shadows.plan import Plan
@@ -101,7 +101,7 @@ def raster_view(
     bounds: Bounds | None = None,
     crs: str | None = None,
     resolution: float | None = None,
-    like: Path | None = None,
+    like: Path | RasterCells | None = None,
 ) -> MapView:
     """The cells of a raster of shade, each a node of its grid: those of the level's own raster, or of one that it shall be like;
     else square ones of a ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
@@ -110,7 +110,7 @@ def raster_view(
         for name, value in (("--bounds", bounds), ("--crs", crs), ("--resolution", resolution)):
             if value is not None:
                 raise InputError(name, value, f"nothing beside --like: the cells are those of {like}")
-        return _like(like)
+        return _like(cells_of_raster(like) if isinstance(like, Path) else like)
     asked = scene.view("map", bounds, crs)  # checks what was asked
     target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
     nothing_asked = crs is None and bounds is None
@@ -135,7 +135,8 @@ def _own(scene: Scene) -> MapView:
     return _lattice(elevation.crs, float(x0), float(y0), float(x1 - x0), float(y0 - y1), elevation.rows, elevation.cols)
 
 
-def _like(path: Path) -> MapView:
+def cells_of_raster(path: Path) -> RasterCells:
+    """The cells of a raster file. Raises ``SourceError``."""
     try:
         with warnings.catch_warnings(action="ignore"), rasterio.open(path) as dataset:
             crs, transform, (rows, cols) = dataset.crs, dataset.transform, dataset.shape
@@ -143,10 +144,15 @@ def _like(path: Path) -> MapView:
         raise SourceError(str(path), "it cannot be opened", "a raster that GDAL reads") from None
     if crs is None:
         raise SourceError(str(path), "no coordinate reference system", "a raster with a CRS")
+    return RasterCells(str(path), CRS.from_user_input(crs.to_wkt()), transform, rows, cols)
+
+
+def _like(cells: RasterCells) -> MapView:
+    transform = cells.transform
     if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
-        raise SourceError(str(path), "a turned grid", "rows from west to east, the northernmost first")
+        raise SourceError(cells.name, "a turned grid", "rows from west to east, the northernmost first")
     west, north = transform.c + transform.a / 2, transform.f + transform.e / 2
-    return _lattice(CRS.from_user_input(crs.to_wkt()), west, north, transform.a, -transform.e, rows, cols)
+    return _lattice(cells.crs, west, north, transform.a, -transform.e, cells.rows, cells.cols)
 
 
 def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:

@@ -19,6 +19,7 @@ from api.cli.options import overrides_of, with_shadow_options
 from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError
 from terrain.level.level import parse_sun
@@ -142,15 +143,22 @@ def shade_raster(
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    stac: Annotated[
+        Path | None,
+        typer.Option(metavar="ITEM.json", help="The sun, or the time, of a STAC item, and its finest cells if it has any."),
+    ] = None,
     **asked: Any,
 ) -> None:
     """Write the shade of a raster of any size, by default on its own grid."""
-    from api.cli.shading import shade_level
+    from api.cli.shading import scene_of_item, shade_level
 
     overrides = overrides_of("render", asked)
+    cells: Path | RasterCells | None = like
     suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
+    if stac is not None:
+        suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
     with _progress("Shading") as advance:
-        shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, like, overrides, advance)
+        shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, cells, overrides, advance)
 
 
 @app.command()

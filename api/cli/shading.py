@@ -8,7 +8,9 @@ from typing import Any
 
 from api.cli.times import time_in_name
 from api.cli.warnings import say_warnings
+from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
+from api.stac_item import read_stac_item
 from terrain.errors import InputError
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
@@ -27,7 +29,7 @@ def shade_level(
     bounds: Bounds | None,
     crs: str | None,
     resolution: float | None,
-    like: Path | None,
+    like: Path | RasterCells | None,
     overrides: dict[str, Any],
     on_block: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
@@ -42,6 +44,21 @@ def shade_level(
     finally:
         scene.close()
     return paths
+
+
+def scene_of_item(
+    stac: Path, suns: Sequence[SunSpec | None], like: Path | None, free: bool
+) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
+    """The sun and the cells of a STAC item's scene; ``like``, and what else says which cells (not ``free``), go before its own.
+
+    Raises ``InputError`` where other options say when, too.
+    """
+    item = read_stac_item(stac)
+    if any(sun is not None for sun in suns):
+        raise InputError(
+            "--stac", str(stac), "one way to say when: without --time, --times, --from or --azimuth, for the item says it"
+        )
+    return [item.sun], item.cells if free and like is None else like
 
 
 def files_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:

@@ -1,0 +1,111 @@
+"""STAC items: when a satellite saw a scene, where the sun stood, and which cells its pictures have.
+
+The fields are those of the item specification and of its view and projection extensions: ``datetime``, or the middle between
+``start_datetime`` and ``end_datetime``; ``view:sun_azimuth`` and ``view:sun_elevation``, degrees at the scene's middle; and
+``proj:transform``, ``proj:shape`` and ``proj:code`` (or ``proj:epsg``), of the item or of an asset.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from affine import Affine
+from pydantic import ValidationError
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from api.raster_file import RasterCells
+from terrain.errors import Fault, InputError
+from terrain.level.level import parse_sun
+from terrain.level.parts import SunSpec
+
+SUN_FIELDS = ("view:sun_azimuth", "view:sun_elevation")
+
+
+@dataclass(frozen=True, eq=False)
+class StacItem:
+    """The sun of a scene, and its finest cells, if the item states any."""
+
+    sun: SunSpec
+    cells: RasterCells | None
+
+
+def read_stac_item(path: Path) -> StacItem:
+    """Read an item. Its sun is the one that it states, if it states both angles, else that of its time.
+
+    Raises ``InputError`` for a file that is no item, and for one that says neither; ``OSError`` where it cannot be read.
+    """
+    try:
+        item = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError("--stac", Fault(f"{path} is no JSON text ({error})"), "a STAC item") from None
+    if not isinstance(item, dict) or item.get("type") != "Feature" or not isinstance(item.get("properties"), dict):
+        kind = item.get("type") if isinstance(item, dict) else None
+        raise InputError(
+            "--stac", Fault(f"{path} is no STAC item" + (f" but a {kind}" if kind else "")), "JSON of the type Feature"
+        )
+    return StacItem(_sun(path, item["properties"]), _finest(path, item))
+
+
+def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
+    azimuth, elevation = (properties.get(name) for name in SUN_FIELDS)
+    if azimuth is not None and elevation is not None:
+        try:
+            return SunSpec(azimuth=azimuth, altitude=elevation)
+        except ValidationError:
+            raise InputError(
+                f"{path}: {', '.join(SUN_FIELDS)}", f"{azimuth}, {elevation}", "degrees, -90 to 90 of elevation"
+            ) from None
+    moments = [
+        _moment(path, name, properties[name]) for name in ("datetime", "start_datetime", "end_datetime") if properties.get(name)
+    ]
+    if properties.get("datetime"):
+        return moments[0]
+    if len(moments) == 2:
+        start, end = (moment.time for moment in moments)
+        assert start is not None and end is not None
+        return SunSpec(time=start + (end - start) / 2)
+    raise InputError(
+        "--stac", Fault(f"{path} says neither when it was nor where the sun stood"),
+        f"an item with datetime, with start_datetime and end_datetime, or with {' and '.join(SUN_FIELDS)}",
+    )  # fmt: skip
+
+
+def _moment(path: Path, name: str, text: Any) -> SunSpec:
+    try:
+        moment = parse_sun(str(text), None, None)
+    except InputError as error:
+        raise InputError(f"{path}: {name}", text, error.allowed) from None
+    assert moment is not None
+    return moment
+
+
+def _finest(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
+    """The smallest cells that an item states, of its own or of an asset; of equal ones the first."""
+    found = list(_all_cells(path, item))
+    return min(found, key=lambda cells: abs(cells.transform.determinant), default=None)
+
+
+def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
+    common = {name: value for name, value in item["properties"].items() if name.startswith("proj:")}
+    assets = item.get("assets")
+    for asset in ({}, *(assets.values() if isinstance(assets, dict) else ())):
+        stated = {**common, **{name: value for name, value in asset.items() if name.startswith("proj:")}}
+        code = stated.get("proj:code") or stated.get("proj:epsg")
+        transform, shape = stated.get("proj:transform"), stated.get("proj:shape")
+        if code is None or transform is None or shape is None:
+            continue
+        try:
+            rows, cols = (int(count) for count in shape)
+            a, b, c, d, e, f = (float(number) for number in transform[:6])
+            crs = CRS.from_user_input(code)
+        except (TypeError, ValueError, CRSError):
+            stating = f"{code}, {transform}, {shape}"
+            raise InputError(
+                f"{path}: proj:code, proj:transform, proj:shape", stating, "a CRS, six or nine numbers, and rows and columns"
+            ) from None
+        yield RasterCells(str(path), crs, Affine(a, b, c, d, e, f), rows, cols)

@@ -1,0 +1,172 @@
+"""STAC items as Sentinel-2's and Landsat's are: when, under which sun, on which cells; and one line for what is none."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+
+from api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from api.stac_item import read_stac_item
+from terrain.errors import InputError
+from tests.rasters import write_geotiff
+
+WEST, NORTH = 499_980.0, 5_200_020.0
+
+
+def sentinel_2(**changes: Any) -> dict[str, Any]:
+    """An item with cells of 10, 20 and 60 m, and both angles."""
+    item: dict[str, Any] = {
+        "type": "Feature", "stac_version": "1.1.0", "id": "S2B_33TUN_20240115_0_L2A", "geometry": None,
+        "properties": {
+            "datetime": "2024-01-15T10:03:09.024000Z", "proj:code": "EPSG:32633", "view:sun_azimuth": 163.4,
+            "view:sun_elevation": 19.6, "eo:cloud_cover": 1.2,
+        },
+        "assets": {
+            "aot": {"href": "AOT.tif", "proj:shape": [40, 50], "proj:transform": [60, 0, WEST, 0, -60, NORTH]},
+            "blue": {"href": "B02.tif", "proj:shape": [240, 300], "proj:transform": [10, 0, WEST, 0, -10, NORTH]},
+            "rededge1": {"href": "B05.tif", "proj:shape": [120, 150], "proj:transform": [20, 0, WEST, 0, -20, NORTH]},
+            "thumbnail": {"href": "preview.jpg", "type": "image/jpeg"},
+        },
+    }  # fmt: skip
+    item["properties"] |= changes
+    return item
+
+
+def landsat(**changes: Any) -> dict[str, Any]:
+    """An item with its cells of its own, finer ones of the panchromatic asset, and nine numbers in the transform."""
+    item: dict[str, Any] = {
+        "type": "Feature", "stac_version": "1.0.0", "id": "LC09_L1TP_191027", "geometry": None,
+        "properties": {
+            "datetime": "2024-01-15T09:45:31Z", "proj:epsg": 32633, "view:sun_azimuth": 160.2, "view:sun_elevation": 18.1,
+            "proj:shape": [80, 100], "proj:transform": [30, 0, WEST, 0, -30, NORTH],
+        },
+        "assets": {
+            "pan": {"href": "B8.TIF", "proj:shape": [160, 200], "proj:transform": [15, 0, WEST, 0, -15, NORTH, 0, 0, 1]},
+            "red": {"href": "B4.TIF"},
+        },
+    }  # fmt: skip
+    item["properties"] |= changes
+    return item
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def write_item(item: Any) -> Path:
+        path = tmp_path / "item.json"
+        path.write_text(item if isinstance(item, str) else json.dumps(item), encoding="utf-8")
+        return path
+
+    return write_item
+
+
+def test_sun_and_finest_cells(write):
+    for item, angles, cell, shape in (
+        (sentinel_2(), (163.4, 19.6), 10.0, (240, 300)),
+        (landsat(), (160.2, 18.1), 15.0, (160, 200)),
+    ):
+        read = read_stac_item(write(item))
+        assert (read.sun.azimuth, read.sun.altitude, read.sun.time) == (*angles, None)
+        assert read.cells is not None and read.cells.crs.to_epsg() == 32633
+        assert (read.cells.rows, read.cells.cols) == shape
+        assert tuple(read.cells.transform)[:6] == (cell, 0.0, WEST, 0.0, -cell, NORTH)
+
+
+def test_the_time_where_an_angle_is_missing(write):
+    read = read_stac_item(write(sentinel_2(**{"view:sun_elevation": None})))
+    assert read.sun.azimuth is None and read.sun.time == datetime(2024, 1, 15, 10, 3, 9, 24000, tzinfo=UTC)
+
+
+def test_the_middle_of_a_span(write):
+    span = {
+        "datetime": None,
+        "start_datetime": "2024-01-15T10:00:00Z",
+        "end_datetime": "2024-01-15T10:10:00Z",
+        "view:sun_azimuth": None,
+    }
+    assert read_stac_item(write(landsat(**span))).sun.time == datetime(2024, 1, 15, 10, 5, tzinfo=UTC)
+
+
+def test_an_item_without_cells(write):
+    item = landsat()
+    del item["properties"]["proj:epsg"]
+    assert read_stac_item(write(item)).cells is None
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        ("{", ("no JSON",)),
+        ("[1]", ("no STAC item", "Feature")),
+        ({"type": "Collection", "id": "sentinel-2-l2a"}, ("a Collection", "Feature")),
+        ({"type": "FeatureCollection", "features": []}, ("a FeatureCollection",)),
+        (sentinel_2(**{"datetime": None, "view:sun_azimuth": None}), ("neither when", "start_datetime", "view:sun_elevation")),
+        (sentinel_2(**{"datetime": "last week", "view:sun_azimuth": None}), ("datetime", "last week", "ISO 8601")),
+        (sentinel_2(**{"view:sun_elevation": 170}), ("view:sun_elevation", "170", "-90 to 90")),
+        (landsat(**{"proj:transform": [30, 0, "west"]}), ("proj:transform", "west")),
+        (landsat(**{"proj:epsg": 999999}), ("proj:code", "999999")),
+        (landsat(**{"proj:shape": [80]}), ("proj:shape", "[80]")),
+    ],
+)
+def test_what_is_no_item_is_one_line(write, item, words):
+    path = write(item)
+    with pytest.raises(InputError) as caught:
+        read_stac_item(path)
+    message = str(caught.value)
+    assert "item.json" in message and "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+@pytest.fixture
+def dem(tmp_path: Path) -> Path:
+    row, col = np.mgrid[:100, :120].astype(np.float32)
+    heights = 700 + 250 * np.sin(col / 9) * np.cos(row / 11)
+    return write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32633", WEST - 300, NORTH + 300, 30.0)
+
+
+@pytest.fixture
+def shaded(monkeypatch, capsys, tmp_path, dem):
+    """``shaded(*options)`` gives the mask that ``skugga shade`` writes, and its file's profile."""
+    from api.cli import main as cli
+
+    def run(*options: str) -> tuple[np.ndarray, dict[str, Any]]:
+        monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), *options, "-o", str(tmp_path / "mask.tif")])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert (ended.value.code, capsys.readouterr().err) == (0, "")
+        with rasterio.open(tmp_path / "mask.tif") as dataset:
+            return dataset.read(1), dict(dataset.profile)
+
+    return run
+
+
+def test_a_mask_lies_on_the_scenes_cells(shaded, write):
+    mask, profile = shaded("--stac", str(write(landsat())))
+    assert mask.shape == (160, 200) and tuple(profile["transform"])[:6] == (15.0, 0.0, WEST, 0.0, -15.0, NORTH)
+    assert 0.1 < (mask == MASK_SHADOW).sum() / (mask != MASK_NO_SURFACE).sum() < 0.7
+
+
+def test_the_sun_is_the_items(shaded, write):
+    by_item, _ = shaded("--stac", str(write(landsat())), "--resolution", "30", "--crs", "EPSG:32633")
+    by_hand, _ = shaded("--azimuth", "160.2", "--altitude", "18.1", "--resolution", "30", "--crs", "EPSG:32633")
+    np.testing.assert_array_equal(by_item, by_hand)
+    by_item, _ = shaded("--stac", str(write(landsat(**{"view:sun_azimuth": None}))), "--resolution", "30")
+    by_hand, _ = shaded("--time", "2024-01-15T09:45:31Z", "--resolution", "30")
+    np.testing.assert_array_equal(by_item, by_hand)
+
+
+def test_another_way_to_say_when_is_refused(monkeypatch, capsys, tmp_path, dem, write):
+    from api.cli import main as cli
+
+    monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), "--stac", str(write(landsat())), "--time", "2024-01-15T09:45:31Z",
+                                     "-o", str(tmp_path / "mask.tif")])  # fmt: skip
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    err = capsys.readouterr().err
+    assert ended.value.code == 2 and err.count("\n") == 1 and "--stac" in err and "one way to say when" in err
