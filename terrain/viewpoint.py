@@ -107,7 +107,7 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
 
 
 def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> list[tuple[float, float]]:
-    """Places as level files state them: degrees, or metres from the anchor in a flat world; written to a thousandth of a cell."""
+    """Places as level files state them: degrees, or metres from the anchor in a flat world; written to a tenth of a cell."""
     if world.flat:
         return [(round(float(east), 2), round(float(north), 2)) for east, north, _ in points_earth_m]
     cell_deg = elevation.cell_size_m(world.metres_per_unit) / 111_320.0

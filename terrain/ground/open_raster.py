@@ -25,7 +25,8 @@ _VRT_TYPES = {
 
 def open_heights(source: str, held: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
     """Open a raster: the file ``source``, or one in memory that takes its place; a small one without its overviews, which may have
-    been made by averaging sentinels into heights. ``nodata`` is a value of cells without a height, besides the declared one.
+    been made by averaging sentinels into heights. ``nodata`` is a value of cells without a height, besides the declared one;
+    with it a mask that the file has beside its cells is not looked at.
 
     Raises ``SourceError`` for a ``nodata`` that no cell can have, ``RasterioError`` and ``OSError``.
     """

@@ -135,6 +135,8 @@ class Terrain(Model):
     def _one_ground(self) -> Terrain:
         if (self.source is not None) + (self.flat is not None) + (self.generate is not None) != 1:
             raise PydanticCustomError("ground", "one of source, flat and generate")
+        if self.nodata is not None and self.source is None:
+            raise PydanticCustomError("ground", "nodata of a source: made ground has no cells without a height")
         return self
 
 

@@ -64,6 +64,7 @@ def test_bundled_levels_load():
         (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "a light (sun) or a caster kind"),
         (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
         ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
+        ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, nodata: 0}\n", "terrain", "flat", "nodata of a source"),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
         (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
