@@ -31,7 +31,7 @@ from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
 from terrain.ground.georeference import crs_of
-from terrain.ground.open_raster import EXACT_HIGH_CELLS, open_heights
+from terrain.ground.open_raster import EXACT_HIGH_CELLS, dataset_of_heights
 from terrain.level.bundled import BUNDLED
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
 
@@ -102,7 +102,7 @@ class Elevation:
         self.water_m = -np.inf if water_m is None else float(np.float32(water_m))  # heights are float32
         try:
             held = BUNDLED[source]() if source in BUNDLED else made
-            self._dataset = open_heights(source, held, nodata)
+            self._dataset = dataset_of_heights(source, held, nodata)
         except (RasterioError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             reason = reason or "it cannot be opened"

@@ -23,7 +23,7 @@ _VRT_TYPES = {
 """GDAL's names of types of cells."""
 
 
-def open_heights(source: str, held: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
+def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
     """Open a raster: the file ``source``, or one in memory that takes its place; a small one without its overviews, which may have
     been made by averaging sentinels into heights. ``nodata`` is a value of cells without a height, besides the declared one;
     with it a mask that the file has beside its cells is not looked at.
