@@ -14,6 +14,8 @@ from selector.measure.footprint import texel_footprint_px
 from selector.measure.view_truth import truth_of_view
 from selector.planner.planner import make_plan
 from shadows.attached import attached
+from shadows.point.horizon import horizon_round, surroundings
+from shadows.point.place import place_at
 from shadows.render import render_frame
 from terrain.cache import caches, clear_caches
 from terrain.describe import describe
@@ -98,6 +100,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
+    horizon_round(surroundings(scene, place_at(scene, tuple(place(240, 200)))))
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
     return [probes, buffer, real, block]
 

@@ -50,6 +50,7 @@ MAY_IMPORT = {
     "shadows.planar": "algorithm maps passes work",
     "shadows.sweep": "algorithm passes work",
     "shadows.truth": "algorithm attached passes work",
+    "shadows.point": "",
     "shadows.registry": "algorithm hybrid maps none planar sweep truth volumes",
     "shadows.plan": "algorithm registry",
     "shadows.visibility": "attached passes plan registry",

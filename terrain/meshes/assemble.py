@@ -27,10 +27,14 @@ FOOTPRINT_KEYS = ("height", "surface", "ground")
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins)."""
+    """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins).
+
+    ``casting_buildings`` says of each that casts whether it is a building: a footprint that was extruded.
+    """
 
     seen: tuple[PlacedBody, ...]
     casting: tuple[PlacedBody, ...]
+    casting_buildings: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +52,11 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
     """
     seen: list[PlacedBody] = []
     casting: list[PlacedBody] = []
+    are_buildings: list[bool] = []
     for number, spec in enumerate(loaded.level.meshes):
         where = f"{loaded.path}: meshes.{number}"
-        if spec.source is not None and not is_model(spec.source):
+        from_footprints = spec.source is not None and not is_model(spec.source)
+        if from_footprints:
             _refuse(spec, MODEL_KEYS, where, "no such key for footprints, which stand where their file says")
             standing = stand_ins = buildings(spec, where, loaded, world, elevation)
         else:
@@ -62,8 +68,10 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
                 stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots)
         seen += standing
         casting += stand_ins
+        are_buildings += [from_footprints] * len(stand_ins)
     visible_bodies = tuple(seen)
-    return Placement(visible_bodies, visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting))
+    casting_bodies = visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting)
+    return Placement(visible_bodies, casting_bodies, tuple(are_buildings))
 
 
 def solids(placement: Placement, seconds: float) -> Solids:

@@ -1,0 +1,54 @@
+"""The clocks by which a place's day is told: a time zone's, UTC, or the sun's own."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
+from zoneinfo import ZoneInfo
+
+from terrain.errors import InputError
+
+CLOCK_WORDS = "solar, utc, an offset as +02:00, or a time zone as Europe/Oslo"
+
+_OFFSET = re.compile(r"([+-])(\d\d):?(\d\d)")
+
+
+def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
+    """The clock of a name. ``solar`` is true solar time at a longitude on a day: at 12:00 the sun is in the south, or in the north.
+
+    Raises ``InputError`` for a name that is no clock's.
+    """
+    if name.lower() in ("utc", "z"):
+        return UTC
+    if name.lower() == "solar":
+        return solar_clock(lon_deg or 0.0, day)
+    offset = _OFFSET.fullmatch(name.replace(" ", "+"))
+    if offset is not None and int(offset[2]) < 24 and int(offset[3]) < 60:
+        minutes = int(offset[2]) * 60 + int(offset[3])
+        return timezone(timedelta(minutes=-minutes if offset[1] == "-" else minutes))
+    try:
+        return ZoneInfo(name)
+    except (ValueError, OSError, LookupError):
+        raise InputError("clock", name, CLOCK_WORDS) from None
+
+
+def solar_clock(lon_deg: float, day: date) -> timezone:
+    """True solar time at a longitude, by the equation of time at its noon: right to half a minute all day."""
+    noon = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - timedelta(hours=lon_deg / 15.0)
+    minutes = 4.0 * lon_deg + equation_of_time_min(noon)
+    return timezone(timedelta(seconds=round(60.0 * minutes)), "solar")
+
+
+def day_ends(day: date, clock: tzinfo) -> tuple[datetime, datetime]:
+    """The midnights that a day lies between."""
+    first = datetime(day.year, day.month, day.day, tzinfo=clock)
+    following = day + timedelta(days=1)
+    return first, datetime(following.year, following.month, following.day, tzinfo=clock)
+
+
+def equation_of_time_min(moment: datetime) -> float:
+    """By how many minutes a sundial is ahead of mean time."""
+    import pandas
+    from pvlib.solarposition import spa_python
+
+    return float(spa_python(pandas.DatetimeIndex([moment]), 0.0, 0.0)["equation_of_time"].iloc[0])

@@ -1,0 +1,219 @@
+"""The horizon round a point by everything that casts, and what hides the sun there.
+
+Lit is a point whose ray towards the middle of the sun's disc meets nothing, with the sun above the level plane through the eye:
+below it no ground is lit (``Scene.sun_is_up``), and where a level's data end, nobody knows what stands there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from shadows.point.directions import Directions, directions_of
+from shadows.point.horizon_walk import ReliefHorizon, ground_hides, relief_horizon
+from shadows.point.leaf_sight import SeenTrees, highest_leaves, nearest_leaves, seen_trees
+from shadows.point.place import PointPlace
+from shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
+from terrain.gbuffer.tree_instances import tree_instances_in_map
+from terrain.geo.world import WGS84, geodetic
+from terrain.scene import Scene
+
+HORIZON_DIRECTIONS = 720
+"""Directions of a horizon, unless more are asked for: every half degree."""
+
+WHOLE_TREES_M = 1e-3
+"""Pixels so small that a map of them draws every tree: none is thinned out."""
+
+CasterType = Literal["relief", "building", "mesh", "forest"]
+
+
+@dataclass(frozen=True)
+class SunCaster:
+    """What hides the sun, or makes the horizon.
+
+    ``distance_m`` is along the ground, ``height_m`` that of the place itself, ``elevation_deg`` its angle above the eye's level. In
+    a flat world there is no longitude and latitude.
+    """
+
+    kind: CasterType
+    distance_m: float
+    azimuth_deg: float
+    elevation_deg: float
+    height_m: float
+    lon_deg: float | None
+    lat_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class PointHorizon:
+    """The horizon towards azimuths (n,), clockwise from true north; elevation angles in degrees above the eye's level.
+
+    ``relief_deg``, ``solids_deg`` and ``forest_deg`` are those of the highest ground, building or mesh, and leaf, -90 where there
+    is none.
+    """
+
+    azimuth_deg: np.ndarray
+    relief_deg: np.ndarray
+    solids_deg: np.ndarray
+    forest_deg: np.ndarray
+
+    @property
+    def elevation_deg(self) -> np.ndarray:
+        """The highest of all (n,)."""
+        return np.maximum(np.maximum(self.relief_deg, self.solids_deg), self.forest_deg)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What stands round a place: triangles (m, 3) of points (k, 3) east, north and up of the eye, which of them are buildings'
+    (m,), and trees.
+    """
+
+    scene: Scene
+    place: PointPlace
+    point_enu_m: np.ndarray
+    triangles: np.ndarray
+    is_building: np.ndarray
+    trees: SeenTrees | None
+
+
+def surroundings(scene: Scene, place: PointPlace) -> Surroundings:
+    """What casts at a place. Raises as reading a level's meshes and trees does."""
+    points, triangles, is_building = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, bool)
+    solids, placement = scene.objects.solids, scene.objects.placement
+    if solids is not None and placement is not None:
+        points, triangles = place.in_enu(solids.caster_vertices_earth_m), solids.caster_triangles
+        counts = [len(placed.body.triangles) for placed in placement.casting]
+        is_building = np.repeat(np.array(placement.casting_buildings, bool), counts)
+    return Surroundings(scene, place, points, triangles, is_building, _trees_round(scene, place))
+
+
+def horizon_round(around: Surroundings, azimuth_deg: np.ndarray | None = None) -> PointHorizon:
+    """The horizon of a place towards azimuths (n,); by default ``HORIZON_DIRECTIONS`` from north on."""
+    if azimuth_deg is None:
+        azimuth_deg = np.arange(HORIZON_DIRECTIONS) * (360.0 / HORIZON_DIRECTIONS)
+    ground = relief_horizon(around.scene, around.place, azimuth_deg)
+    solids, leaves = _highest_objects(around, directions_of(azimuth_deg))
+    return PointHorizon(
+        np.asarray(azimuth_deg, np.float64), _degrees(ground.tangent), _degrees(solids.tangent), _degrees(leaves.tangent)
+    )
+
+
+def sun_reaches(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+    """Whether rays towards suns at azimuths and altitudes (n,) meet nothing: bool (n,), False for suns that are not up."""
+    azimuth, altitude = (np.asarray(v, np.float64) for v in (azimuth_deg, altitude_deg))
+    lit = altitude > 0.0
+    up = np.flatnonzero(lit)
+    lit[up] = ~ground_hides(around.scene, around.place, azimuth[up], _tangent(altitude[up]))
+    left = np.flatnonzero(lit)
+    lit[left] = objects_leave_free(around, azimuth[left], altitude[left])
+    return lit
+
+
+def objects_leave_free(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+    """Whether rays towards azimuths and altitudes (n,) meet neither meshes nor leaves: bool (n,)."""
+    free = np.ones(len(azimuth_deg), bool)
+    for kind in ("meshes", "forest"):
+        left = np.flatnonzero(free)
+        (sighted,) = _in_the_way(around, azimuth_deg[left], _tangent(altitude_deg[left]), (kind,))
+        free[left] = sighted.number < 0
+    return free
+
+
+def what_hides(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> list[SunCaster | None]:
+    """What stands in the way of rays towards suns (n,): of the kinds of casters that do, the one that reaches highest there, at its
+    highest place in the sun's direction. ``None`` where nothing does, or the sun is not up.
+    """
+    azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
+    ground = relief_horizon(around.scene, around.place, azimuth)
+    highest = _highest_objects(around, directions_of(azimuth))
+    in_the_way = _in_the_way(around, azimuth, _tangent(altitude))
+    found: list[SunCaster | None] = []
+    for n, tangent in enumerate(_tangent(altitude)):
+        candidates: list[tuple[float, SunCaster]] = []
+        if altitude[n] > 0.0 and tangent <= ground.tangent[n]:
+            candidates.append((float(ground.tangent[n]), _ground_caster(around.place, ground, n)))
+        for top, near in zip(highest, in_the_way, strict=True):
+            if altitude[n] > 0.0 and near.number[n] >= 0:
+                which = top if top.number[n] >= 0 else near
+                kind: CasterType = "forest" if top is highest[1] else _solid_kind(around, int(which.number[n]))
+                candidates.append((float(which.tangent[n]), _object_caster(around.place, kind, azimuth[n], which, n)))
+        found.append(max(candidates, key=lambda each: each[0])[1] if candidates else None)
+    return found
+
+
+def _trees_round(scene: Scene, place: PointPlace) -> SeenTrees | None:
+    if scene.objects.trees is None:
+        return None
+    frame = scene.world.frame_near_earth(place.eye_earth_m)
+    instances = tree_instances_in_map(scene.objects, frame, WHOLE_TREES_M)
+    if instances is None:
+        return None
+    enu_from_frame = place.earth_from_enu.T @ frame.frame_from_earth.T
+    return seen_trees(instances, enu_from_frame, frame.points_from_earth(place.eye_earth_m))
+
+
+def _highest_objects(around: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
+    """The highest solids and leaves towards directions, in the order in which these were given."""
+    count = len(directions.azimuth)
+    solids, leaves = nothing_sighted(count), nothing_sighted(count)
+    highest_solids(around.point_enu_m, around.triangles, directions, solids)
+    if around.trees is not None:
+        highest_leaves(around.trees, directions, leaves)
+    return _as_given(solids, directions), _as_given(leaves, directions)
+
+
+def _in_the_way(
+    around: Surroundings, azimuth_deg: np.ndarray, tangent: np.ndarray, kinds: tuple[str, ...] = ("meshes", "forest")
+) -> list[Sighting]:
+    """The nearest of each of some kinds of objects in the way of rays, in the order in which these were given."""
+    directions = directions_of(azimuth_deg)
+    ordered, found = tangent[directions.given], []
+    for kind in kinds:
+        sighted = nothing_sighted(len(ordered))
+        if kind == "meshes":
+            nearest_solids(around.point_enu_m, around.triangles, directions, ordered, sighted)
+        elif around.trees is not None:
+            nearest_leaves(around.trees, directions, ordered, sighted)
+        found.append(_as_given(sighted, directions))
+    return found
+
+
+def _as_given(sighted: Sighting, directions: Directions) -> Sighting:
+    out = nothing_sighted(len(directions.given))
+    for there, ordered in zip(out, sighted, strict=True):
+        there[directions.given] = ordered
+    return out
+
+
+def _solid_kind(around: Surroundings, triangle: int) -> CasterType:
+    return "building" if around.is_building[triangle] else "mesh"
+
+
+def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaster:
+    azimuth, distance = float(ground.azimuth_deg[n]), float(ground.distance_m[n])
+    lon = lat = None
+    if place.lon_deg is not None:
+        lon, lat, _ = WGS84.fwd(place.lon_deg, place.lat_deg, azimuth, distance)
+    return SunCaster("relief", distance, azimuth, float(_degrees(ground.tangent[n])), float(ground.height_m[n]), lon, lat)
+
+
+def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sighted: Sighting, n: int) -> SunCaster:
+    azimuth, away = np.radians(azimuth_deg), float(sighted.distance[n])
+    enu = np.array([away * np.sin(azimuth), away * np.cos(azimuth), away * float(sighted.tangent[n])])
+    point = place.eye_earth_m + place.earth_from_enu @ enu
+    lon = lat = None
+    height = float(point[2])
+    if place.lon_deg is not None:
+        lon, lat, height = (float(v) for v in geodetic(point))
+    return SunCaster(kind, away, float(azimuth_deg), float(_degrees(sighted.tangent[n])), height, lon, lat)
+
+
+def _tangent(altitude_deg: np.ndarray) -> np.ndarray:
+    return np.tan(np.radians(np.minimum(altitude_deg, 90.0 - 1e-9)))
+
+
+def _degrees(tangent: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arctan(tangent))

@@ -1,0 +1,210 @@
+"""What trees hide of the sky round a point: their quads, as far as the picture on them is opaque.
+
+The vertical plane of a direction cuts a quad in a straight piece, and a ray of the direction meets that piece in one place, which
+is leaf or gap as the alpha test says. The horizon is the highest leaf: the piece is looked through from its upper end downwards, in
+steps of a fourth of a texel, or of ``STEP`` where that is seen smaller.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from shadows.point.directions import Directions, ends_towards
+from shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
+from terrain.compiled import compiled
+from terrain.gbuffer.tree_instances import TreeInstances, tree_corner
+from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
+
+STEP = 1e-4
+"""Steps of the tangent (0.006 degrees) in which far leaves are looked for."""
+
+
+class SeenTrees(NamedTuple):
+    """Trees that rise above the eye's level, as the loop takes them: see ``TreeInstances``. ``enu_from_frame`` (3, 3) and
+    ``eye_frame`` (3,) place the eye among them; ``low`` and ``high`` (n,) are azimuths that a tree lies between, and ``steepest``
+    (n,) is a tangent that it stays below.
+    """
+
+    base: np.ndarray
+    shape: np.ndarray
+    turn: np.ndarray
+    variant: np.ndarray
+    curvature: float
+    enu_from_frame: np.ndarray
+    eye_frame: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    steepest: np.ndarray
+    alpha: np.ndarray
+
+
+def seen_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m: np.ndarray) -> SeenTrees:
+    """Trees with the eye that sees them; those below its level hide no sun that is up."""
+    enu_from_frame = np.ascontiguousarray(enu_from_frame)
+    number, low, high, steepest = _rising(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
+    return SeenTrees(
+        instances.base_frame_m[number], instances.shape[number], instances.turn[number], instances.variant[number],
+        instances.curvature, enu_from_frame, eye_frame_m, low, high, steepest, foliage().levels[0][..., 3],
+    )  # fmt: skip
+
+
+@compiled
+def _rising(base, shape, turn, origin):
+    """The trees that rise above the eye's level: their numbers, and the azimuths and the tangent that bound them."""
+    number = np.empty(len(base), np.int64)
+    bounds = np.empty((3, len(base)))
+    count = 0
+    foot = np.empty(3)
+    for m in range(len(base)):
+        _moved(turn, origin, base[m, 0], base[m, 1], base[m, 2], foot)
+        top = foot[2] + shape[m, 2]
+        if top <= 0.0:
+            continue
+        half = max(shape[m, 0], 1.4143 * shape[m, 1]) + 0.01 * shape[m, 2]
+        away = np.hypot(foot[0], foot[1])
+        low, high, steepest = 0.0, 360.0, np.inf
+        if away > half:
+            spread = np.degrees(np.arcsin(half / away))
+            low = (azimuth_of(foot) - spread) % 360.0
+            high, steepest = low + 2.0 * spread, top / (away - half)
+        number[count], bounds[0, count], bounds[1, count], bounds[2, count] = m, low, high, steepest
+        count += 1
+    return number[:count], bounds[0, :count].copy(), bounds[1, :count].copy(), bounds[2, :count].copy()
+
+
+def highest_leaves(trees: SeenTrees, directions: Directions, found: Sighting) -> None:
+    """Put into ``found`` the leaves that stand higher towards directions."""
+    _sight_trees(trees, directions, found.tangent, True, found)
+
+
+def nearest_leaves(trees: SeenTrees, directions: Directions, tangent: np.ndarray, found: Sighting) -> None:
+    """Put into ``found`` the leaves in the way of rays towards directions, of ``tangent`` (n,) above the eye's level, that are
+    nearer than what is there.
+    """
+    _sight_trees(trees, directions, tangent, False, found)
+
+
+@compiled
+def _sight_trees(trees, directions, tangent, highest, found):
+    count = len(directions.azimuth)
+    if count == 0:
+        return
+    turn, origin = trees.enu_from_frame, trees.eye_frame
+    corner, quad = np.empty((4, 3)), np.empty((3, 3, 3))
+    for m in range(len(trees.base)):
+        begin, end = ends_towards(directions, trees.low[m], trees.high[m])
+        ready = False
+        for k in range(begin, end):
+            n = k % count
+            if trees.steepest[m] <= tangent[n]:  # of the highest leaves, ``tangent`` is that of the best so far
+                continue
+            if not ready:
+                for q in range(3):
+                    for e in range(4):
+                        x, y, z = tree_corner(trees.base[m], trees.shape[m], trees.turn[m], trees.curvature, q, e)
+                        _moved(turn, origin, x, y, z, corner[e])
+                    for d in range(3):
+                        quad[q, 0, d] = corner[0, d]
+                        quad[q, 1, d] = corner[1, d] - corner[0, d]
+                        quad[q, 2, d] = corner[3, d] - corner[0, d]
+                ready = True
+            for q in range(3):
+                layer = 2 * trees.variant[m] + (1 if q == 2 else 0)
+                _sight_quad(quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)
+
+
+@compiled
+def _moved(turn, origin, x, y, z, out):
+    """East, north and up of a frame point from the eye."""
+    x, y, z = x - origin[0], y - origin[1], z - origin[2]
+    for d in range(3):
+        out[d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
+
+
+@compiled
+def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
+    """Look at one quad (its first corner, the side to the right and the side up) towards one direction."""
+    first, right, up = quad[0], quad[1], quad[2]
+    beside = first[0] * cosine - first[1] * sine
+    by_right, by_up = right[0] * cosine - right[1] * sine, up[0] * cosine - up[1] * sine
+    met = 0
+    u0 = v0 = u1 = v1 = 0.0
+    for side in range(4):  # the line beside + u by_right + v by_up = 0 in the unit square
+        if side < 2:
+            u, v = float(side), 0.0
+            if by_up == 0.0:
+                continue
+            v = -(beside + u * by_right) / by_up
+        else:
+            u, v = 0.0, float(side - 2)
+            if by_right == 0.0:
+                continue
+            u = -(beside + v * by_up) / by_right
+        if not (-1e-9 <= u <= 1.0 + 1e-9 and -1e-9 <= v <= 1.0 + 1e-9):
+            continue
+        if met == 0:
+            u0, v0 = u, v
+            met = 1
+        elif abs(u - u0) + abs(v - v0) > abs(u1 - u0) + abs(v1 - v0) or met == 1:
+            u1, v1 = u, v
+            met = 2
+    if met < 2:
+        return
+    base = first[0] * sine + first[1] * cosine
+    by_u, by_v = right[0] * sine + right[1] * cosine, up[0] * sine + up[1] * cosine
+    s0, s1 = base + u0 * by_u + v0 * by_v, base + u1 * by_u + v1 * by_v
+    z0, z1 = first[2] + u0 * right[2] + v0 * up[2], first[2] + u1 * right[2] + v1 * up[2]
+    if s0 <= LEAST_AWAY_M and s1 <= LEAST_AWAY_M:
+        return
+    if highest:
+        _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m)
+        return
+    over, under = z0 - tangent * s0, z1 - tangent * s1
+    if (over > 0.0) == (under > 0.0):
+        return
+    share = over / (over - under)
+    s = s0 + share * (s1 - s0)
+    if LEAST_AWAY_M < s < found.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
+        found.tangent[n], found.distance[n], found.number[n] = tangent, s, m
+
+
+@compiled
+def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
+    """Look through a piece of a quad from its upper end to its lower one, or to what is not above the best so far."""
+    if s0 < LEAST_AWAY_M or s1 < LEAST_AWAY_M:  # up to the vertical through the eye
+        share = (LEAST_AWAY_M - s0) / (s1 - s0)
+        u, v, z = u0 + share * (u1 - u0), v0 + share * (v1 - v0), z0 + share * (z1 - z0)
+        if s0 < s1:
+            u0, v0, s0, z0 = u, v, LEAST_AWAY_M, z
+        else:
+            u1, v1, s1, z1 = u, v, LEAST_AWAY_M, z
+    if z0 * s1 < z1 * s0:
+        u0, v0, s0, z0, u1, v1, s1, z1 = u1, v1, s1, z1, u0, v0, s0, z0
+    if z0 <= found.tangent[n] * s0:
+        return
+    texels = 4.0 * max(abs(u1 - u0), abs(v1 - v0)) * TEXTURE_PX
+    steps = int(min(texels, abs(z0 / s0 - z1 / s1) / STEP)) + 1
+    for k in range(steps + 1):
+        share = k / steps
+        s, z = s0 + share * (s1 - s0), z0 + share * (z1 - z0)
+        if z <= found.tangent[n] * s:
+            return
+        if _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
+            found.tangent[n], found.distance[n], found.number[n] = z / s, s, m
+            return
+
+
+@compiled
+def _is_leaf(alpha, u, v):
+    """Whether a picture (h, w) is opaque at a place on a quad, as ``terrain.casters.rays.sample_alpha`` reads it."""
+    height, width = alpha.shape
+    x = min(max(u * width - 0.5, 0.0), width - 1.0)
+    y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
+    x0, y0 = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
+    fx, fy = x - x0, y - y0
+    top = alpha[y0, x0] * (1.0 - fx) + alpha[y0, x1] * fx
+    bottom = alpha[y1, x0] * (1.0 - fx) + alpha[y1, x1] * fx
+    return top * (1.0 - fy) + bottom * fy >= 255.0 * THRESHOLD

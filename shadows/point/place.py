@@ -1,0 +1,112 @@
+"""A place on a level's ground, and the eye above it that looks at the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import ProjError
+
+from shadows.point.relief_pages import PagedRelief, paged_relief
+from terrain.errors import InputError
+from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from terrain.scene import Scene
+
+HIGHEST_EYE_M = 10_000.0
+"""Most metres of an eye above the ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointPlace:
+    """An eye over a level's ground.
+
+    Attributes
+    ----------
+    x, y
+        Where it is, in the CRS of the ground's grid.
+    lon_deg, lat_deg
+        The same in degrees; ``None`` in a flat world.
+    row, col
+        (Fractional) node of the ground's grid.
+    ground_m, height_m
+        Height of the ground there, metres, and of the eye above it.
+    eye_earth_m
+        float64 (3,), the eye, earth-fixed.
+    earth_from_enu
+        Rotation (3, 3) from east, north, up there to earth-fixed axes.
+    """
+
+    x: float
+    y: float
+    lon_deg: float | None
+    lat_deg: float | None
+    row: float
+    col: float
+    ground_m: float
+    height_m: float
+    eye_earth_m: np.ndarray
+    earth_from_enu: np.ndarray
+
+    @property
+    def eye_m(self) -> float:
+        """Height of the eye, metres."""
+        return self.ground_m + self.height_m
+
+    def in_enu(self, point_earth_m: np.ndarray) -> np.ndarray:
+        """Earth-fixed points (n, 3) as metres east, north and up from the eye."""
+        return (point_earth_m - self.eye_earth_m) @ self.earth_from_enu
+
+
+def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
+    """The place of coordinates: longitude and latitude (east and north metres from the middle of a flat world), or x and y of a
+    CRS.
+
+    Its ground is that which casts: the triangles, or the tops of columns, of ``terrain.ground``. Raises ``InputError`` for
+    coordinates that are off the level's data or for a height below 0 or above ``HIGHEST_EYE_M``.
+    """
+    if not 0.0 <= height_m <= HIGHEST_EYE_M:
+        raise InputError("height", height_m, f"0 to {HIGHEST_EYE_M:.0f} metres above the ground")
+    ground = paged_relief(scene)
+    x, y = _on_grid(scene, ground, at, crs)
+    on_data = np.isfinite(x + y) and bool(scene.elevation.covers(*_in_raster(scene, ground, x, y)))
+    surface_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y))) if on_data else np.nan
+    if not np.isfinite(surface_m):
+        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", f"a place on the level's data{_extent(scene)}")
+    row, col = (float(v) for v in ground.node_of(x, y))
+    ground_m = ground.height_at(row, col)
+    if not np.isfinite(ground_m):  # the outermost half cell, round which there are no quads
+        ground_m = surface_m
+    foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
+    lon = lat = None
+    if not scene.world.flat:
+        lon, lat = (float(v) for v in scene.world.lon_lat(ground.grid.crs, np.float64(x), np.float64(y)))
+        lon = (lon + 180.0) % 360.0 - 180.0
+    axes = scene.world.earth_from_enu(foot, up, lon or 0.0)
+    return PointPlace(float(x), float(y), lon, lat, row, col, ground_m, height_m, foot + (ground_m + height_m) * up, axes)
+
+
+def _on_grid(scene: Scene, ground: PagedRelief, at: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
+    """Coordinates in the CRS of the ground's grid."""
+    if scene.world.flat and crs is None:
+        return scene.place.xy(at)
+    if crs == ground.grid.crs:
+        return at
+    try:
+        x, y = transformer(crs or LONGITUDE_LATITUDE, ground.grid.crs).transform(*at)
+    except ProjError:
+        return np.nan, np.nan
+    return float(x), float(y)
+
+
+def _in_raster(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[float, float]:
+    if ground.grid.crs == scene.elevation.crs:
+        return x, y
+    return transformer(ground.grid.crs, scene.elevation.crs).transform(x, y)
+
+
+def _extent(scene: Scene) -> str:
+    if scene.world.flat or scene.bounds_lon_lat is None:
+        return ""
+    west, south, east, north = scene.bounds_lon_lat
+    return f": longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"

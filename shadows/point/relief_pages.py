@@ -1,0 +1,239 @@
+"""The ground round a point, in pages that are read when a line of sight has to know them.
+
+A page is 256 quads a side of the raster's own nodes (or, of ``surface: blocks``, cells), or of every second, fourth ... one where
+the ground is far away: the detail by distance is that of ``terrain.casters.reach``. Of every page an upper bound of its ground is
+known from the raster's overview without reading it, and of a page that was read the highest ground of each 16 quads a side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS
+
+from terrain.cache import MIB, cached
+from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, overview_on_grid
+from terrain.compiled import compiled
+from terrain.geo.grid import Grid, map_grid
+from terrain.geo.world import World, transformer
+from terrain.ground.columns import Columns
+from terrain.ground.elevation import FILL_CELLS, Elevation
+from terrain.ground.surface import Surface, step_at_anchor_m
+from terrain.scene import Scene
+
+TILE_QUADS = 16
+"""Quads a side of the smallest pieces of a page whose highest ground is known."""
+
+PAGE_TILES = PATCH_QUADS // TILE_QUADS
+
+MAX_PAGES = 1024
+"""Pages of a ground that are kept, 0.26 MB each: where a point needs more, the others are forgotten when the next one asks."""
+
+
+@dataclass(eq=False)
+class PagedLevel:
+    """The ground at one detail: every 2**``level``-th node of a grid.
+
+    Attributes
+    ----------
+    bound_m
+        float32 (m, n): no ground of a page lies higher; -inf where there is none.
+    first_row, first_col
+        The page of ``bound_m[0, 0]``, counted from the grid's origin.
+    number
+        int32 (m, n): a page's number in ``height_m`` and ``high_m``; -1 where it was not read.
+    height_m, high_m
+        float32 (pages, 257, 257), NaN where there is no ground, and the highest of each ``TILE_QUADS`` (pages, 16, 16).
+    pages
+        How many were read.
+    """
+
+    level: int
+    bound_m: np.ndarray
+    first_row: int
+    first_col: int
+    number: np.ndarray
+    height_m: np.ndarray
+    high_m: np.ndarray
+    pages: int = 0
+
+    def put(self, row: int, col: int, height_m: np.ndarray) -> None:
+        """Keep the ground of a page."""
+        if self.pages == len(self.height_m):
+            room = max(2 * self.pages, 16)
+            self.height_m, self.high_m = _grown(self.height_m, room), _grown(self.high_m, room)
+        self.height_m[self.pages] = height_m
+        self.high_m[self.pages] = _highest(height_m)
+        self.number[row, col] = self.pages
+        self.pages += 1
+
+
+@dataclass(eq=False)
+class KeptPages:
+    """What is kept of a ground: its grid and the pages read so far, by detail."""
+
+    grid: Grid
+    levels: dict[int, PagedLevel]
+
+
+@dataclass(frozen=True, eq=False)
+class PagedRelief:
+    """A level's ground by detail. ``grid`` is of its nodes, of the finest detail."""
+
+    world: World
+    elevation: Elevation
+    grid: Grid
+    levels: dict[int, PagedLevel]
+
+    @property
+    def blocks(self) -> bool:
+        """Whether cells are columns with flat tops, and not nodes with triangles between them."""
+        return self.elevation.surface == "blocks"
+
+    @property
+    def cell_m(self) -> float:
+        """Distance of neighbouring nodes, metres."""
+        return step_at_anchor_m(self.world, self.grid)
+
+    def level(self, level: int) -> PagedLevel:
+        """The ground at one detail."""
+        if level not in self.levels:
+            bound, first_row, first_col = _bounds(self, level)
+            side, empty = PATCH_QUADS + 1, np.full(bound.shape, -1, np.int32)
+            pages = np.empty((0, side, side), np.float32), np.empty((0, PAGE_TILES, PAGE_TILES), np.float32)
+            self.levels[level] = PagedLevel(level, bound, first_row, first_col, empty, *pages)
+        return self.levels[level]
+
+    def read(self, level: int, wanted: np.ndarray) -> None:
+        """Read those pages of a detail that are ``wanted``, bool (m, n)."""
+        pages, side = self.level(level), PATCH_QUADS + 1
+        for row, col in zip(*np.nonzero(wanted & (pages.number < 0)), strict=True):
+            first = (row + pages.first_row) * PATCH_QUADS, (col + pages.first_col) * PATCH_QUADS
+            pages.put(row, col, self.nodes(level, *first, side, side))
+
+    def nodes(self, level: int, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
+        """Heights (rows, cols) of nodes, or of the columns of cells, of a detail."""
+        if self.blocks:
+            return Columns(self.world, self.elevation, level).heights(row0, col0, rows, cols)[0]
+        surface = Surface(self.world, self.elevation, self.grid.coarser(level))
+        return surface.height_window(row0, col0, rows, cols).height_m
+
+    def node_of(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """(Fractional) rows and columns of coordinates in the grid's CRS; of longitudes those nearest to the raster's middle."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        if self.grid.crs.is_geographic:
+            west, _, east, _ = self.elevation.bounds
+            x = x + 360.0 * np.rint(((west + east) / 2 - x) / 360.0)
+        return self.grid.row(y), self.grid.col(x)
+
+    def height_at(self, row: float, col: float) -> float:
+        """Height of the ground at a (fractional) node, metres; NaN where there is none."""
+        if self.blocks:
+            return float(self.nodes(0, int(np.floor(row + 0.5)), int(np.floor(col + 0.5)), 1, 1)[0, 0])
+        row0, col0 = int(np.floor(row)), int(np.floor(col))
+        fr, fc = row - row0, col - col0
+        nw, ne, sw, se = (float(v) for v in self.nodes(0, row0, col0, 2, 2).ravel())
+        if fr == 0.0 or fc == 0.0:  # on a line between two nodes: others may be missing
+            end, share = (sw, fr) if fc == 0.0 else (ne, fc)
+            return nw + share * (end - nw) if share else nw
+        return float(quad_height(nw, ne, sw, se, fr, fc))
+
+
+def paged_relief(scene: Scene) -> PagedRelief:
+    """The ground of a level in pages; the same under every sun. Pages of earlier points are forgotten where they are too many."""
+    kept = _kept_pages(scene.world, scene.elevation, scene.map_crs)
+    if sum(pages.pages for pages in kept.levels.values()) > MAX_PAGES:
+        kept.levels.clear()
+    return PagedRelief(scene.world, scene.elevation, kept.grid, kept.levels)
+
+
+@cached("scene", 1024 * MIB, size_of=lambda _: MAX_PAGES * MIB // 4)
+def _kept_pages(world: World, elevation: Elevation, map_crs: CRS) -> KeptPages:
+    """The pages of a ground: they are read, and so grow, as points need them."""
+    if elevation.upright:
+        return KeptPages(Columns(world, elevation, 0).grid, {})
+    west, south, east, north = elevation.bounds
+    if elevation.crs != map_crs:
+        west, south, east, north = transformer(elevation.crs, map_crs).transform_bounds(west, south, east, north, densify_pts=21)
+    probe = map_grid(world, map_crs, max(east - west, north - south) / 64)
+    cell_m = elevation.cell_size_m(world.metres_per_unit)
+    return KeptPages(map_grid(world, map_crs, 1.01 * probe.step * cell_m / step_at_anchor_m(world, probe)), {})
+
+
+def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
+    """By detail: from where to where it is looked at, in nodes of the finest one, up to a distance."""
+    ends, near, far = [], 0.0, float(FULL_DETAIL_NODES)
+    while near < farthest_nodes:
+        ends.append((near, far))
+        near, far = far, 2.0 * far
+    return ends
+
+
+def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
+    """Upper bounds float32 (m, n) of the heights of a detail's pages, and the first page's row and column."""
+    row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
+    high = ground.elevation.overview.high_m
+    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # ground fills them from their rims
+    known = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
+    row, col, half, high = row[known], col[known], half[known] + holes + 2**level, high[known]
+    side = PATCH_QUADS * 2**level
+    spans = [(np.floor((v - half) / side).astype(np.int64), np.floor((v + half) / side).astype(np.int64)) for v in (row, col)]
+    (top, bottom), (left, right) = spans
+    first_row, first_col = int(top.min()), int(left.min())
+    turn = _columns_of_a_turn(ground) / side
+    bound = np.full((int(bottom.max()) - first_row + 1, int(right.max()) - first_col + 1), -np.inf, np.float32)
+    for down in range(int((bottom - top).max()) + 1):
+        for aside in range(int((right - left).max()) + 1):
+            np.maximum.at(bound, (np.minimum(top + down, bottom) - first_row, np.minimum(left + aside, right) - first_col), high)
+    if not turn:
+        return bound, first_row, first_col
+    reach = int(np.ceil(turn)) + 1  # round the earth: a turn more to either side, with the highest of all
+    wide = np.full((bound.shape[0], bound.shape[1] + 2 * reach), high.max(), np.float32)
+    wide[:, reach:-reach] = np.where(np.isfinite(bound), bound, high.max())
+    return wide, first_row, first_col - reach
+
+
+def _columns_of_a_turn(ground: PagedRelief) -> float:
+    """Nodes after which a ground that goes all round the earth meets itself; 0 where it does not."""
+    west, _, east, _ = ground.elevation.bounds
+    if not ground.grid.crs.is_geographic or east - west < 360.0 - 1.5 * ground.grid.step:
+        return 0.0
+    return 360.0 / ground.grid.step
+
+
+def _grown(array: np.ndarray, room: int) -> np.ndarray:
+    """The array with more room for pages."""
+    grown = np.empty((room, *array.shape[1:]), array.dtype)
+    grown[: len(array)] = array
+    return grown
+
+
+@compiled
+def _highest(height):
+    """The highest (16, 16) of a page's nodes (257, 257) by tile, their borders included; -inf where there is none."""
+    out = np.full((PAGE_TILES, PAGE_TILES), -np.inf, np.float32)
+    for i in range(height.shape[0]):
+        for j in range(height.shape[1]):
+            h = height[i, j]
+            if np.isnan(h):
+                continue
+            for r in range(max((i - 1) // TILE_QUADS, 0), min(i // TILE_QUADS, PAGE_TILES - 1) + 1):
+                for c in range(max((j - 1) // TILE_QUADS, 0), min(j // TILE_QUADS, PAGE_TILES - 1) + 1):
+                    out[r, c] = max(out[r, c], h)
+    return out
+
+
+@compiled
+def quad_height(nw, ne, sw, se, fr, fc):
+    """Height at a share of the way south and east of a quad, cut along its higher diagonal (``terrain.ground.sheet``); NaN beside
+    its triangles.
+    """
+    rising = ne + sw
+    if nw + se > rising or np.isnan(rising):
+        if fr < fc:
+            return nw + fc * (ne - nw) + fr * (se - ne)
+        return nw + fr * (sw - nw) + fc * (se - sw)
+    if fr + fc <= 1.0:
+        return nw + fc * (ne - nw) + fr * (sw - nw)
+    return se + (1.0 - fc) * (sw - se) + (1.0 - fr) * (ne - se)

@@ -1,0 +1,131 @@
+"""What triangles, as those of buildings and models, hide of the sky round a point.
+
+The vertical plane of a direction cuts a triangle in a straight piece, whose ends lie on the triangle's edges. Seen from the point
+its angle is highest at one of its ends; and a ray of the direction meets the triangle if it passes between them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from shadows.point.directions import Directions, ends_towards
+from terrain.compiled import compiled
+
+LEAST_AWAY_M = 1e-6
+"""What is nearer than this to the vertical through the point is as far away."""
+
+
+class Sighting(NamedTuple):
+    """What is met towards directions (n,): its tangent above the eye's level, its distance in metres (inf: nothing) and its number
+    (-1: nothing).
+    """
+
+    tangent: np.ndarray
+    distance: np.ndarray
+    number: np.ndarray
+
+
+def nothing_sighted(count: int, tangent: float = -np.inf) -> Sighting:
+    """No sighting towards so many directions."""
+    return Sighting(np.full(count, tangent), np.full(count, np.inf), np.full(count, -1, np.int64))
+
+
+def highest_solids(point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, found: Sighting) -> None:
+    """Put into ``found`` what of triangles (m, 3) of points (k, 3), metres east, north and up from the eye, stands higher."""
+    _sight_triangles(point_enu_m, triangles, directions, found.tangent, True, found)
+
+
+def nearest_solids(
+    point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, tangent: np.ndarray, found: Sighting
+) -> None:
+    """Put into ``found`` what of triangles stands in the way of rays towards directions, of ``tangent`` (n,) above the eye's level,
+    nearer than what is there.
+    """
+    _sight_triangles(point_enu_m, triangles, directions, tangent, False, found)
+
+
+@compiled
+def _sight_triangles(point, triangles, directions, tangent, highest, found):
+    count = len(directions.azimuth)
+    if count == 0:
+        return
+    azimuth = np.empty(3)
+    for m in range(len(triangles)):
+        a, b, c = point[triangles[m, 0]], point[triangles[m, 1]], point[triangles[m, 2]]
+        if _inside(a, b, c):
+            low, high = 0.0, 360.0
+        else:
+            azimuth[0], azimuth[1], azimuth[2] = azimuth_of(a), azimuth_of(b), azimuth_of(c)
+            low, high = azimuth[0], azimuth[0]
+            for k in range(1, 3):
+                there = azimuth[0] + (azimuth[k] - azimuth[0] + 540.0) % 360.0 - 180.0
+                low, high = min(low, there), max(high, there)
+            turn = 360.0 if low < 0.0 else 0.0
+            low, high = low + turn, high + turn
+            if low >= 360.0:
+                low, high = low - 360.0, high - 360.0
+        begin, end = ends_towards(directions, low, high)
+        for k in range(begin, end):
+            n = k % count
+            _sight(a, b, c, directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)
+
+
+@compiled
+def azimuth_of(p):
+    """Azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
+    angle = np.degrees(np.arctan2(p[0], p[1])) % 360.0
+    return angle if angle < 360.0 else 0.0
+
+
+@compiled
+def _inside(a, b, c):
+    """Whether the vertical through the eye meets a triangle, or nearly so."""
+    ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
+    return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
+
+
+@compiled
+def _sight(a, b, c, sine, cosine, tangent, highest, found, n, m):
+    """Look at one triangle towards one direction."""
+    met = 0
+    s0 = z0 = s1 = z1 = 0.0
+    for k in range(3):
+        p, q = (a, b) if k == 0 else (b, c) if k == 1 else (c, a)
+        beside, other = p[0] * cosine - p[1] * sine, q[0] * cosine - q[1] * sine
+        if (beside < 0.0) == (other < 0.0):
+            continue
+        share = beside / (beside - other)
+        along, after = p[0] * sine + p[1] * cosine, q[0] * sine + q[1] * cosine
+        s, z = along + share * (after - along), p[2] + share * (q[2] - p[2])
+        if met == 0:
+            s0, z0 = s, z
+        else:
+            s1, z1 = s, z
+        met += 1
+    if met == 2:
+        sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m)
+
+
+@compiled
+def sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m):
+    """Look at a straight piece of the plane of a direction, from one distance and height above the eye to another."""
+    if s0 > s1:
+        s0, z0, s1, z1 = s1, z1, s0, z0
+    if s1 <= LEAST_AWAY_M:
+        return
+    if s0 < LEAST_AWAY_M:
+        z0 = z0 + (LEAST_AWAY_M - s0) / (s1 - s0) * (z1 - z0)
+        s0 = LEAST_AWAY_M
+    if highest:
+        for s, z in ((s0, z0), (s1, z1)):
+            if z > found.tangent[n] * s:
+                found.tangent[n], found.distance[n], found.number[n] = z / s, s, m
+    else:
+        over, under = z0 - tangent * s0, z1 - tangent * s1
+        if (over > 0.0) == (under > 0.0) and over != 0.0 and under != 0.0:
+            return
+        s = s0 + (over / (over - under) if over != under else 0.0) * (s1 - s0)
+        if s < found.distance[n]:
+            found.tangent[n], found.distance[n], found.number[n] = tangent, s, m

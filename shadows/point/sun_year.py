@@ -1,0 +1,53 @@
+"""Hours of sun of each day of a year at a point.
+
+The sun is looked at every ``YEAR_STEP_S``, and each look counts for as long. So an end of sun is up to half a step off; over a day
+such errors of the two ends mostly cancel out. Ground is that of the horizon every ``FINE_HORIZON_DEG``, linear between; buildings
+and trees are met by rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, date, timedelta, tzinfo
+
+import numpy as np
+
+from shadows.point.clock import day_ends
+from shadows.point.horizon import Surroundings, objects_leave_free
+from shadows.point.horizon_walk import relief_horizon
+from shadows.point.sun_angles import sun_angles_at
+
+YEAR_STEP_S = 300.0
+FINE_HORIZON_DEG = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class SunYear:
+    """Hours (n,) of each day of a year for which the sun is up, and shines on the point."""
+
+    days: tuple[date, ...]
+    daylight_h: np.ndarray
+    direct_h: np.ndarray
+
+
+def sun_year(around: Surroundings, year: int, clock: tzinfo) -> SunYear:
+    """The hours of sun of every day of a year. Raises as ``sun_day``."""
+    days = tuple(date(year, 1, 1) + timedelta(days=n) for n in range((date(year + 1, 1, 1) - date(year, 1, 1)).days))
+    midnight = np.array([day_ends(day, clock)[0].astimezone(UTC).timestamp() for day in days])
+    end = day_ends(days[-1], clock)[1].astimezone(UTC).timestamp()
+    when = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
+    azimuth, altitude = sun_angles_at(around.scene, around.place, when)
+    up = altitude > 0.0
+    lit = up & (altitude > _interpolated_relief_deg(around, azimuth))
+    above = np.flatnonzero(lit)
+    lit[above] = objects_leave_free(around, azimuth[above], altitude[above])
+    which = np.searchsorted(midnight, when, side="right") - 1
+    hours = [np.bincount(which, weights=each * (YEAR_STEP_S / 3600.0), minlength=len(days)) for each in (up, lit)]
+    return SunYear(days, *hours)
+
+
+def _interpolated_relief_deg(around: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
+    """The horizon by ground (n,) towards azimuths."""
+    grid = np.arange(0.0, 360.0 + FINE_HORIZON_DEG / 2, FINE_HORIZON_DEG)
+    tangent = relief_horizon(around.scene, around.place, grid).tangent
+    return np.interp(azimuth_deg, grid, np.degrees(np.arctan(tangent)))

@@ -1,0 +1,180 @@
+"""Horizons by ground with closed forms: walls, cones, rings; the earth's curvature; true north; pages and details."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pyproj import CRS, Proj
+
+from shadows.point import relief_pages
+from shadows.point.horizon_walk import NO_GROUND, ground_hides, relief_horizon
+from shadows.point.place import place_at
+from terrain.errors import InputError
+from terrain.geo.world import WGS84
+from tests.shadows.point.ground import at_middle, flat_world, round_the_middle
+
+AZIMUTHS = np.arange(720) * 0.5
+
+
+def elevation_deg(scene, place, azimuth_deg=AZIMUTHS) -> np.ndarray:
+    return np.degrees(np.arctan(relief_horizon(scene, place, azimuth_deg).tangent))
+
+
+def test_a_wall(tmp_path, make_scene):
+    east, _ = round_the_middle(81)
+    scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0))
+    place = at_middle(scene).place
+    facing = np.arange(-60.0, 61.0, 0.5)
+    expected = np.degrees(np.arctan(50.0 * np.cos(np.radians(facing)) / 200.0))
+    assert elevation_deg(scene, place, 90.0 + facing) == pytest.approx(expected, abs=1e-6)
+    found = relief_horizon(scene, place, 90.0 + facing)
+    assert found.distance_m == pytest.approx(200.0 / np.cos(np.radians(facing)), abs=1e-3)
+    assert found.height_m == pytest.approx(50.0)
+    assert elevation_deg(scene, place, np.arange(180.0, 361.0)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_horizon_sinks_with_the_eye(tmp_path, make_scene):
+    east, _ = round_the_middle(81)
+    scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0))
+    assert elevation_deg(scene, at_middle(scene, 20.0).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(30 / 200)))
+    assert elevation_deg(scene, at_middle(scene, 60.0).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(-10 / 200)))
+
+
+def test_a_ring_round_the_point(tmp_path, make_scene):
+    away = np.hypot(*round_the_middle(201))
+    scene = flat_world(tmp_path, make_scene, 100.0 * np.clip((away - 600.0) / 100.0, 0.0, 1.0))
+    assert elevation_deg(scene, at_middle(scene).place) == pytest.approx(np.degrees(np.arctan(100 / 700)), abs=0.1)
+
+
+def test_a_cone_beside_the_point(tmp_path, make_scene):
+    """The tangent to a cone from below its top: its apex, seen over its slope."""
+    east, north = round_the_middle(161)
+    scene = flat_world(tmp_path, make_scene, np.maximum(100.0 - 0.5 * np.hypot(east, north - 400.0), 0.0))
+    place = at_middle(scene).place
+    top = elevation_deg(scene, place, np.array([0.0, 180.0]))
+    assert top == pytest.approx([np.degrees(np.arctan(100 / 400)), 0.0], abs=1e-9)
+    aside = np.degrees(np.arcsin(200.0 / 400.0))
+    assert (elevation_deg(scene, place, np.array([aside + 2.0, 360.0 - aside - 2.0])) < 1e-9).all()
+    assert (elevation_deg(scene, place, np.array([aside - 3.0, 360.0 - aside + 3.0])) > 0.1).all()
+
+
+def test_on_a_slope_the_slope_is_the_horizon(tmp_path, make_scene):
+    east, north = round_the_middle(41)
+    scene = flat_world(tmp_path, make_scene, 0.3 * east + 0.1 * north)
+    azimuth = np.radians(AZIMUTHS)
+    expected = np.degrees(np.arctan(0.3 * np.sin(azimuth) + 0.1 * np.cos(azimuth)))
+    place = place_at(scene, (13.0, -4.0))
+    assert place.ground_m == pytest.approx(0.3 * 13 - 0.1 * 4, abs=1e-5)
+    assert elevation_deg(scene, place) == pytest.approx(expected, abs=1e-4)
+
+
+def test_columns_have_upright_walls(tmp_path, make_scene):
+    east, _ = round_the_middle(81)
+    scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0), terrain={"surface": "blocks"})
+    assert elevation_deg(scene, at_middle(scene).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(50 / 195)))
+
+
+def test_a_hundred_kilometres_of_plain_bend_away(write_raster, make_scene):
+    """A wall of 1000 m, 90 km away: the earth hides R (1 / cos(d / R) - 1) of it, less what its lean away takes."""
+    heights = np.zeros((5, 500), np.float32)
+    heights[:, -50:] = 1000.0
+    scene = make_scene(write_raster(heights, "EPSG:32633", 400_000.0, 5_000_000.0, 200.0))
+    x, y = 401_000.0, 5_000_000.0 - 500.0
+    place = place_at(scene, (x, y), CRS.from_epsg(32633))
+    foot = (400_000.0 + 450.5 * 200.0, y)
+    lon, lat = Proj("EPSG:32633")(*foot, inverse=True)
+    azimuth, _, distance = WGS84.inv(place.lon_deg, place.lat_deg, lon, lat)
+    radius = 6_389_000.0  # of the ellipsoid towards the east, at 45 degrees north
+    rise = (radius + 1000.0) * np.cos(distance / radius) - radius
+    expected = np.degrees(np.arctan(rise / ((radius + 1000.0) * np.sin(distance / radius))))
+    found = elevation_deg(scene, place, np.array([azimuth]))[0]
+    assert found == pytest.approx(expected, abs=2e-4)
+    assert found < np.degrees(np.arctan(1000.0 / distance)) - 0.35
+
+
+def test_north_is_true_north(write_raster, make_scene):
+    """At the rim of a wide zone grid north lies 4 degrees off: a peak is seen where the geodesic says."""
+    heights = np.zeros((201, 201), np.float32)
+    heights[20, 100] = 3000.0
+    x0, y0, crs = 90_000.0, 7_000_000.0, CRS.from_epsg(32633)
+    scene = make_scene(write_raster(heights, "EPSG:32633", x0, y0, 100.0))
+    here, there = ((x0 + 100.5 * 100.0, y0 - (row + 0.5) * 100.0) for row in (100, 20))
+    place = place_at(scene, here, crs)
+    lon, lat = Proj("EPSG:32633")(*there, inverse=True)
+    azimuth, _, distance = WGS84.inv(place.lon_deg, place.lat_deg, lon, lat)
+    assert abs((azimuth + 180) % 360 - 180) > 5.0
+    near = azimuth + np.arange(-100, 101) * 0.01
+    found = relief_horizon(scene, place, near)
+    best = int(np.argmax(found.tangent))
+    assert near[best] == pytest.approx(azimuth, abs=0.01)
+    assert found.distance_m[best] == pytest.approx(distance, abs=2.0)
+
+
+def test_what_is_skipped_is_lower(tmp_path, make_scene, rng_heights):
+    """Every node of a rough ground, looked at one by one, is no higher than the horizon in its direction."""
+    scene = flat_world(tmp_path, make_scene, rng_heights)
+    place = at_middle(scene, 3.0).place
+    east, north = round_the_middle(len(rng_heights))
+    away = np.hypot(east, north)
+    seen = away > 0
+    azimuth = np.degrees(np.arctan2(east[seen], north[seen])) % 360.0
+    rise = (rng_heights[seen].astype(float) - place.eye_m) / away[seen]
+    found = relief_horizon(scene, place, azimuth)
+    assert (found.tangent >= rise - 1e-9).all()
+    assert (np.abs(found.tangent - rise) < 1e-9).sum() > 20  # and some of them make it
+    above = found.tangent + 1e-9
+    assert not ground_hides(scene, place, azimuth, above).any()
+    assert ground_hides(scene, place, azimuth, found.tangent - 1e-9).all()
+
+
+@pytest.fixture
+def rng_heights() -> np.ndarray:
+    rng = np.random.default_rng(5)
+    fine = rng.random((321, 321)) * 5.0
+    coarse = np.kron(rng.random((21, 21)) * 60.0, np.ones((16, 16)))[:321, :321]
+    return (fine + coarse).astype(np.float32)
+
+
+def test_far_ground_is_read_at_less_detail(tmp_path, make_scene, rng_heights, monkeypatch):
+    scene = flat_world(tmp_path, make_scene, rng_heights)
+    place = at_middle(scene, 55.0).place
+    whole = elevation_deg(scene, place)
+    monkeypatch.setattr(relief_pages, "FULL_DETAIL_NODES", 64)
+    coarse = elevation_deg(scene, place)
+    assert 0.0 < np.abs(coarse - whole).max() < 2.0
+    assert {0, 1, 2} <= set(relief_pages.paged_relief(scene).levels)
+
+
+def test_no_ground_has_no_horizon_and_holes_hide_nothing(tmp_path, make_scene):
+    heights = np.full((9, 9), np.nan)
+    heights[3:6, 3:6] = 7.0
+    scene = flat_world(tmp_path, make_scene, heights)
+    found = relief_horizon(scene, place_at(scene, (0.0, 0.0)), np.array([0.0]))
+    assert found.tangent[0] <= 1e-6
+    with pytest.raises(InputError, match="point: '1000,0' is not allowed; allowed: a place on the level's data"):
+        place_at(scene, (1000.0, 0.0))
+    with pytest.raises(InputError, match="point"):
+        place_at(scene, (35.0, 0.0))  # on the raster, in a hole
+    with pytest.raises(InputError, match="height: '-1.0' is not allowed"):
+        place_at(scene, (0.0, 0.0), height_m=-1.0)
+
+
+def test_at_the_rim_nothing_lies_outwards(tmp_path, make_scene):
+    scene = flat_world(tmp_path, make_scene, np.zeros((9, 9)))
+    place = place_at(scene, (-40.0, 0.0))
+    found = relief_horizon(scene, place, np.array([270.0, 90.0]))
+    assert found.tangent[0] == NO_GROUND and found.tangent[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):
+    """In degrees, a grid's columns run on at 180 degrees, and crowd at a pole: a ridge is seen where it is."""
+    heights = np.zeros((101, 101), np.float32)
+    heights[:, 60] = 500.0
+    scene = make_scene(write_raster(heights, "EPSG:4326", 179.5, 60.5, 0.01))
+    place = place_at(scene, (-180.0 + 0.005, 60.0 - 0.005))
+    _, _, distance = WGS84.inv(place.lon_deg, place.lat_deg, place.lon_deg + 0.1, place.lat_deg)
+    east = relief_horizon(scene, place, np.array([90.0]))
+    assert east.distance_m[0] == pytest.approx(distance, rel=1e-3) and east.tangent[0] > 0.08
+    cap = make_scene(write_raster(np.full((20, 360), 100.0, np.float32), "EPSG:4326", -180.0, 90.0, (1.0, 0.1), name="cap.tif"))
+    flat = relief_horizon(cap, place_at(cap, (10.0, 89.9)), AZIMUTHS[::16])
+    assert np.degrees(np.arctan(flat.tangent)) == pytest.approx(0.0, abs=0.3)

@@ -1,0 +1,143 @@
+"""Houses and trees round a point: angles with closed forms, who stands in the way, and the engine's own truth."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from shadows.point.horizon import horizon_round, sun_reaches, surroundings, what_hides
+from shadows.point.place import place_at
+from shadows.truth.truth import truth_of
+from terrain.casters.rays import RayScene, trees_as_mesh
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import RELIEF
+from terrain.gbuffer.tree_instances import tree_instances_in_map
+from terrain.geo.sun import direction_enu, position_at
+from terrain.level.parts import SunSpec
+from tests.rasters import ENGINEERING, write_geotiff
+
+
+def written(path, kind, coordinates, **properties):
+    feature = {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8")
+
+
+@pytest.fixture
+def village(tmp_path, make_scene):
+    """``village(heights, ...)``: ground with a house 12 m high, 20 to 30 m east of the middle, and a tree 30 m south of it."""
+
+    def make(heights=None, azimuth=90.0, altitude=20.0, tree_m=10.0):
+        side = 64
+        heights = np.zeros((side, side), np.float32) if heights is None else heights
+        x, y = 500_000.0, 5_300_000.0
+        write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32633", x, y, 4.0)
+        middle = x + side * 2.0, y - side * 2.0
+        from pyproj import Transformer
+
+        degrees = Transformer.from_crs("EPSG:32633", "OGC:CRS84", always_xy=True)
+
+        def place(east, north):
+            return list(degrees.transform(middle[0] + east, middle[1] + north))
+
+        ring = [place(*corner) for corner in ((20, -10), (30, -10), (30, 10), (20, 10), (20, -10))]
+        written(tmp_path / "house.geojson", "Polygon", [ring], height_m=12.0)
+        written(tmp_path / "tree.geojson", "Point", place(0.0, -30.0), height=tree_m)
+        scene = make_scene(
+            tmp_path / "dem.tif", azimuth, altitude, meshes=[{"source": "house.geojson", "height": "height_m"}],
+            forest=[{"source": "tree.geojson", "height": "height", "species": "conifer"}],
+        )  # fmt: skip
+        return scene, tuple(place(0.0, 0.0))
+
+    return make
+
+
+def test_a_house_stands_as_high_as_its_eaves(village):
+    scene, middle = village()
+    around = surroundings(scene, place_at(scene, middle))
+    facing = np.arange(-20.0, 21.0)
+    east = 90.0 + facing - 0.0  # the zone's middle meridian: grid north is true north
+    horizon = horizon_round(around, east)
+    expected = np.degrees(np.arctan(12.0 * np.cos(np.radians(facing)) / 20.0))
+    assert horizon.solids_deg == pytest.approx(expected, abs=0.02)
+    assert (horizon_round(around, np.array([180.0, 270.0, 0.0, 120.0])).solids_deg == -90.0).all()
+    upstairs = surroundings(scene, place_at(scene, middle, height_m=12.5))
+    assert (horizon_round(upstairs, east).solids_deg < 0.0).all()
+
+
+def test_the_sun_over_beside_and_behind_a_house(village):
+    scene, middle = village()
+    around = surroundings(scene, place_at(scene, middle))
+    top = np.degrees(np.arctan(12.0 / 20.0))
+    azimuth, altitude = np.array([90.0, 90.0, 140.0, 270.0, 90.0]), np.array([top + 0.1, top - 0.1, 10.0, 10.0, -1.0])
+    assert sun_reaches(around, azimuth, altitude).tolist() == [True, False, True, True, False]
+    hidden = what_hides(around, azimuth, altitude)
+    assert [caster and caster.kind for caster in hidden] == [None, "building", None, None, None]
+    assert hidden[1].distance_m == pytest.approx(20.0, abs=0.02)
+    assert hidden[1].elevation_deg == pytest.approx(top, abs=0.02)
+    assert hidden[1].height_m == pytest.approx(12.0, abs=0.05)
+    assert hidden[1].lon_deg > middle[0] and hidden[1].lat_deg == pytest.approx(middle[1], abs=1e-5)
+
+
+def test_a_tree_is_its_leaves(village):
+    """The horizon is the highest leaf: just above it the sun shines, at it not. Rays through the crown meet what Embree's do."""
+    scene, middle = village()
+    around = surroundings(scene, place_at(scene, middle))
+    azimuth = np.linspace(176.5, 183.5, 141)
+    horizon = horizon_round(around, azimuth)
+    crown = horizon.forest_deg > 0.0
+    assert crown.sum() > 30 and horizon.forest_deg.max() == pytest.approx(np.degrees(np.arctan(10 / 30)), abs=0.7)
+    # A leaf's rim may rise over the horizon by less than a fourth of a texel.
+    assert (~sun_reaches(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.02)).sum() <= 2
+    assert sun_reaches(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
+    assert not sun_reaches(around, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
+    frame = scene.world.frame_near_earth(around.place.eye_earth_m)
+    rays = RayScene(alpha=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
+    rng = np.random.default_rng(3)
+    azimuth, altitude = rng.uniform(176.5, 183.5, 4000), rng.uniform(0.5, 19.0, 4000)
+    enu = np.stack([direction_enu(*angles) for angles in zip(azimuth, altitude, strict=True)])
+    towards = frame.directions_from_earth(enu @ around.place.earth_from_enu.T)
+    start = np.repeat(frame.points_from_earth(around.place.eye_earth_m)[None], len(enu), axis=0)
+    blocked = rays.blocked(start, towards)
+    assert 300 < blocked.sum() < 3700
+    assert (sun_reaches(around, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
+
+
+def test_shade_is_the_engines_own(village):
+    """At nodes of a map the sun is seen, or not, as ray-traced truth has it: over hills, with a house and a tree."""
+    rows, cols = np.mgrid[0:64, 0:64]
+    hills = (8.0 * np.sin(rows / 5.0) * np.cos(cols / 7.0)).astype(np.float32)
+    scene, _ = village(hills, tree_m=14.0)
+    dark = 0
+    for azimuth, altitude in ((100.0, 9.0), (175.0, 14.0), (265.0, 7.0)):
+        scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
+        view = scene.view(bounds=(500_004.0, 5_299_756.0, 500_256.0, 5_299_996.0), size=(63, 60))
+        buffer = geometry_of(scene, view)
+        truth = truth_of(buffer, scene, casters_of(scene, buffer))
+        sure = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.there)
+        assert len(sure) > 1000
+        for i, j in sure[:: len(sure) // 150]:
+            at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
+            place = place_at(scene, at, view.grid.crs)
+            sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+            reached = sun_reaches(surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
+            assert reached == truth.lit[i, j], (azimuth, i, j)
+            dark += not reached
+    assert dark > 60
+
+
+def test_round_a_roofed_place_there_is_no_sun(village):
+    scene, middle = village()
+    inside = place_at(scene, (middle[0] + 25.0 / 74_000.0, middle[1]))
+    around = surroundings(scene, inside)
+    assert not sun_reaches(around, np.arange(0.0, 360.0, 15.0), np.full(24, 60.0)).any()
+    assert (horizon_round(around, np.arange(0.0, 360.0, 15.0)).solids_deg > 80.0).all()
+
+
+def test_meshes_of_a_made_ground_are_no_buildings(make_scene, tmp_path):
+    write_geotiff(tmp_path / "floor.tif", np.zeros((21, 21), np.float32), ENGINEERING, 0.0, 0.0, 10.0)
+    scene = make_scene(tmp_path / "floor.tif", meshes=[{"generate": "boxgrid"}])
+    around = surroundings(scene, place_at(scene, (0.0, 0.0)))
+    assert len(around.triangles) and not around.is_building.any()
