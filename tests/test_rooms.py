@@ -80,14 +80,17 @@ MAY_IMPORT = {
     "api.shadow_parameters": "",
     "api.catalogue": "",
     "api.report": "",
+    "api.point": "",
     "api.raster_file": "",
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
     "api.device_calibration": "report",
-    "api.workers": "device_calibration errors layers settings",
+    "api.workers": "device_calibration errors layers point settings",
     "api.library": "catalogue device_calibration layers raster_file shade",
-    "api.http": "errors layers settings shadow_parameters workers",
-    "api.cli": "catalogue device_calibration errors http layers raster_file report settings shade shadow_parameters stac_item",
+    "api.http": "errors layers point settings shadow_parameters workers",
+    "api.cli": (
+        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item"
+    ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
 

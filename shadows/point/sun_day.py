@@ -14,10 +14,11 @@ import numpy as np
 
 from shadows.point.clock import day_ends
 from shadows.point.horizon import SunCaster, Surroundings, sun_reaches, what_hides
-from shadows.point.sun_angles import sun_angles_at
+from shadows.point.sun_angles import angles_at, sun_looks
 
 STEP_S = 60.0
 FINE_STEP_S = 2.0
+COARSE_STEP_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,8 @@ class SunDay:
 def sun_day(around: Surroundings, day: date, clock: tzinfo) -> SunDay:
     """The sun of a day at a place. Raises ``InputError`` in a flat world and for years for which no sun is computed."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
-    when = np.append(np.arange(begin, end, STEP_S), end)
-    azimuth, altitude = sun_angles_at(around.scene, around.place, when)
+    when, to_sun = sun_looks(around.scene.world, begin, end, STEP_S)
+    azimuth, altitude = angles_at(around.place, to_sun)
     lit = sun_reaches(around, azimuth, altitude)
 
     def moment_of(second: float) -> datetime:
@@ -169,3 +170,12 @@ def _casters_beside(
     """What hides the sun on the dark side of each change."""
     dark = np.where(lit[changes], changes + 1, changes)
     return what_hides(around, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
+
+
+def hours_between_looks(around: Surroundings, day: date, clock: tzinfo) -> float:
+    """Hours of direct sun of a day, from looks every ``COARSE_STEP_S`` alone: for many points, 2.5 minutes off at most at each
+    end of sun."""
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
+    _, to_sun = sun_looks(around.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)
+    azimuth, altitude = angles_at(around.place, to_sun[:-1])
+    return float(sun_reaches(around, azimuth, altitude).sum() * COARSE_STEP_S / 3600.0)

@@ -15,7 +15,7 @@ import numpy as np
 from shadows.point.clock import day_ends
 from shadows.point.horizon import Surroundings, objects_leave_free
 from shadows.point.horizon_walk import relief_horizon
-from shadows.point.sun_angles import sun_angles_at
+from shadows.point.sun_angles import angles_at, sun_directions
 
 YEAR_STEP_S = 300.0
 FINE_HORIZON_DEG = 0.1
@@ -36,7 +36,7 @@ def sun_year(around: Surroundings, year: int, clock: tzinfo) -> SunYear:
     midnight = np.array([day_ends(day, clock)[0].astimezone(UTC).timestamp() for day in days])
     end = day_ends(days[-1], clock)[1].astimezone(UTC).timestamp()
     when = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
-    azimuth, altitude = sun_angles_at(around.scene, around.place, when)
+    azimuth, altitude = angles_at(around.place, sun_directions(around.scene.world, when))
     up = altitude > 0.0
     lit = up & (altitude > _interpolated_relief_deg(around, azimuth))
     above = np.flatnonzero(lit)

@@ -1,0 +1,134 @@
+"""Horizon files for solar tools: one record a format, which says what its numbers mean.
+
+A file states at which azimuth it starts and which way it turns wherever its format has room for words. Heights below the level
+plane are written as 0: in all of these formats a horizon hides, and what is below the level plane hides no sun that is up.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from shadows.point.horizon import PointHorizon
+from shadows.point.place import PointPlace
+from terrain.errors import InputError
+
+Writer = Callable[[PointHorizon, PointPlace], str]
+
+
+@dataclass(frozen=True)
+class HorizonFormat:
+    """A format: its name, the suffix and media type of its files, the directions that it has (``None``: those of the horizon) and
+    what it is in words.
+    """
+
+    name: str
+    suffix: str
+    media_type: str
+    directions: int | None
+    about: str
+    write: Writer
+
+
+def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
+    """The text of a horizon file. The horizon has regular directions from north on, as ``directions_for`` a format gives them."""
+    return horizon_format(name).write(horizon, place)
+
+
+def horizon_format(name: str) -> HorizonFormat:
+    """A format by its name. Raises ``InputError``."""
+    if name not in HORIZON_FORMATS:
+        raise InputError("format", name, ", ".join(HORIZON_FORMATS))
+    return HORIZON_FORMATS[name]
+
+
+def directions_for(name: str) -> np.ndarray | None:
+    """The azimuths (n,) that a format has, clockwise from north; ``None`` for those of the horizon."""
+    count = horizon_format(name).directions
+    return None if count is None else np.arange(count) * (360.0 / count)
+
+
+def _heights(horizon: PointHorizon) -> np.ndarray:
+    return np.maximum(horizon.elevation_deg, 0.0)
+
+
+def _from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths from -180 (north) by -90 (east) to below 180, 0 being south and 90 west, ascending; and the heights."""
+    azimuth = (horizon.azimuth_deg + 360.0) % 360.0 - 180.0
+    order = np.argsort(azimuth)
+    return azimuth[order], _heights(horizon)[order]
+
+
+def _place_lines(place: PointPlace) -> list[str]:
+    if place.lon_deg is None:
+        where = [f"East of the middle (m): {place.x:.2f}", f"North of the middle (m): {place.y:.2f}"]
+    else:
+        where = [f"Latitude (decimal degrees): {place.lat_deg:.6f}", f"Longitude (decimal degrees): {place.lon_deg:.6f}"]
+    return [*where, f"Elevation (m): {place.eye_m:.1f}"]
+
+
+def _pvgis_csv(horizon: PointHorizon, place: PointPlace) -> str:
+    azimuth, height = _from_south(horizon)
+    rows = [f"{a:.2f}\t\t{h:.2f}" for a, h in zip([*azimuth, 180.0], [*height, height[0]], strict=True)]
+    notes = ["A_hor: Azimuth (0 = S, 90 = W, -90 = E), ascending from -180 (N)", "H_hor: Horizon height (degrees)"]
+    return "\r\n".join([*_place_lines(place), "", "A_hor\t\tH_hor", *rows, "", *notes]) + "\r\n"
+
+
+def _pvgis_json(horizon: PointHorizon, place: PointPlace) -> str:
+    azimuth, height = _from_south(horizon)
+    pairs = zip([*azimuth, 180.0], [*height, height[0]], strict=True)
+    profile = [{"A": round(float(a), 3), "H_hor": round(float(h), 3)} for a, h in pairs]
+    location = {"latitude": place.lat_deg, "longitude": place.lon_deg, "elevation": round(place.eye_m, 2)}
+    about = {"A": "azimuth in degrees, 0 = south, 90 = west, -90 = east", "H_hor": "horizon height in degrees"}
+    value = {
+        "inputs": {"location": location, "horizon_db": "Skugga"},
+        "outputs": {"horizon_profile": profile},
+        "meta": {"outputs": {"horizon_profile": {"type": "series", "variables": about}}},
+    }
+    return json.dumps(value, indent=1) + "\n"
+
+
+def _pvgis_upload(horizon: PointHorizon, place: PointPlace) -> str:
+    return "".join(f"{height:.2f}\n" for height in _heights(horizon))
+
+
+def _forecast_solar(horizon: PointHorizon, place: PointPlace) -> str:
+    return ",".join(f"{height:.1f}" for height in _heights(horizon)) + "\n"
+
+
+def _pvlib_csv(horizon: PointHorizon, place: PointPlace) -> str:
+    rows = [f"{a:.6g},{h:.3f}" for a, h in zip(horizon.azimuth_deg, _heights(horizon), strict=True)]
+    return "\n".join(["horizon_azimuth,horizon_elevation", *rows]) + "\n"
+
+
+def _hor(horizon: PointHorizon, place: PointPlace) -> str:
+    azimuth, height = _from_south(horizon)
+    return "".join(f"{a:.0f} {h:.2f}\n" for a, h in zip(azimuth, height, strict=True))
+
+
+_FORMATS = (
+    HorizonFormat(
+        "pvgis-csv", "csv", "text/csv", None, "PVGIS, printed: A_hor (0 = south, 90 = west) and H_hor, with tabs", _pvgis_csv
+    ),
+    HorizonFormat(
+        "pvgis-json", "json", "application/json", None, "PVGIS, horizon_profile: A (0 = south, 90 = west), H_hor", _pvgis_json
+    ),
+    HorizonFormat(
+        "pvgis-upload", "txt", "text/plain", 360, "to upload to PVGIS: a height a line, clockwise from north", _pvgis_upload
+    ),
+    HorizonFormat(
+        "forecast-solar", "txt", "text/plain", 72, "forecast.solar: heights with commas, clockwise from north", _forecast_solar
+    ),
+    HorizonFormat(
+        "pvlib", "csv", "text/csv", None, "pvlib: horizon_azimuth (clockwise from north), horizon_elevation", _pvlib_csv
+    ),
+    HorizonFormat(
+        "hor", "hor", "text/plain", 360, "PVsyst and PV*SOL: azimuth from -180 to 179 (0 = south) and height", _hor
+    ),
+)  # fmt: skip
+
+HORIZON_FORMATS: dict[str, HorizonFormat] = {each.name: each for each in _FORMATS}
+"""All formats by name."""

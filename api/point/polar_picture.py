@@ -1,0 +1,205 @@
+"""The sky over a point as a chart: the horizon by ground, roofs and trees, and the paths of the sun over it.
+
+North is up and east to the right, as on a map; the rim is the level horizon, the middle the zenith, and altitudes are evenly spaced
+between. Hours are those of the place's clock.
+"""
+
+from __future__ import annotations
+
+import io
+from datetime import UTC, date, datetime, timedelta, tzinfo
+from typing import Any, Literal
+
+import numpy as np
+
+from shadows.point.clock import day_ends
+from shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
+from shadows.point.sun_angles import angles_at, sun_looks
+
+SkyPictureFormat = Literal["svg", "png"]
+
+PATH_STEP_S = 120.0
+NAMED_APART_DEG = 6.0
+"""Paths whose tops lie nearer than this to the day's have no names of their own."""
+
+SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
+
+_PAPER, _INK, _GRID, _SKY = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
+_RELIEF, _SOLIDS, _FOREST = "#8d8373", "#b3705c", "#6f8f5f"
+_SUN, _SUN_EDGE, _HIDDEN, _OTHER = "#e8a200", "#b97f00", "#3f3a34", "#7f9fbf"
+_FONT = ["DejaVu Sans"]
+
+
+def sky_picture(
+    around: Surroundings, horizon: PointHorizon, day: date | None, clock: tzinfo, format: SkyPictureFormat, title: str
+) -> bytes:
+    """The chart as a file: the paths of a day, of the solstices and of the equinox; of a flat world the horizon alone."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.hashsalt": "skugga", "svg.fonttype": "path", "font.family": _FONT}):
+        figure = Figure(figsize=(SIDE_INCHES, SIDE_INCHES + 0.95), facecolor=_PAPER)
+        FigureCanvasAgg(figure)
+        axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
+        _sky(axes)
+        _horizon(axes, horizon)
+        if day is not None and not around.scene.world.flat:
+            _paths(axes, around, day, clock)
+        figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
+        figure.text(0.06, 0.951, _subtitle(around, day, clock), fontsize=9.5, color=_INK, va="top")
+        _legend(figure, horizon, day, around.scene.world.flat)
+        file = io.BytesIO()
+        figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
+    return file.getvalue()
+
+
+def _sky(axes: Any) -> None:
+    """The empty chart."""
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    axes.set_facecolor(_SKY)
+    axes.set_ylim(0.0, 90.0)
+    axes.set_yticks([30.0, 60.0], labels=["", ""])
+    for altitude in (30, 60):
+        axes.text(np.radians(2.5), 90.0 - altitude, f"{altitude}°", fontsize=7.5, color="#6c7680", ha="left", va="bottom", zorder=9)
+    axes.set_xticks(np.radians(np.arange(0, 360, 30)))
+    words = {0: "N", 90: "E", 180: "S", 270: "W"}
+    axes.set_xticklabels([words.get(azimuth, f"{azimuth}°") for azimuth in range(0, 360, 30)])
+    for label, azimuth in zip(axes.get_xticklabels(), range(0, 360, 30), strict=True):
+        cardinal = azimuth in words
+        label.set(
+            fontsize=13 if cardinal else 8.5, fontweight="bold" if cardinal else "normal", color=_INK if cardinal else "#6c7680"
+        )
+    axes.tick_params(axis="x", pad=3)
+    axes.grid(color=_GRID, linewidth=0.6)
+    axes.spines["polar"].set(color=_INK, linewidth=1.0)
+    axes.set_axisbelow(True)
+
+
+def _horizon(axes: Any, horizon: PointHorizon) -> None:
+    """The horizon from the rim inwards: leaves and roofs as far as they stand over the ground's."""
+    angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
+    for height, color, order in (
+        (horizon.forest_deg, _FOREST, 2.0), (horizon.solids_deg, _SOLIDS, 2.1), (horizon.relief_deg, _RELIEF, 2.2),
+    ):  # fmt: skip
+        top = 90.0 - np.maximum(np.append(height, height[0]), 0.0)
+        axes.fill_between(angle, top, 90.0, color=color, linewidth=0.0, zorder=order)
+    top = 90.0 - np.maximum(np.append(horizon.elevation_deg, horizon.elevation_deg[0]), 0.0)
+    axes.plot(angle, top, color="#4a443b", linewidth=0.7, zorder=2.3)
+
+
+def _paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
+    """The sun's paths, those of the solstices and of the equinox thin, the day's bold where it shines."""
+    own_azimuth, own_altitude = _path(around, day, clock)
+    highest = np.nanmax(own_altitude) if np.isfinite(own_altitude).any() else -90.0
+    for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
+        azimuth, altitude = _path(around, date(day.year, month, day_of_month), clock)
+        axes.plot(np.radians(_unbroken(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
+        if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - highest) > NAMED_APART_DEG:
+            _name_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
+    azimuth, altitude = own_azimuth, own_altitude
+    lit = sun_reaches(around, azimuth, np.nan_to_num(altitude, nan=-90.0))
+    angle = np.radians(_unbroken(azimuth))
+    axes.plot(angle, 90.0 - altitude, color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
+    shining = np.where(lit, 90.0 - altitude, np.nan)
+    axes.plot(angle, shining, color=_SUN_EDGE, linewidth=4.6, solid_capstyle="round", zorder=4.1)
+    axes.plot(angle, shining, color=_SUN, linewidth=3.2, solid_capstyle="round", zorder=4.2)
+    _hours(axes, around, day, clock, bool(np.isfinite(altitude).any()))
+
+
+def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths and altitudes (NaN below the level horizon) of a day's sun."""
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
+    azimuth, altitude = angles_at(around.place, sun_looks(around.scene.world, begin, end, PATH_STEP_S)[1])
+    return azimuth, np.where(altitude > 0.0, altitude, np.nan)
+
+
+def _unbroken(azimuth_deg: np.ndarray) -> np.ndarray:
+    return np.unwrap(azimuth_deg, period=360.0)
+
+
+def _name_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
+    """A path's name, at its highest place."""
+    top = int(np.nanargmax(altitude))
+    axes.annotate(
+        name, (np.radians(azimuth[top]), 90.0 - altitude[top]), xytext=(0, 5), textcoords="offset points", fontsize=7.5,
+        color="#4c6f93", ha="center", va="bottom", zorder=6,
+        bbox={"facecolor": _SKY, "edgecolor": "none", "pad": 0.4, "alpha": 0.75},
+    )  # fmt: skip
+
+
+def _hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, named: bool) -> None:
+    """Marks of full hours on all paths; their numbers on the day's."""
+    days = [date(day.year, 6, 21), date(day.year, 3, 20), date(day.year, 12, 21), day]
+    for each in days:
+        first = day_ends(each, clock)[0]
+        moments = [datetime(each.year, each.month, each.day, hour, tzinfo=clock) for hour in range(24)]
+        begin = first.astimezone(UTC).timestamp()
+        when, to_sun = sun_looks(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
+        seconds = np.array([moment.astimezone(UTC).timestamp() for moment in moments])
+        nearest = np.clip(np.searchsorted(when, seconds), 0, len(when) - 1)
+        azimuth, altitude = angles_at(around.place, to_sun[nearest])
+        own = each == day
+        for hour in np.flatnonzero(altitude > 0.0):
+            angle, away = np.radians(azimuth[hour]), 90.0 - altitude[hour]
+            size = 5.0 if own else 2.6
+            axes.plot(
+                [angle], [away], "o", markersize=size, color=_PAPER if own else _OTHER,
+                markeredgecolor=_INK if own else _OTHER, markeredgewidth=0.9 if own else 0.0, zorder=5,
+            )  # fmt: skip
+            if own and named:
+                axes.annotate(
+                    f"{hour}", (angle, away), xytext=_outwards(azimuth[hour]), textcoords="offset points", fontsize=8.5,
+                    fontweight="bold", color=_INK, ha="center", va="center", zorder=7,
+                    bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
+                )  # fmt: skip
+
+
+def _outwards(azimuth_deg: float) -> tuple[float, float]:
+    """Where a number stands beside its mark: towards the rim."""
+    angle = np.radians(azimuth_deg)
+    return float(11.0 * np.sin(angle)), float(11.0 * np.cos(angle))
+
+
+def _subtitle(around: Surroundings, day: date | None, clock: tzinfo) -> str:
+    place = around.place
+    height = f"{place.ground_m:.0f} m" + (f", {place.height_m:g} m above the ground" if place.height_m else "")
+    if place.lon_deg is None or place.lat_deg is None:
+        return height
+    lon = f"{abs(place.lon_deg):.5f}° {'E' if place.lon_deg >= 0 else 'W'}"
+    lat = f"{abs(place.lat_deg):.5f}° {'N' if place.lat_deg >= 0 else 'S'}"
+    where = f"{lat}, {lon}, {height}"
+    return where if day is None else f"{where}    {day:%-d %B %Y}, {_clock_words(day, clock)}"
+
+
+def _clock_words(day: date, clock: tzinfo) -> str:
+    noon = datetime(day.year, day.month, day.day, 12, tzinfo=clock)
+    name = noon.tzname() or ""
+    if name == "solar":
+        return "true solar time"
+    offset = noon.utcoffset() or timedelta()
+    minutes = round(offset.total_seconds() / 60.0)
+    written = f"UTC{'+' if minutes >= 0 else '−'}{abs(minutes) // 60}" + (f":{abs(minutes) % 60:02d}" if minutes % 60 else "")
+    return written if name.startswith("UTC") else f"{name} ({written})"
+
+
+def _legend(figure: Any, horizon: PointHorizon, day: date | None, flat: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Patch(color=_RELIEF, label="ground")]
+    if (horizon.solids_deg > np.maximum(horizon.relief_deg, 0.0)).any():
+        handles.append(Patch(color=_SOLIDS, label="roofs and models"))
+    if (horizon.forest_deg > np.maximum(horizon.relief_deg, 0.0)).any():
+        handles.append(Patch(color=_FOREST, label="trees"))
+    if day is not None and not flat:
+        handles += [
+            Line2D([], [], color=_SUN, linewidth=3.2, label="direct sun"),
+            Line2D([], [], color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), label="sun hidden"),
+            Line2D([], [], color=_OTHER, linewidth=1.1, label="solstices, equinox"),
+        ]
+    figure.legend(
+        handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.012), ncols=len(handles), frameon=False, fontsize=9,
+        labelcolor=_INK, handlelength=1.6, columnspacing=1.4,
+    )  # fmt: skip

@@ -1,0 +1,220 @@
+"""The report of a point: what is asked, and the answer as JSON."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, tzinfo
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pyproj import CRS
+
+from shadows.point.clock import clock_of
+from shadows.point.horizon import CasterType, SunCaster, Surroundings, surroundings, what_hides
+from shadows.point.place import HIGHEST_EYE_M, place_at
+from shadows.point.sun_angles import own_sun_at
+from shadows.point.sun_day import SunDay, sun_day
+from shadows.point.sun_year import sun_year
+from terrain.errors import InputError
+from terrain.scene import Scene
+
+_Date = date  # under this name the models' own fields leave it alone
+
+NO_DATE = "no date: neither date nor time is given, and the level's sun has no time"
+FLAT = "an engineering CRS is not georeferenced: there is no day without longitude and latitude"
+NO_SUN = "the level has no sun of its own: give a time"
+
+
+class _Reported(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def _rounded(digits: int) -> BeforeValidator:
+    return BeforeValidator(lambda value: None if value is None else round(float(value), digits))
+
+
+Degrees = Annotated[float, _rounded(3)]
+Metres = Annotated[float, _rounded(2)]
+Hours = Annotated[float, _rounded(4)]
+LonLatDegrees = Annotated[float | None, _rounded(7)]
+
+
+class PointQuery(_Reported):
+    """What is asked of a point: its coordinates (longitude and latitude; in a flat world metres east and north of the middle),
+    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted.
+    """
+
+    lon: float = Field(allow_inf_nan=False)
+    lat: float = Field(allow_inf_nan=False)
+    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False)
+    date: _Date | None = None
+    clock: str | None = Field(default=None, max_length=60)
+    year: int | None = Field(default=None, ge=1800, le=2200)
+
+
+class ReportedCaster(_Reported):
+    """What hides the sun: its kind, distance along the ground, direction, angle above the eye's level, and place."""
+
+    kind: CasterType
+    distance_m: Metres
+    azimuth: Degrees
+    elevation: Degrees
+    height_m: Metres
+    lon: LonLatDegrees
+    lat: LonLatDegrees
+
+
+class ReportedMoment(_Reported):
+    """The sun at a moment: where it stands, whether it shines on the point, and if not, what hides it; ``by`` is null by night."""
+
+    time: datetime | None
+    azimuth: Degrees
+    altitude: Degrees
+    lit: bool
+    by: ReportedCaster | None
+
+
+class ReportedInterval(_Reported):
+    """Direct sun from ``begin`` to ``end``; what hid it before (``after``) and hides it then (``before``)."""
+
+    begin: datetime
+    end: datetime
+    after: ReportedCaster | None
+    before: ReportedCaster | None
+
+
+class ReportedDay(_Reported):
+    """A day's sun: see ``shadows.point.sun_day.SunDay``."""
+
+    date: _Date
+    clock: str
+    sunrise: datetime | None
+    first_sun: datetime | None
+    last_sun: datetime | None
+    sunset: datetime | None
+    noon: datetime
+    noon_altitude: Degrees
+    daylight_h: Hours
+    direct_h: Hours
+    masked_h: Hours
+    sunlit: tuple[ReportedInterval, ...]
+    remark: str | None
+
+
+class DayHours(_Reported):
+    """Hours of a day for which the sun is up, and shines on the point."""
+
+    date: _Date
+    daylight_h: Hours
+    direct_h: Hours
+
+
+class PointReport(_Reported):
+    """What a point sees of the sun. Where ``now`` or ``day`` is null, ``remark`` says why."""
+
+    level: str
+    lon: LonLatDegrees
+    lat: LonLatDegrees
+    elevation_m: Metres
+    height_m: Metres
+    now: ReportedMoment | None
+    day: ReportedDay | None
+    year: tuple[DayHours, ...] | None
+    remark: str | None
+
+
+def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
+    """The report of a point of a level, under the scene's own sun. Raises ``InputError``."""
+    around = around_point(scene, query, crs)
+    place, day = around.place, day_asked(scene, query)
+    clock = clock_asked(scene, query, place.lon_deg, day)
+    now, remarks = sun_now(around), []
+    if now is None:
+        remarks.append(NO_SUN)
+    reported = None
+    if scene.world.flat and query.date is None and query.year is None:
+        remarks.append(FLAT)
+    elif day is None:
+        remarks.append(NO_DATE)
+    else:
+        reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
+    year = None if query.year is None else sun_year(around, query.year, clock)
+    return PointReport(
+        level=scene.loaded.name, lon=place.lon_deg, lat=place.lat_deg, elevation_m=place.ground_m, height_m=place.height_m,
+        now=now, day=reported,
+        year=None if year is None else tuple(
+            DayHours(date=each, daylight_h=up, direct_h=direct)
+            for each, up, direct in zip(year.days, year.daylight_h, year.direct_h, strict=True)
+        ),
+        remark="; ".join(remarks) or None,
+    )  # fmt: skip
+
+
+def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
+    """A point's place and what stands round it. Raises ``InputError``."""
+    return surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
+
+
+def sun_now(around: Surroundings) -> ReportedMoment | None:
+    """The scene's own sun at a place; ``None`` without one that somebody asked for."""
+    sun, scene = own_sun_at(around.scene, around.place), around.scene
+    if sun is None or scene.sun is None or (scene.sun.time is None and scene.loaded.level.sun is None):
+        return None
+    (caster,) = what_hides(around, *map(np.array, sun))
+    return ReportedMoment(
+        time=around.scene.sun.time, azimuth=sun[0], altitude=sun[1], lit=caster is None and sun[1] > 0.0, by=reported_caster(caster)
+    )
+
+
+def day_asked(scene: Scene, query: PointQuery) -> date | None:
+    """The day of a query: its own, else that of the sun's time by the query's clock; ``None`` where neither is given."""
+    if query.date is not None or scene.sun is None or scene.sun.time is None:
+        return query.date
+    if query.clock is None:
+        return scene.sun.time.date()
+    lon = None if scene.world.flat else query.lon
+    return scene.sun.time.astimezone(clock_of(query.clock, lon, scene.sun.time.date())).date()
+
+
+def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date | None) -> tzinfo:
+    """The clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
+    if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
+        return scene.sun.time.tzinfo
+    year = 2000 if query.year is None else query.year
+    return clock_of(query.clock or "solar", lon_deg, day or date(year, 1, 1))
+
+
+def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
+    """A caster as it is reported."""
+    if caster is None:
+        return None
+    return ReportedCaster(
+        kind=caster.kind, distance_m=caster.distance_m, azimuth=caster.azimuth_deg, elevation=caster.elevation_deg,
+        height_m=caster.height_m, lon=caster.lon_deg, lat=caster.lat_deg,
+    )  # fmt: skip
+
+
+def parse_day(text: str, name: str = "date") -> date:
+    """A date of an option or a query. Raises ``InputError``."""
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise InputError(name, text, "a date as 2024-10-21") from None
+
+
+def _reported_day(day: SunDay, clock: str) -> ReportedDay:
+    intervals = tuple(
+        ReportedInterval(
+            begin=each.begin, end=each.end, after=reported_caster(each.after), before=reported_caster(each.before)
+        )
+        for each in day.sunlit
+    )  # fmt: skip
+    return ReportedDay(
+        date=day.day, clock=clock, sunrise=day.sunrise, first_sun=day.first_sun, last_sun=day.last_sun, sunset=day.sunset,
+        noon=day.noon, noon_altitude=day.noon_altitude_deg, daylight_h=day.daylight_h, direct_h=day.direct_h,
+        masked_h=day.masked_h, sunlit=intervals, remark=day.remark,
+    )  # fmt: skip
+
+
+def _clock_name(query: PointQuery, clock: tzinfo) -> str:
+    return query.clock or str(clock.tzname(datetime.now(UTC)))

@@ -1,0 +1,180 @@
+"""Points from files, and tracks with times of arrival."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from api.point.report import PointQuery, ReportedMoment, around_point, clock_asked, day_asked, sun_now
+from shadows.point.sun_angles import sun_directions
+from shadows.point.sun_day import hours_between_looks
+from terrain.errors import InputError, SourceError
+from terrain.geo.sun import Sun
+from terrain.geo.vectors import numbers, read_features
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84
+from terrain.level.level import parse_sun
+from terrain.scene import Scene
+
+MAX_POINTS = 10_000
+"""Most points of a request or a file."""
+
+TIME_FIELDS, HEIGHT_FIELDS = ("time", "arrival", "datetime"), ("height", "height_m")
+LON_FIELDS, LAT_FIELDS = ("lon", "longitude", "lng", "x"), ("lat", "latitude", "y")
+
+
+@dataclass(frozen=True)
+class TrackPoint:
+    """A point in degrees, metres above the ground, and when somebody is there (``None``: whenever is asked)."""
+
+    lon_deg: float
+    lat_deg: float
+    height_m: float = 0.0
+    time: datetime | None = None
+
+
+@dataclass(frozen=True)
+class PointAnswerRow:
+    """What a point of many sees: ``remark`` says why the rest is ``None``."""
+
+    elevation_m: float | None
+    now: ReportedMoment | None
+    direct_h: float | None
+    remark: str | None
+
+
+def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
+    """The points of a file: a CSV with columns lon and lat, or any vector file that GDAL reads; ``time`` and ``height`` count, too.
+
+    Raises ``SourceError`` or ``InputError``.
+    """
+    points = _csv_points(path, height_m) if path.suffix.lower() == ".csv" else _vector_points(path, height_m)
+    if len(points) > MAX_POINTS:
+        raise InputError("--points", f"{len(points)} points", f"at most {MAX_POINTS}")
+    return points
+
+
+def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackPoint]:
+    """The points of a line, at its corners and every so many metres between. Raises as ``read_points``."""
+    features = read_features(str(path), LONGITUDE_LATITUDE)
+    lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
+    if not lines:
+        raise SourceError(str(path), f"{features.geometry[0].geom_type} geometries", "a line")
+    found: list[TrackPoint] = []
+    for lon, lat in shapely.get_coordinates(np.array(lines, object)):
+        if found:
+            last = found[-1]
+            azimuth, _, away = WGS84.inv(last.lon_deg, last.lat_deg, lon, lat)
+            if away == 0.0:
+                continue
+            count = int(np.ceil(away / every_m))
+            if len(found) + count > MAX_POINTS:
+                raise InputError("--every", every_m, f"a distance that leaves at most {MAX_POINTS} points")
+            for n in range(1, count):
+                at = WGS84.fwd(last.lon_deg, last.lat_deg, azimuth, away * n / count)
+                found.append(TrackPoint(float(at[0]), float(at[1]), height_m))
+        found.append(TrackPoint(float(lon), float(lat), height_m))
+    return found
+
+
+def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
+    """The points of a line with times of arrival at a steady speed along the ground."""
+    if not speed_kmh > 0.0:
+        raise InputError("--speed", speed_kmh, "more than 0 km/h")
+    lon, lat = np.array([(point.lon_deg, point.lat_deg) for point in points]).T
+    _, _, steps_m = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])
+    away_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    return [
+        replace(point, time=start + timedelta(seconds=round(float(away) / (speed_kmh / 3.6))))
+        for point, away in zip(points, away_m, strict=True)
+    ]
+
+
+def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hours: bool = True) -> list[PointAnswerRow]:
+    """Elevation, sun and hours of the day (of the query's date) at many points; of one with a time the sun is that time's.
+
+    A point off the level's data has a remark, and nothing else.
+    """
+    suns = _suns_of(scene, points)
+    rows = []
+    for point, sun in zip(points, suns, strict=True):
+        under = scene if sun is None else replace(scene, sun=sun)
+        own = query.model_copy(update={"lon": point.lon_deg, "lat": point.lat_deg, "height": point.height_m})
+        try:
+            around = around_point(under, own)
+        except InputError as error:
+            rows.append(PointAnswerRow(None, None, None, str(error)))
+            continue
+        day = day_asked(under, own)
+        direct = None
+        if hours and day is not None and not scene.world.flat:
+            direct = hours_between_looks(around, day, clock_asked(under, own, around.place.lon_deg, day))
+        rows.append(PointAnswerRow(around.place.ground_m, sun_now(around), direct, None))
+    return rows
+
+
+def _suns_of(scene: Scene, points: list[TrackPoint]) -> list[Sun | None]:
+    """The suns of the points' times; ``None`` for those without one."""
+    timed = [n for n, point in enumerate(points) if point.time is not None]
+    suns: list[Sun | None] = [None] * len(points)
+    if timed:
+        utc_s = np.array([point.time.timestamp() for point in points if point.time is not None])
+        anchor = scene.world.earth_from_anchor
+        for n, to_sun in zip(timed, sun_directions(scene.world, utc_s), strict=True):
+            east, north, up = to_sun @ anchor
+            azimuth, altitude = np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
+            suns[n] = Sun(float(azimuth), float(altitude), to_sun, points[n].time)
+    return suns
+
+
+def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SourceError(str(path), getattr(error, "strerror", None) or str(error), "a CSV with columns lon and lat") from None
+    names = {name.strip().lower(): name for name in (rows[0] if rows else {}) if name}
+    columns = [next((names[word] for word in words if word in names), None) for words in (LON_FIELDS, LAT_FIELDS)]
+    if None in columns:
+        raise SourceError(str(path), f"columns {', '.join(names) or 'none'}", "columns lon and lat, in degrees")
+    time, height = (next((names[word] for word in words if word in names), None) for words in (TIME_FIELDS, HEIGHT_FIELDS))
+    points = []
+    for number, row in enumerate(rows, 2):
+        try:
+            lon, lat = (float(row[column or ""]) for column in columns)
+            high = float(row[height]) if height and row[height] else height_m
+        except (TypeError, ValueError):
+            raise SourceError(str(path), f"line {number}: {','.join(str(v) for v in row.values())[:60]}", "numbers") from None
+        points.append(TrackPoint(lon, lat, high, _moment(row[time] if time else None)))
+    return points
+
+
+def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
+    features = read_features(str(path), LONGITUDE_LATITUDE, usual=(*TIME_FIELDS, *HEIGHT_FIELDS))
+    kinds = {geometry.geom_type for geometry in features.geometry}
+    if kinds != {"Point"}:
+        raise SourceError(str(path), f"{', '.join(sorted(kinds))} geometries", "points")
+    heights = np.full(len(features.geometry), height_m)
+    for name in HEIGHT_FIELDS:
+        if name in features.attributes:
+            heights = np.nan_to_num(numbers(features, name), nan=height_m)
+            break
+    times = next((features.attributes[name] for name in TIME_FIELDS if name in features.attributes), [None] * len(heights))
+    return [
+        TrackPoint(float(point.x), float(point.y), float(high), _moment(time))
+        for point, high, time in zip(features.geometry, heights, times, strict=True)
+    ]
+
+
+def _moment(value: object) -> datetime | None:
+    """A time of a file. Raises ``InputError`` for one without an offset."""
+    text = "" if value is None else str(value).strip()
+    if text in ("", "NaT", "nan", "None"):
+        return None
+    spec = parse_sun(text, None, None)
+    assert spec is not None
+    return spec.time
