@@ -161,6 +161,44 @@ def shade_raster(
         shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, cells, overrides, advance)
 
 
+@app.command("point", context_settings={"ignore_unknown_options": True})  # a longitude may begin with a minus
+def sun_at_point(
+    level: LevelArgument,
+    at: Annotated[str | None, typer.Argument(metavar="[LON,LAT]", help="Degrees; or x,y of --crs.")] = None,
+    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of the point.")] = None,
+    time: TimeOption = None,
+    date: Annotated[str | None, typer.Option(help="Day, as 2024-10-21; default: that of --time.")] = None,
+    clock: Annotated[str | None, typer.Option(help="solar, utc, +02:00 or Europe/Oslo; default: the offset of --time.")] = None,
+    height: Annotated[float, typer.Option(help="Metres above the ground.")] = 0.0,
+    year: Annotated[int | None, typer.Option(help="Hours of sun of each day of a year.")] = None,
+    horizon: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the horizon.")] = None,
+    format: Annotated[
+        str, typer.Option(help="Of --horizon: pvgis-csv, pvgis-json, pvgis-upload, forecast-solar, pvlib or hor.")
+    ] = "pvgis-csv",
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the horizon and the sun's paths: .svg or .png.")
+    ] = None,
+    points: Annotated[Path | None, typer.Option(metavar="FILE", help="Many points: .csv (lon, lat), .gpkg, .geojson ...")] = None,
+    line: Annotated[Path | None, typer.Option(metavar="FILE", help="A track: a line of any vector file.")] = None,
+    start: Annotated[str | None, typer.Option(help="When the track begins: ISO 8601 with an offset.")] = None,
+    speed: Annotated[float, typer.Option(help="Along the track, km/h.")] = 4.5,
+    every: Annotated[float, typer.Option(help="Metres between places of the track, at most.", min=0.1)] = 100.0,
+    as_json: JsonOption = False,
+) -> None:
+    """The sun at a point: lit or not and by what, a day's sun, the horizon."""
+    from api.cli.point import PointOptions, report_line, report_point, report_points
+
+    sun = parse_sun(time, None, None)
+    asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, format, picture, as_json)
+    path = find_level(level)
+    if points is not None:
+        report_points(path, points, asked)
+    elif line is not None:
+        report_line(path, line, asked, start, speed, every)
+    else:
+        report_point(path, asked)
+
+
 @app.command()
 @takes_level
 @with_shadow_options("select")

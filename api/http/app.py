@@ -15,7 +15,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import TooLargeError
-from api.http import problems, routes_health, routes_levels, routes_plan, routes_snapshot, routes_tiles, routes_viewer
+from api.http import problems, routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles, routes_viewer
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.first_pictures import served_pictures
@@ -84,7 +84,7 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
-    for routes in (routes_levels, routes_plan, routes_tiles, routes_snapshot, routes_health):
+    for routes in (routes_levels, routes_plan, routes_point, routes_tiles, routes_snapshot, routes_health):
         app.include_router(routes.router)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
     return app

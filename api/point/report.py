@@ -156,13 +156,13 @@ def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Sur
 
 
 def sun_now(around: Surroundings) -> ReportedMoment | None:
-    """The scene's own sun at a place; ``None`` without one that somebody asked for."""
+    """The scene's own sun at a place; ``None`` without one."""
     sun, scene = own_sun_at(around.scene, around.place), around.scene
-    if sun is None or scene.sun is None or (scene.sun.time is None and scene.loaded.level.sun is None):
+    if sun is None or scene.sun is None:
         return None
     (caster,) = what_hides(around, *map(np.array, sun))
     return ReportedMoment(
-        time=around.scene.sun.time, azimuth=sun[0], altitude=sun[1], lit=caster is None and sun[1] > 0.0, by=reported_caster(caster)
+        time=scene.sun.time, azimuth=sun[0], altitude=sun[1], lit=caster is None and sun[1] > 0.0, by=reported_caster(caster)
     )
 
 

@@ -6,6 +6,7 @@ import csv
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -45,6 +46,16 @@ class PointAnswerRow:
     now: ReportedMoment | None
     direct_h: float | None
     remark: str | None
+
+    def as_json(self, point: TrackPoint) -> dict[str, Any]:
+        """The row of a point as JSON has it."""
+        return {
+            "lon": point.lon_deg, "lat": point.lat_deg, "height_m": point.height_m,
+            "time": None if point.time is None else point.time.isoformat(),
+            "elevation_m": None if self.elevation_m is None else round(self.elevation_m, 2),
+            "now": None if self.now is None else self.now.model_dump(mode="json"),
+            "direct_h": None if self.direct_h is None else round(self.direct_h, 4), "remark": self.remark,
+        }  # fmt: skip
 
 
 def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:

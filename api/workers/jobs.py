@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
 from api.layers import PictureFormat, PictureLayer
+from api.point.report import PointQuery
+from api.point.track import TrackPoint
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.level_source import LevelSource
@@ -142,7 +144,29 @@ class SnapshotJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
-Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob
+PointProduct = Literal["report", "horizon", "sky"]
+
+
+class PointJob(_Value):
+    """Look at the sun from a point: its report as JSON, its horizon in a ``format`` of files, or its sky's chart as svg or png."""
+
+    level: LevelKey
+    query: PointQuery
+    product: PointProduct = "report"
+    format: str = "json"
+    request: PictureRequest = PictureRequest()
+
+
+class PointsJob(_Value):
+    """Look at the sun from many points, on the day and by the clock of a query."""
+
+    level: LevelKey
+    points: tuple[TrackPoint, ...]
+    query: PointQuery
+    request: PictureRequest = PictureRequest()
+
+
+Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
 
 
 @dataclass(frozen=True)
@@ -228,6 +252,13 @@ class DescriptorAnswer:
 
 
 @dataclass(frozen=True)
+class PointAnswer:
+    """The bytes of a point's report, of its horizon file or of its chart; of many points JSON, a list."""
+
+    body: bytes
+
+
+@dataclass(frozen=True)
 class Failure:
     """A domain error as data. ``fatal`` says that the render process ends with it."""
 
@@ -255,5 +286,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer
+Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer
 Answer = Result | Failure

@@ -31,6 +31,8 @@ from api.workers.jobs import (
     LevelKey,
     PlanAnswer,
     PlanJob,
+    PointJob,
+    PointsJob,
     Preparing,
     Ready,
     Result,
@@ -39,6 +41,7 @@ from api.workers.jobs import (
     SnapshotJob,
     Tiles,
 )
+from api.workers.point_jobs import point_answer, points_answer
 from selector.select import plan_of_view
 from shadows.ground_pictures import ShownMap, shown_map
 from shadows.plan import Plan
@@ -186,6 +189,10 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case PlanJob():
             plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, state.device)
             return PlanAnswer(plan.model_dump_json())
+        case PointJob():
+            return point_answer(job, scene)
+        case PointsJob():
+            return points_answer(job, scene)
         case BlockJob():
             return _block_tiles(job, scene, state)
         case SnapshotJob():

@@ -1,0 +1,230 @@
+"""``skugga point``: from its options to a table, JSON, a horizon file and a chart."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic import ValidationError
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from api.point.horizon_formats import directions_for, horizon_file
+from api.point.polar_picture import sky_picture
+from api.point.report import (
+    PointQuery,
+    PointReport,
+    ReportedCaster,
+    around_point,
+    clock_asked,
+    day_asked,
+    parse_day,
+    point_report,
+)
+from api.point.track import PointAnswerRow, TrackPoint, read_points, read_track, sun_at_points, with_arrivals
+from shadows.point.horizon import Surroundings, horizon_round
+from terrain.errors import InputError
+from terrain.level.level import load_level, parse_sun
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
+
+FILE_COLUMNS = 200
+"""Width of tables that go into a file or a pipe."""
+
+LIT, DARK, NIGHT = "lit", "in shadow", "night"
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """What the command was asked. Texts are as they were given."""
+
+    at: str | None
+    crs: str | None
+    sun: SunSpec | None
+    date: str | None
+    clock: str | None
+    height: float
+    year: int | None
+    horizon: Path | None
+    format: str
+    picture: Path | None
+    as_json: bool
+
+
+def report_point(level: Path, options: PointOptions) -> None:
+    """Print a point's report, and write its horizon and its chart. Raises ``SkuggaError`` and ``OSError``."""
+    if options.at is None:
+        raise InputError("LON,LAT", "nothing", "a point, or --points, or --line")
+    if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
+        raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
+    azimuths = directions_for(options.format)
+    query, crs = _query(options, *_pair(options.at)), _crs(options.crs)
+    scene = build_scene(load_level(level)).with_sun(options.sun)
+    try:
+        report = point_report(scene, query, crs)
+        if options.horizon is not None or options.picture is not None:
+            around = around_point(scene, query, crs)
+            if options.horizon is not None:
+                text = horizon_file(options.format, horizon_round(around, azimuths), around.place)
+                options.horizon.write_text(text, encoding="utf-8", newline="")
+            if options.picture is not None:
+                options.picture.write_bytes(_picture(around, query, options.picture))
+    finally:
+        scene.close()
+    typer.echo(report.model_dump_json(indent=2)) if options.as_json else _show(report)
+
+
+def report_points(level: Path, file: Path, options: PointOptions) -> None:
+    """Print the sun at the points of a file. Raises as ``report_point``."""
+    _report_many(level, read_points(file, options.height), options)
+
+
+def report_line(level: Path, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
+    """Print the sun along a line: at each place when somebody is there who starts at a time. Raises as ``report_point``."""
+    points = read_track(file, every_m, options.height)
+    if start is not None:
+        spec = parse_sun(start, None, None)
+        assert spec is not None and spec.time is not None
+        points = with_arrivals(points, spec.time, speed_kmh)
+    _report_many(level, points, options)
+
+
+def _report_many(level: Path, points: list[TrackPoint], options: PointOptions) -> None:
+    if not points:
+        raise InputError("--points", "no points", "at least one")
+    scene = build_scene(load_level(level)).with_sun(options.sun)
+    try:
+        moving = points[0].time is not None
+        rows = sun_at_points(scene, points, _query(options, 0.0, 0.0), hours=not moving)
+    finally:
+        scene.close()
+    if options.as_json:
+        typer.echo(json.dumps([row.as_json(point) for point, row in zip(points, rows, strict=True)], indent=2))
+    else:
+        _show_rows(points, rows)
+
+
+def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
+    day = None if options.date is None else parse_day(options.date, "--date")
+    try:
+        return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
+    except ValidationError as error:
+        detail = error.errors()[0]
+        raise InputError(f"--{detail['loc'][0]}", detail.get("input"), detail["msg"].removeprefix("Input should be ")) from None
+
+
+def _pair(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError("LON,LAT", text, "two numbers: longitude and latitude in degrees, or x and y of --crs") from None
+    return x, y
+
+
+def _crs(text: str | None) -> CRS | None:
+    if text is None:
+        return None
+    try:
+        return CRS.from_user_input(int(text) if text.isdecimal() else text)
+    except CRSError:
+        raise InputError("--crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
+
+
+def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
+    scene: Scene = around.scene
+    day: date | None = day_asked(scene, query)
+    clock = clock_asked(scene, query, around.place.lon_deg, day)
+    title = scene.loaded.level.title or scene.loaded.name
+    format: Any = PICTURE_SUFFIXES[file.suffix.lower()]
+    return sky_picture(around, horizon_round(around), day, clock, format, title)
+
+
+def _show(report: PointReport) -> None:
+    """The report as tables."""
+    from rich.table import Table
+
+    console = _console()
+    where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
+    above = f", {report.height_m:g} m above it" if report.height_m else ""
+    console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
+    if report.now is not None:
+        when = "" if report.now.time is None else f"{report.now.time.isoformat()}: "
+        sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
+        console.print(f"{when}{_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
+    if report.day is not None:
+        table = Table(
+            box=None, show_header=False, title=f"{report.day.date.isoformat()} ({report.day.clock})", title_justify="left"
+        )
+        rows: Sequence[tuple[str, str]] = (
+            ("sunrise, level horizon", _clock(report.day.sunrise)),
+            ("first sun", _clock(report.day.first_sun)),
+            ("last sun", _clock(report.day.last_sun)),
+            ("sunset, level horizon", _clock(report.day.sunset)),
+            ("noon", f"{_clock(report.day.noon)}, {report.day.noon_altitude:.1f} degrees high"),
+            ("daylight", f"{report.day.daylight_h:.2f} h"),
+            ("direct sun", f"{report.day.direct_h:.2f} h"),
+            ("hidden", f"{report.day.masked_h:.2f} h"),
+        )
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+        intervals = Table("sun from", "to", "before that hidden by", "then hidden by", box=None)
+        for each in report.day.sunlit:
+            intervals.add_row(_clock(each.begin), _clock(each.end), _caster(each.after), _caster(each.before))
+        if report.day.sunlit:
+            console.print(intervals)
+        if report.day.remark:
+            console.print(report.day.remark)
+    if report.year is not None:
+        table = Table("date", "daylight, h", "direct sun, h", box=None)
+        for day in report.year:
+            table.add_row(day.date.isoformat(), f"{day.daylight_h:.2f}", f"{day.direct_h:.2f}")
+        console.print(table)
+    if report.remark:
+        console.print(report.remark)
+
+
+def _show_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
+    from rich.table import Table
+
+    table = Table("longitude", "latitude", "time", "ground, m", "sun", "direct sun, h", box=None)
+    for point, row in zip(points, rows, strict=True):
+        sun = row.remark or ("" if row.now is None else _state(row.now.lit, row.now.altitude, row.now.by))
+        table.add_row(
+            f"{point.lon_deg:.6f}", f"{point.lat_deg:.6f}", "" if point.time is None else point.time.isoformat(),
+            "" if row.elevation_m is None else f"{row.elevation_m:.1f}", sun, "" if row.direct_h is None else f"{row.direct_h:.2f}",
+        )  # fmt: skip
+    _console().print(table)
+
+
+def _console() -> Any:
+    """A console that does not break lines which no terminal does."""
+    from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
+
+
+def _state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:
+    if altitude <= 0.0:
+        return NIGHT
+    return LIT if lit else f"{DARK}, {_caster(by)}"
+
+
+def _caster(caster: ReportedCaster | None) -> str:
+    if caster is None:
+        return "-"
+    away = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
+    where = "" if caster.lon is None else f" at {caster.lon:.5f}, {caster.lat:.5f}"
+    return f"{caster.kind} {away} away{where}, {caster.height_m:.0f} m high"
+
+
+def _clock(moment: datetime | None) -> str:
+    return "-" if moment is None else f"{moment:%H:%M:%S}"

@@ -1,0 +1,186 @@
+"""The sun at points: reports, horizon files, charts; one point by its address, many by a body."""
+
+from __future__ import annotations
+
+import json
+from datetime import date, datetime
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
+from fastapi.responses import JSONResponse
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+
+from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, is_fresh, tag_of
+from api.http.parameters import TimeQuery, allow_only
+from api.http.problems import problem_docs
+from api.http.service import Service, TheService, cancel_on_disconnect
+from api.point.horizon_formats import HORIZON_FORMATS
+from api.point.report import PointQuery, PointReport
+from api.point.track import MAX_POINTS, TrackPoint
+from api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct, PointsJob
+from shadows.point.place import HIGHEST_EYE_M
+from terrain.errors import InputError
+from terrain.level.level import parse_sun
+
+router = APIRouter(tags=["points"], responses=problem_docs(404, 422, 500, 503, 504))
+
+POINTS_A_JOB = 200
+"""Points that a render process takes at a time: between them others have their turn."""
+
+POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
+
+DayOrNone = date | None
+LonQuery = Annotated[float, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.")]
+LatQuery = Annotated[float, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.")]
+DateQuery = Annotated[date | None, Query(description="The day, as 2024-10-21; default: that of the time.")]
+HeightQuery = Annotated[float, Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.")]
+ClockQuery = Annotated[
+    str | None, Query(max_length=60, description="solar, utc, +02:00 or Europe/Oslo; default: the offset of the time, else solar.")
+]
+YearQuery = Annotated[int | None, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.")]
+
+
+class PointOfMany(BaseModel):
+    """A point in degrees, metres above the ground, and a time of its own."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    lon: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False)
+    lat: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False)
+    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False)
+    time: AwareDatetime | None = None
+
+
+class PointsQuery(BaseModel):
+    """Many points, and the time and the day that those without a time are asked for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    points: list[PointOfMany] = Field(min_length=1, max_length=MAX_POINTS)
+    time: AwareDatetime | None = None
+    date: DayOrNone = None
+    clock: str | None = Field(default=None, max_length=60)
+
+
+async def point_query(
+    lon: LonQuery,
+    lat: LatQuery,
+    date: DateQuery = None,
+    height: HeightQuery = 0.0,
+    clock: ClockQuery = None,
+    year: YearQuery = None,
+) -> PointQuery:
+    """The dependency for a point."""
+    return PointQuery(lon=lon, lat=lat, height=height, date=date, clock=clock, year=year)
+
+
+ThePoint = Annotated[PointQuery, Depends(point_query)]
+
+
+@router.get(
+    "/levels/{level}/point",
+    summary="The sun at a point",
+    response_model=PointReport,
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+)
+async def sun_of_point(request: Request, service: TheService, level: str, point: ThePoint, time: TimeQuery = None) -> Any:
+    """Elevation; lit or not at a time, and by what not; the day's sun; and hours of each day of a year, if one is named."""
+    return await _answer(request, service, level, point, time, "report", "json", "application/json")
+
+
+@router.get(
+    "/levels/{level}/point/horizon.{suffix}",
+    summary="The horizon of a point, as a file",
+    response_class=Response,
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS, "format"))],
+)
+async def horizon_of_point(
+    request: Request,
+    service: TheService,
+    level: str,
+    suffix: Annotated[Literal["csv", "json", "txt", "hor"], Path(description="Of the file.")],
+    point: ThePoint,
+    time: TimeQuery = None,
+    format: Annotated[
+        str | None,
+        Query(description="; ".join(f"`{each.name}` (.{each.suffix}): {each.about}" for each in HORIZON_FORMATS.values())),
+    ] = None,
+) -> Response:
+    """Horizon angles all round a point, by ground, buildings and trees, in a format of solar tools; default: the suffix's first."""
+    fitting = [each for each in HORIZON_FORMATS.values() if each.suffix == suffix]
+    chosen = next((each for each in fitting if format in (None, each.name)), None)
+    if chosen is None:
+        raise InputError("format", format, f"of .{suffix} files: {', '.join(each.name for each in fitting)}")
+    return await _answer(request, service, level, point, time, "horizon", chosen.name, chosen.media_type)
+
+
+@router.get(
+    "/levels/{level}/point/sun.{format}",
+    summary="The sky over a point",
+    response_class=Response,
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+)
+async def sky_of_point(
+    request: Request,
+    service: TheService,
+    level: str,
+    format: Annotated[Literal["svg", "png"], Path(description="Of the picture.")],
+    point: ThePoint,
+    time: TimeQuery = None,
+) -> Response:
+    """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours."""
+    return await _answer(request, service, level, point, time, "sky", format, "image/svg+xml" if format == "svg" else "image/png")
+
+
+@router.post(
+    "/levels/{level}/point",
+    summary="The sun at many points",
+    responses=problem_docs(413),
+    dependencies=[Depends(allow_only())],
+)
+async def sun_of_points(
+    request: Request,
+    service: TheService,
+    level: str,
+    asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.")],
+) -> Any:
+    """Elevation, lit or not and by what not, and hours of direct sun of the day, at each point; off the data null, and why."""
+    served = await service.level(level)
+    points = tuple(TrackPoint(each.lon, each.lat, each.height, each.time) for each in asked.points)
+    query = PointQuery(lon=0.0, lat=0.0, date=asked.date, clock=asked.clock)
+    wanted = _request(asked.time)
+    found: list[Any] = []
+    for first in range(0, len(points), POINTS_A_JOB):
+        job = PointsJob(level=served.key, points=points[first : first + POINTS_A_JOB], query=query, request=wanted)
+        found += json.loads(await _run(request, service, job))
+    return JSONResponse({"points": found}, headers={"Cache-Control": "no-store"})
+
+
+async def _answer(
+    request: Request,
+    service: Service,
+    level: str,
+    point: PointQuery,
+    time: str | None,
+    product: PointProduct,
+    format: str,
+    media_type: str,
+) -> Response:
+    served = await service.level(level)
+    sun = parse_sun(time, None, None)
+    job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
+    tag = tag_of(served.version, level, "point", job.model_dump(exclude={"level"}, exclude_none=True))
+    headers = cache_headers(tag, OWN_SUN_S if sun is None and point.date is None else GIVEN_SUN_S)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return Response(await _run(request, service, job), headers=headers, media_type=media_type)
+
+
+def _request(time: datetime | None) -> PictureRequest:
+    return PictureRequest(sun=None if time is None else parse_sun(time.isoformat(), None, None))
+
+
+async def _run(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
+    answer = await cancel_on_disconnect(request, service.pool.run(job))
+    assert isinstance(answer, PointAnswer)
+    return answer.body

@@ -1,0 +1,34 @@
+"""What a render process does of points: it has their levels open."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from api.point.horizon_formats import directions_for, horizon_file
+from api.point.polar_picture import sky_picture
+from api.point.report import around_point, clock_asked, day_asked, point_report
+from api.point.track import sun_at_points
+from api.workers.jobs import PointAnswer, PointJob, PointsJob
+from shadows.point.horizon import horizon_round
+from terrain.scene import Scene
+
+
+def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
+    """A point's report, its horizon file or its sky's chart. Raises ``InputError``."""
+    if job.product == "report":
+        return PointAnswer(point_report(scene, job.query).model_dump_json().encode())
+    around = around_point(scene, job.query)
+    if job.product == "horizon":
+        return PointAnswer(horizon_file(job.format, horizon_round(around, directions_for(job.format)), around.place).encode())
+    day = day_asked(scene, job.query)
+    format: Any = job.format
+    title = scene.loaded.level.title or scene.loaded.name
+    clock = clock_asked(scene, job.query, around.place.lon_deg, day)
+    return PointAnswer(sky_picture(around, horizon_round(around), day, clock, format, title))
+
+
+def points_answer(job: PointsJob, scene: Scene) -> PointAnswer:
+    """Elevation, sun and hours of the day at many points, as JSON."""
+    rows = sun_at_points(scene, list(job.points), job.query)
+    return PointAnswer(json.dumps([row.as_json(point) for point, row in zip(job.points, rows, strict=True)]).encode())

@@ -1,0 +1,117 @@
+"""``skugga point``: its table, JSON, files, points and tracks, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.rasters import ENGINEERING, write_geotiff
+
+AT = "15.0,47.5"
+TIME = "2024-10-21T09:00:00+02:00"
+
+
+@pytest.fixture
+def valley(tmp_path):
+    """A valley that runs from north to south, 1500 m deep, round 15 degrees east and 47.5 north."""
+    _, cols = np.mgrid[0:101, 0:101]
+    heights = 300.0 + 1500.0 * np.clip(np.abs(cols - 50) / 30.0 - 0.2, 0.0, 1.0)
+    return str(write_geotiff(tmp_path / "valley.tif", heights.astype(np.float32), "EPSG:32633", 495_000.0, 5_266_000.0, 100.0))
+
+
+def test_the_table(run, valley):
+    status, out, err = run("point", valley, AT, "--time", TIME, "--height", "1.6")
+    assert (status, err) == (0, "")
+    for words in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
+        assert words in out, out
+
+
+def test_json(run, valley):
+    status, out, _ = run("point", valley, AT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json")
+    report = json.loads(out)
+    assert status == 0 and report["elevation_m"] == 300.0
+    day = report["day"]
+    assert day["clock"] == "Europe/Vienna" and day["sunrise"].endswith("+02:00") and 2.0 < day["masked_h"] < 8.0
+    assert len(report["year"]) == 366
+    (october,) = (each for each in report["year"] if each["date"] == "2024-10-21")
+    assert october["direct_h"] == pytest.approx(day["direct_h"], abs=0.1)
+
+
+def test_coordinates_of_a_crs_and_west_of_greenwich(run, valley, tmp_path):
+    _, degrees, _ = run("point", valley, AT, "--time", TIME, "--json")
+    place = json.loads(degrees)
+    status, metres, _ = run("point", valley, "500000,5260871.8", "--crs", "EPSG:32633", "--time", TIME, "--json")
+    assert status == 0 and json.loads(metres)["lon"] == pytest.approx(place["lon"], abs=1e-4)
+    west = write_geotiff(tmp_path / "west.tif", np.zeros((11, 11), np.float32), "EPSG:4326", -118.3, 34.3, 0.01)
+    status, out, err = run("point", str(west), "-118.25,34.25", "--date", "2024-06-21")
+    assert status == 0, err
+    assert "polar" not in out and "14.40 h" in out
+
+
+def test_files(run, valley, tmp_path):
+    horizon, chart, picture = tmp_path / "roof.hor", tmp_path / "sun.svg", tmp_path / "sun.png"
+    asked = ["point", valley, AT, "--date", "2024-10-21", "--horizon", str(horizon), "--format", "hor"]
+    assert run(*asked, "--picture", str(chart))[0] == 0
+    rows = [line.split() for line in horizon.read_text().splitlines()]
+    assert len(rows) == 360 and rows[0][0] == "-180" and float(rows[90][1]) > 15.0
+    assert chart.read_text().lstrip().startswith("<?xml")
+    assert run(*asked, "--picture", str(picture))[0] == 0
+    with Image.open(picture) as shown:
+        assert min(shown.size) > 600
+
+
+def test_points_of_a_csv(run, valley, tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text("name,lon,lat,height\nhut,15.0,47.5,2\nfar,0,0,\n", encoding="utf-8")
+    status, out, _ = run("point", valley, "--points", str(file), "--time", TIME, "--json")
+    hut, far = json.loads(out)
+    assert status == 0 and hut["elevation_m"] == 300.0 and hut["height_m"] == 2.0 and hut["now"]["lit"] is False
+    assert far["now"] is None and "a place on the level's data" in far["remark"]
+
+
+def test_a_track_with_arrivals(run, valley, tmp_path):
+    """Eastwards across the valley at 6 km/h from dawn on: shade below, sun on the ridge."""
+    file = tmp_path / "track.geojson"
+    line = {"type": "LineString", "coordinates": [[14.98, 47.5], [15.03, 47.5]]}
+    file.write_text(json.dumps({"type": "Feature", "properties": {}, "geometry": line}), encoding="utf-8")
+    asked = ["point", valley, "--line", str(file), "--start", "2024-10-21T08:00:00+02:00", "--speed", "6", "--every", "500"]
+    status, out, _ = run(*asked, "--json")
+    rows = json.loads(out)
+    assert status == 0 and len(rows) == 9
+    assert rows[0]["time"] == "2024-10-21T08:00:00+02:00" and rows[-1]["time"].startswith("2024-10-21T08:37")
+    by = {row["now"]["by"]["kind"] for row in rows if row["now"]["by"]}
+    assert by == {"relief"} and rows[-1]["elevation_m"] > 1000 and rows[3]["elevation_m"] < 500
+    status, out, _ = run(*asked)
+    assert status == 0 and "in shadow, relief" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
+        (["here"], "LON,LAT: 'here' is not allowed"),
+        ([], "LON,LAT: 'nothing' is not allowed"),
+        ([AT, "--date", "monday"], "--date: 'monday' is not allowed"),
+        ([AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
+        ([AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
+        ([AT, "--horizon", "x.csv", "--format", "xyz"], "format: 'xyz' is not allowed"),
+        ([AT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed; allowed: .svg or .png"),
+        ([AT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
+        (["--points", "nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_what_is_wrong_is_one_line(run, valley, arguments, words):
+    status, out, err = run("point", valley, *arguments)
+    assert status == 2 and out == "" and err.count("\n") == 1 and words in err
+
+
+def test_a_flat_world_has_a_horizon_and_no_day(run, tmp_path):
+    floor = write_geotiff(tmp_path / "floor.tif", np.zeros((21, 21), np.float32), ENGINEERING, 0.0, 0.0, 10.0)
+    status, out, _ = run("point", str(floor), "0,0", "--horizon", str(tmp_path / "h.csv"), "--json")
+    report = json.loads(out)
+    assert status == 0 and report["day"] is None and "engineering CRS" in report["remark"] and report["lon"] is None
+    status, _, err = run("point", str(floor), "0,0", "--date", "2024-01-01")
+    assert status == 2 and "engineering CRS" in err

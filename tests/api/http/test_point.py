@@ -1,0 +1,121 @@
+"""The sun at points over HTTP."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pandas
+import pytest
+from PIL import Image
+
+from tests.api.conftest import Client
+from tests.api.http.test_problems import check_problem
+
+POINT = "/levels/hills/point"
+HERE = "lon=8.4375&lat=47.5"
+DAY = f"{HERE}&time=2024-12-01T09:00:00%2B01:00"
+
+
+def here(client: Client) -> str:
+    west, south, east, north = client.get("/levels/hills").json()["bounds"]
+    return f"lon={(west + east) / 2:.5f}&lat={(south + north) / 2:.5f}"
+
+
+def test_a_report(client: Client):
+    answer = client.get(f"{POINT}?{here(client)}&time=2024-12-01T09:00:00%2B01:00&height=2")
+    assert answer.status_code == 200, answer.text
+    report = answer.json()
+    assert 500 < report["elevation_m"] < 1300 and report["height_m"] == 2.0
+    assert report["now"]["lit"] == (report["now"]["by"] is None)
+    day = report["day"]
+    assert day["date"] == "2024-12-01" and day["sunrise"] < day["first_sun"] <= day["last_sun"] < day["sunset"]
+    assert day["daylight_h"] == pytest.approx(day["direct_h"] + day["masked_h"], abs=1e-3)
+    assert day["sunrise"].endswith("+01:00")
+    again = client.get(answer.request.url.raw_path.decode(), headers={"If-None-Match": answer.headers["etag"]})
+    assert again.status_code == 304
+
+
+def test_horizon_files_and_charts(client: Client):
+    where = here(client)
+    series = pandas.read_csv(io.StringIO(client.get(f"{POINT}/horizon.csv?{where}&format=pvlib").text), index_col=0)
+    assert series.index.name == "horizon_azimuth" and len(series) == 720
+    for suffix, media in (("csv", "text/csv"), ("json", "application/json"), ("txt", "text/plain"), ("hor", "text/plain")):
+        answer = client.get(f"{POINT}/horizon.{suffix}?{where}")
+        assert answer.status_code == 200 and answer.headers["content-type"].startswith(media)
+    profile = client.get(f"{POINT}/horizon.json?{where}").json()["outputs"]["horizon_profile"]
+    north = next(each["H_hor"] for each in profile if each["A"] == -180.0)
+    assert north == pytest.approx(float(series["horizon_elevation"].iloc[0]), abs=1e-3)
+    png = client.get(f"{POINT}/sun.png?{where}&date=2024-06-21")
+    assert Image.open(io.BytesIO(png.content)).size[0] > 600
+    svg = client.get(f"{POINT}/sun.svg?{where}&date=2024-06-21")
+    assert svg.text.lstrip().startswith("<?xml") and svg.headers["content-type"].startswith("image/svg+xml")
+
+
+def test_many_points(client: Client):
+    west, south, east, north = client.get("/levels/hills").json()["bounds"]
+    lon, lat = (west + east) / 2, (south + north) / 2
+    points = [{"lon": lon + 0.001 * n, "lat": lat} for n in range(5)] + [{"lon": 0.0, "lat": 0.0}]
+    body = {"points": points, "time": "2024-12-01T09:00:00+01:00"}
+    answer = client.post(POINT, json=body)
+    assert answer.status_code == 200, answer.text
+    *rows, off = answer.json()["points"]
+    alone = client.get(f"{POINT}?lon={lon}&lat={lat}&time=2024-12-01T09:00:00%2B01:00").json()
+    assert rows[0]["elevation_m"] == alone["elevation_m"] and rows[0]["now"] == alone["now"]
+    assert rows[0]["direct_h"] == pytest.approx(alone["day"]["direct_h"], abs=0.15)
+    assert off["elevation_m"] is off["now"] is None and "a place on the level's data" in off["remark"]
+    assert len({row["elevation_m"] for row in rows}) == 5
+
+
+@pytest.mark.parametrize(
+    ("query", "parameter"),
+    [
+        ("lon=0&lat=0", "point"),
+        (f"{HERE}&height=-1", "height"),
+        (f"{HERE}&clock=noon&date=2024-01-01", "clock"),
+        (f"{HERE}&date=yesterday", "date"),
+        (f"{HERE}&time=noon", "time"),
+        (f"{HERE}&year=1", "year"),
+        ("lat=47.5", "lon"),
+        (f"{HERE}&azimuth=3", "azimuth"),
+    ],
+)
+def test_wrong_parameters_are_named(client: Client, query: str, parameter: str):
+    if query.startswith(HERE):
+        query = query.replace(HERE, here(client))
+    answer = client.get(f"{POINT}?{query}")
+    assert answer.status_code == 422 and answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["parameter"] == parameter and answer.json()["code"] == "invalid_parameter"
+
+
+def test_what_is_too_much_or_of_another_suffix(client: Client):
+    check_problem(client.get(f"{POINT}/horizon.csv?{here(client)}&format=hor"), 422, "invalid_parameter", "format")
+    many = {"points": [{"lon": 8.0, "lat": 47.0}] * 10_001}
+    check_problem(client.post(POINT, json=many), 422, "invalid_parameter", "points")
+    check_problem(client.post(POINT, json={"points": []}), 422, "invalid_parameter", "points")
+    check_problem(client.get(f"/levels/nowhere/point?{HERE}"), 404, "not_found", "level")
+
+
+def test_suns_of_masks_and_of_points_agree(client: Client):
+    """Pixels of a tile of the mask, and the same places as points: but for the surface between the cells, which the tile samples at
+    its own pixels.
+    """
+    west, south, east, north = client.get("/levels/hills").json()["bounds"]
+    from morecantile import tms
+
+    matrix = tms.get("WebMercatorQuad")
+    zoom = 13
+    tile = matrix.tile((west + east) / 2, (south + north) / 2, zoom)
+    mask = client.get(f"/levels/hills/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png?layer=mask")
+    values = np.array(Image.open(io.BytesIO(mask.content)).convert("L"))
+    bounds = matrix.xy_bounds(tile)
+    step = (bounds.right - bounds.left) / 256
+    rng = np.random.default_rng(0)
+    picks = [(int(i), int(j)) for i, j in rng.integers(0, 256, (120, 2)) if values[i, j] in (0, 255)]
+    points = []
+    for i, j in picks:
+        lon, lat = matrix.lnglat(bounds.left + (j + 0.5) * step, bounds.top - (i + 0.5) * step)
+        points.append({"lon": lon, "lat": lat})
+    rows = client.post(POINT, json={"points": points}).json()["points"]
+    same = [row["now"]["lit"] == (values[i, j] == 255) for row, (i, j) in zip(rows, picks, strict=True)]
+    assert len(same) > 60 and np.mean(same) > 0.9

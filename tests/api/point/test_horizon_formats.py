@@ -1,0 +1,85 @@
+"""Horizon files: what readers of the formats make of them, pvlib's own among these."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pandas
+import pytest
+
+from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
+from shadows.point.horizon import PointHorizon
+from shadows.point.place import PointPlace
+from terrain.errors import InputError
+
+PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, np.zeros(3), np.eye(3))
+
+
+def horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
+    """A horizon that tells directions apart: 40 degrees in the east, falling off to -5 in the west."""
+    azimuth = np.arange(720) / 2 if azimuth_deg is None else azimuth_deg
+    height = 17.5 + 22.5 * np.sin(np.radians(azimuth))
+    return PointHorizon(azimuth, height, np.full(len(azimuth), -90.0), np.full(len(azimuth), -90.0))
+
+
+def text(name: str) -> str:
+    return horizon_file(name, horizon(directions_for(name)), PLACE)
+
+
+def expected(azimuth_deg: np.ndarray) -> np.ndarray:
+    return np.maximum(17.5 + 22.5 * np.sin(np.radians(azimuth_deg)), 0.0)
+
+
+def test_pvgis_csv():
+    lines = text("pvgis-csv").splitlines()
+    assert lines[0] == "Latitude (decimal degrees): 47.500000" and lines[2] == "Elevation (m): 602.0"
+    table = np.array([line.split() for line in lines[lines.index("A_hor\t\tH_hor") + 1 :] if line[:1] in "-0123456789" and line])
+    azimuth, height = table.astype(float).T
+    assert azimuth[0] == -180.0 and azimuth[-1] == 180.0 and (np.diff(azimuth) > 0).all()
+    assert height == pytest.approx(expected(azimuth + 180.0), abs=0.006)
+    assert height[np.flatnonzero(azimuth == -90.0)[0]] == pytest.approx(40.0)  # the east
+    assert "0 = S, 90 = W" in lines[-2]
+
+
+@pytest.mark.filterwarnings("ignore:The inplace keyword")  # pvlib's own
+def test_pvgis_json_is_read_by_pvlib(monkeypatch):
+    from pvlib.iotools import get_pvgis_horizon
+
+    class Answer:
+        ok = True
+
+        @staticmethod
+        def json():
+            return json.loads(text("pvgis-json"))
+
+    monkeypatch.setattr("requests.get", lambda *args, **kwargs: Answer)
+    series, _ = get_pvgis_horizon(47.5, 11.25)
+    assert len(series) == 720 and series.index[0] == 0.0
+    assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
+
+
+def test_pvgis_upload_and_forecast_solar_turn_clockwise_from_north():
+    upload = np.array(text("pvgis-upload").split(), float)
+    assert len(upload) == 360 and upload == pytest.approx(expected(np.arange(360.0)), abs=0.006)
+    listed = np.array(text("forecast-solar").strip().split(","), float)
+    assert len(listed) == 72 and listed == pytest.approx(expected(np.arange(72) * 5.0), abs=0.06)
+
+
+def test_pvlib_csv():
+    series = pandas.read_csv(io.StringIO(text("pvlib")), index_col=0)["horizon_elevation"]
+    assert series.index.name == "horizon_azimuth" and series.index.is_monotonic_increasing
+    assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
+
+
+def test_hor():
+    azimuth, height = np.array([line.split(" ") for line in text("hor").splitlines()], float).T
+    assert azimuth.tolist() == list(range(-180, 180))
+    assert height == pytest.approx(expected(azimuth + 180.0), abs=0.006)
+
+
+def test_names_are_known():
+    assert len(HORIZON_FORMATS) == 6
+    with pytest.raises(InputError, match="format: 'xyz' is not allowed; allowed: pvgis-csv, pvgis-json"):
+        horizon_file("xyz", horizon(None), PLACE)

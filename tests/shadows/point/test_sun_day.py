@@ -1,0 +1,129 @@
+"""Days and years: against the sun's own path over level ground, and rays every ten seconds behind ridges; polar days and nights."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from shadows.point.clock import clock_of, day_ends, solar_clock
+from shadows.point.horizon import sun_reaches, surroundings
+from shadows.point.place import place_at
+from shadows.point.sun_angles import angles_at, sun_directions
+from shadows.point.sun_day import hours_between_looks, sun_day
+from shadows.point.sun_year import sun_year
+from terrain.errors import InputError
+from terrain.geo.sun import apparent_position
+
+DAY = date(2024, 10, 21)
+
+
+@pytest.fixture
+def at(write_raster, make_scene):
+    """``at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, so far north."""
+
+    def place(heights: np.ndarray, north: float = 5_300_000.0, height_m: float = 0.0):
+        side = len(heights)
+        scene = make_scene(write_raster(heights.astype(np.float32), "EPSG:32633", 500_000.0, north, 50.0))
+        middle = 500_000.0 + side * 25.0, north - side * 25.0
+        return surroundings(scene, place_at(scene, middle, scene.elevation.crs, height_m))
+
+    return place
+
+
+def ridges(seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[0:121, 0:121]
+    away = np.hypot(rows - 60, cols - 60)
+    return np.clip(away - 20, 0, None) * 9.0 * (1 + 0.3 * np.sin(cols / 3.0) * np.cos(rows / 4.0)) + rng.random((121, 121))
+
+
+def test_over_level_ground_the_day_is_the_suns(at):
+    around = at(np.zeros((21, 21)))
+    day = sun_day(around, DAY, UTC)
+    place = around.place
+    for moment in (day.sunrise, day.sunset):
+        _, altitude, _ = apparent_position(moment, place.lon_deg, place.lat_deg)
+        assert altitude == pytest.approx(0.0, abs=0.02)
+    assert day.first_sun == pytest.approx(day.sunrise, abs=timedelta(seconds=5))
+    assert day.last_sun == pytest.approx(day.sunset, abs=timedelta(seconds=5))
+    assert day.direct_h == pytest.approx(day.daylight_h, abs=0.003) and day.masked_h < 0.003
+    _, noon, _ = apparent_position(day.noon, place.lon_deg, place.lat_deg)
+    assert noon == pytest.approx(day.noon_altitude_deg, abs=0.01)
+    assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].after is None
+
+
+def test_first_and_last_sun_as_rays_every_ten_seconds_have_them(at):
+    around = at(ridges())
+    day = sun_day(around, DAY, UTC)
+    begin = day_ends(DAY, UTC)[0].timestamp()
+    when = begin + np.arange(0.0, 86400.0, 10.0)
+    lit = sun_reaches(around, *angles_at(around.place, sun_directions(around.scene.world, when)))
+    first, last = when[np.flatnonzero(lit)[[0, -1]]]
+    assert day.first_sun.timestamp() == pytest.approx(first, abs=15)
+    assert day.last_sun.timestamp() == pytest.approx(last, abs=15)
+    assert day.direct_h == pytest.approx(lit.sum() * 10 / 3600, abs=0.02)
+    assert day.masked_h > 1.0 and day.first_sun > day.sunrise and day.last_sun < day.sunset
+    caster = day.sunlit[0].after
+    assert caster.kind == "relief" and 1000 < caster.distance_m < 4500 and caster.height_m > 100
+    assert sum(interval.hours for interval in day.sunlit) == pytest.approx(day.direct_h, abs=0.002)
+    assert hours_between_looks(around, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
+
+
+def test_a_year_has_the_hours_of_its_days(at):
+    around = at(ridges())
+    year = sun_year(around, 2024, UTC)
+    assert len(year.days) == 366 and (year.direct_h <= year.daylight_h).all()
+    for number in (0, 171, 294):
+        day = sun_day(around, year.days[number], UTC)
+        assert year.direct_h[number] == pytest.approx(day.direct_h, abs=0.1)
+        assert year.daylight_h[number] == pytest.approx(day.daylight_h, abs=0.1)
+
+
+def test_polar_day_and_night(at):
+    around = at(np.zeros((21, 21)), north=8_700_000.0)
+    night = sun_day(around, date(2024, 12, 21), UTC)
+    assert night.sunrise is night.sunset is night.first_sun is None and night.daylight_h == night.direct_h == 0.0
+    assert night.remark == "polar night: the sun stays below the level horizon all day"
+    always = sun_day(around, date(2024, 6, 21), UTC)
+    assert always.sunrise is None and always.daylight_h == pytest.approx(24.0) and always.direct_h == pytest.approx(24.0)
+    assert always.remark == "polar day: the sun does not set"
+
+
+def test_a_pit_has_no_sun(at):
+    heights = np.full((41, 41), 5000.0)
+    heights[20, 20] = 0.0
+    day = sun_day(at(heights), date(2024, 12, 21), UTC)
+    assert day.sunlit == () and day.first_sun is None and day.masked_h == pytest.approx(day.daylight_h)
+    assert day.remark == "the sun rises, but something stands before it all day"
+
+
+def test_clocks():
+    assert clock_of("utc", None, DAY) is UTC
+    assert clock_of("+05:30", None, DAY).utcoffset(None) == timedelta(hours=5, minutes=30)
+    assert clock_of(" 02:00", None, DAY).utcoffset(None) == timedelta(hours=2)  # a plus that arrived as a space
+    assert clock_of("-03:30", None, DAY).utcoffset(None) == -timedelta(hours=3, minutes=30)
+    oslo = clock_of("Europe/Oslo", None, DAY)
+    assert datetime(2024, 7, 1, tzinfo=oslo).utcoffset() == timedelta(hours=2)
+    first, following = day_ends(date(2024, 10, 27), oslo)
+    assert following.astimezone(UTC) - first.astimezone(UTC) == timedelta(hours=25)
+    for name in ("Mars", "../etc", "", "+25:00"):
+        with pytest.raises(InputError, match="clock"):
+            clock_of(name, None, DAY)
+
+
+def test_at_noon_of_the_solar_clock_the_sun_is_in_the_south():
+    clock = solar_clock(13.4, DAY)
+    azimuth, _, _ = apparent_position(datetime(2024, 10, 21, 12, tzinfo=clock), 13.4, 52.5)
+    assert azimuth == pytest.approx(180.0, abs=0.1)
+
+
+def test_a_flat_world_has_no_days(tmp_path, make_scene):
+    from tests.shadows.point.ground import at_middle, flat_world
+
+    around = at_middle(flat_world(tmp_path, make_scene, np.zeros((9, 9))))
+    with pytest.raises(InputError, match="an engineering CRS is not georeferenced"):
+        sun_day(around, DAY, UTC)
+    with pytest.raises(InputError, match="an engineering CRS is not georeferenced"):
+        sun_year(around, 2024, UTC)
