@@ -39,7 +39,7 @@ PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
 FILE_COLUMNS = 200
 """Width of tables that go into a file or a pipe."""
 
-LIT, DARK, NIGHT = "lit", "in shadow", "night"
+_LIT, _DARK, _NIGHT = "lit", "in shadow", "night"
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _show(report: PointReport) -> None:
     above = f", {report.height_m:g} m above it" if report.height_m else ""
     console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
     if report.now is not None:
-        when = "" if report.now.time is None else f"{report.now.time.isoformat()}: "
+        when = "under the level's own sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
         console.print(f"{when}{_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
     if report.day is not None:
@@ -214,8 +214,8 @@ def _console() -> Any:
 
 def _state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:
     if altitude <= 0.0:
-        return NIGHT
-    return LIT if lit else f"{DARK}, {_caster(by)}"
+        return _NIGHT
+    return _LIT if lit else f"{_DARK}, {_caster(by)}"
 
 
 def _caster(caster: ReportedCaster | None) -> str:

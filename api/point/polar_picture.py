@@ -22,6 +22,8 @@ PATH_STEP_S = 120.0
 NAMED_APART_DEG = 6.0
 """Paths whose tops lie nearer than this to the day's have no names of their own."""
 
+NUMBERED_INSIDE_DEG = 6.0
+
 SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
 
 _PAPER, _INK, _GRID, _SKY = "#ffffff", "#2b2b2b", "#c4ccd4", "#f4f8fb"
@@ -150,16 +152,16 @@ def _hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, named: boo
             )  # fmt: skip
             if own and named:
                 axes.annotate(
-                    f"{hour}", (angle, away), xytext=_outwards(azimuth[hour]), textcoords="offset points", fontsize=8.5,
-                    fontweight="bold", color=_INK, ha="center", va="center", zorder=7,
+                    f"{hour}", (angle, away), xytext=_beside(azimuth[hour], altitude[hour]), textcoords="offset points",
+                    fontsize=8.5, fontweight="bold", color=_INK, ha="center", va="center", zorder=7,
                     bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
                 )  # fmt: skip
 
 
-def _outwards(azimuth_deg: float) -> tuple[float, float]:
-    """Where a number stands beside its mark: towards the rim."""
-    angle = np.radians(azimuth_deg)
-    return float(11.0 * np.sin(angle)), float(11.0 * np.cos(angle))
+def _beside(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
+    """Where a number stands beside its mark, in points: towards the rim, but away from it near the rim: there are azimuths."""
+    angle, away = np.radians(azimuth_deg), 11.0 if altitude_deg > NUMBERED_INSIDE_DEG else -11.0
+    return float(away * np.sin(angle)), float(away * np.cos(angle))
 
 
 def _subtitle(around: Surroundings, day: date | None, clock: tzinfo) -> str:

@@ -33,9 +33,9 @@ def _rounded(digits: int) -> BeforeValidator:
     return BeforeValidator(lambda value: None if value is None else round(float(value), digits))
 
 
-Degrees = Annotated[float, _rounded(3)]
-Metres = Annotated[float, _rounded(2)]
-Hours = Annotated[float, _rounded(4)]
+RoundDegrees = Annotated[float, _rounded(3)]
+RoundMetres = Annotated[float, _rounded(2)]
+RoundHours = Annotated[float, _rounded(4)]
 LonLatDegrees = Annotated[float | None, _rounded(7)]
 
 
@@ -56,10 +56,10 @@ class ReportedCaster(_Reported):
     """What hides the sun: its kind, distance along the ground, direction, angle above the eye's level, and place."""
 
     kind: CasterType
-    distance_m: Metres
-    azimuth: Degrees
-    elevation: Degrees
-    height_m: Metres
+    distance_m: RoundMetres
+    azimuth: RoundDegrees
+    elevation: RoundDegrees
+    height_m: RoundMetres
     lon: LonLatDegrees
     lat: LonLatDegrees
 
@@ -68,8 +68,8 @@ class ReportedMoment(_Reported):
     """The sun at a moment: where it stands, whether it shines on the point, and if not, what hides it; ``by`` is null by night."""
 
     time: datetime | None
-    azimuth: Degrees
-    altitude: Degrees
+    azimuth: RoundDegrees
+    altitude: RoundDegrees
     lit: bool
     by: ReportedCaster | None
 
@@ -93,20 +93,20 @@ class ReportedDay(_Reported):
     last_sun: datetime | None
     sunset: datetime | None
     noon: datetime
-    noon_altitude: Degrees
-    daylight_h: Hours
-    direct_h: Hours
-    masked_h: Hours
+    noon_altitude: RoundDegrees
+    daylight_h: RoundHours
+    direct_h: RoundHours
+    masked_h: RoundHours
     sunlit: tuple[ReportedInterval, ...]
     remark: str | None
 
 
 class DayHours(_Reported):
-    """Hours of a day for which the sun is up, and shines on the point."""
+    """RoundHours of a day for which the sun is up, and shines on the point."""
 
     date: _Date
-    daylight_h: Hours
-    direct_h: Hours
+    daylight_h: RoundHours
+    direct_h: RoundHours
 
 
 class PointReport(_Reported):
@@ -115,8 +115,8 @@ class PointReport(_Reported):
     level: str
     lon: LonLatDegrees
     lat: LonLatDegrees
-    elevation_m: Metres
-    height_m: Metres
+    elevation_m: RoundMetres
+    height_m: RoundMetres
     now: ReportedMoment | None
     day: ReportedDay | None
     year: tuple[DayHours, ...] | None
