@@ -15,16 +15,19 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from datetime import date
 from pathlib import Path
 
 import numba
 import numpy as np
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
+from api.point.report import PointQuery, point_report
 from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob
 from api.workers.render_worker import MAX_SCENES, WorkerState, plan_of_tiles, run_job
 from shadows.ground_pictures import SKY_PASS
-from terrain.errors import SkuggaError
+from terrain.errors import InputError, SkuggaError
 from terrain.gbuffer.covered_nodes import is_bare
 from terrain.gl import device as gl
 from terrain.ground.sky_view_factor import sky_view
@@ -33,6 +36,8 @@ from terrain.user_cache import user_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPILED_FOLDERS = "api", "selector", "shadows", "terrain"
+
+ANY_DAY = date(2024, 3, 20)
 
 log = logging.getLogger("skugga.worker")
 
@@ -50,6 +55,7 @@ def prepare(served: Sequence[ServedPictures], state: WorkerState, say: Callable[
                     at = f"level {number} of {len(levels)}, picture {done + 1} of {len(jobs)}"
                     say(f"first start with {name}: compiling what its pictures need ({at})")
                     run_job(job, state)
+                _look_from_the_middle(scene)
                 _leave(stamp)
             _find_sky(level, scene, state)
         except SkuggaError as error:
@@ -73,6 +79,14 @@ def _find_sky(level: ServedPictures, scene: Scene, state: WorkerState) -> None:
             if SKY_PASS in plan_of_tiles(job, seen, state).runs:
                 sky_view(seen.elevation, seen.world)
             return
+
+
+def _look_from_the_middle(scene: Scene) -> None:
+    """Compile what points need: a report of one does, in the middle of the level, if that is on its data."""
+    flat = scene.world.flat
+    lon, lat = (0.0, 0.0) if flat else (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+    with suppress(InputError):
+        point_report(scene, PointQuery(lon=lon, lat=lat, date=None if flat else ANY_DAY))
 
 
 def _engine() -> str:

@@ -9,7 +9,9 @@ from pyproj import CRS, Proj
 from shadows.point import relief_pages
 from shadows.point.horizon_walk import NO_GROUND, ground_hides, relief_horizon
 from shadows.point.place import place_at
+from terrain.casters.rays import RayScene
 from terrain.errors import InputError
+from terrain.geo.sun import direction_enu
 from terrain.geo.world import WGS84
 from tests.shadows.point.ground import at_middle, flat_world, round_the_middle
 
@@ -178,3 +180,20 @@ def test_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):
     cap = make_scene(write_raster(np.full((20, 360), 100.0, np.float32), "EPSG:4326", -180.0, 90.0, (1.0, 0.1), name="cap.tif"))
     flat = relief_horizon(cap, place_at(cap, (10.0, 89.9)), AZIMUTHS[::16])
     assert np.degrees(np.arctan(flat.tangent)) == pytest.approx(0.0, abs=0.3)
+
+
+@pytest.mark.parametrize("name", ["sierra_30m_albers.tif", "zion_srtm_4326.tif"])
+def test_horizons_of_real_mountains_are_those_of_rays(shared_data, make_scene, name):
+    """A little over the horizon Embree's rays meet nothing, a little under it something: far ridges, grids turned by 14 degrees."""
+    scene = make_scene(shared_data / "mountain" / name)
+    grid, elevation = relief_pages.paged_relief(scene).grid, scene.elevation
+    x, y = (float(v) for v in elevation.xy(0.61 * elevation.rows, 0.47 * elevation.cols))
+    place = place_at(scene, (x, y), elevation.crs, height_m=2.0)
+    frame = scene.world.frame_near(elevation.crs, x, y)
+    rays = RayScene([scene.surface(grid).window(0, 0, elevation.rows, elevation.cols, frame).sheet])
+    horizon = elevation_deg(scene, place)
+    start = np.repeat(frame.points_from_earth(place.eye_earth_m)[None], len(horizon), axis=0)
+    for aside, hidden in ((0.02, False), (-0.02, True)):
+        enu = np.stack([direction_enu(*angles) for angles in zip(AZIMUTHS, horizon + aside, strict=True)])
+        blocked = rays.blocked(start, frame.directions_from_earth(enu @ place.earth_from_enu.T))
+        assert (blocked == hidden).mean() > 0.998

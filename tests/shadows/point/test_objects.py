@@ -141,3 +141,26 @@ def test_meshes_of_a_made_ground_are_no_buildings(make_scene, tmp_path):
     scene = make_scene(tmp_path / "floor.tif", meshes=[{"generate": "boxgrid"}])
     around = surroundings(scene, place_at(scene, (0.0, 0.0)))
     assert len(around.triangles) and not around.is_building.any()
+
+
+def test_on_columns_shade_is_the_engines_own(tmp_path, make_scene):
+    """At the middles of cells with flat tops and upright walls, as ray-traced truth has them."""
+    heights = np.zeros((64, 64), np.float32)
+    rng = np.random.default_rng(2)
+    for row, col in rng.integers(4, 56, (25, 2)):
+        heights[row : row + 4, col : col + 3] = rng.integers(4, 20)
+    write_geotiff(tmp_path / "blocks.tif", heights, "EPSG:32633", 500_000.0, 5_300_000.0, 4.0)
+    scene = make_scene(tmp_path / "blocks.tif", 235.0, 21.0, terrain={"surface": "blocks"})
+    view = scene.view(bounds=(500_000.0, 5_299_744.0, 500_256.0, 5_300_000.0), size=(64, 64))
+    buffer = geometry_of(scene, view)
+    truth = truth_of(buffer, scene, casters_of(scene, buffer))
+    dark = 0
+    for i, j in np.argwhere(truth.decidable & buffer.there)[::9]:
+        at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
+        place = place_at(scene, at, view.grid.crs)
+        assert place.ground_m == heights[i, j]
+        sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
+        reached = sun_reaches(surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
+        assert reached == truth.lit[i, j], (i, j)
+        dark += not reached
+    assert dark > 50
