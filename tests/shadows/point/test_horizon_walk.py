@@ -197,3 +197,15 @@ def test_horizons_of_real_mountains_are_those_of_rays(shared_data, make_scene, n
         enu = np.stack([direction_enu(*angles) for angles in zip(AZIMUTHS, horizon + aside, strict=True)])
         blocked = rays.blocked(start, frame.directions_from_earth(enu @ place.earth_from_enu.T))
         assert (blocked == hidden).mean() > 0.998
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_ridge_across_the_grid_is_whole(tmp_path, make_scene, sign):
+    """One node wide, along a diagonal: quads are cut along their higher one, and so no line of sight passes between its nodes."""
+    east, north = round_the_middle(81)
+    scene = flat_world(tmp_path, make_scene, np.where(sign * east + north == 300.0, 50.0, 0.0))
+    aside = np.arange(-20.0, 20.5, 0.7)
+    expected = np.degrees(np.arctan(50.0 * np.cos(np.radians(aside)) / (300.0 / np.sqrt(2.0))))
+    assert elevation_deg(scene, at_middle(scene).place, sign * 45.0 + aside) == pytest.approx(expected, abs=1e-6)
+    assert place_at(scene, (sign * 145.0, 155.0)).ground_m == pytest.approx(50.0)
+    assert place_at(scene, (sign * 142.0, 152.0)).ground_m == pytest.approx(50.0 - 50.0 * 0.6, abs=1e-4)
