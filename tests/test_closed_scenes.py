@@ -100,9 +100,10 @@ def draw_with_everything(scene: Scene) -> list[object]:
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
-    horizon_round(surroundings(scene, place_at(scene, tuple(place(240, 200)))))
+    point = place_at(scene, tuple(place(240, 200)))
+    horizon_round(surroundings(scene, point))
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
-    return [probes, buffer, real, block]
+    return [probes, buffer, real, block, point]
 
 
 def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):

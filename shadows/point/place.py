@@ -69,14 +69,16 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
         raise InputError("height", height_m, f"0 to {HIGHEST_EYE_M:.0f} metres above the ground")
     ground = paged_relief(scene)
     x, y = _on_grid(scene, ground, at, crs)
-    on_data = np.isfinite(x + y) and bool(scene.elevation.covers(*_in_raster(scene, ground, x, y)))
-    surface_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y))) if on_data else np.nan
-    if not np.isfinite(surface_m):
-        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", f"a place on the level's data{_extent(scene)}")
+    allowed = f"a place on the level's data{_extent(scene)}"
+    if not np.isfinite(x + y):
+        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
-    ground_m = ground.height_at(row, col)
+    ground_m, there = ground.ground_at(row, col)
     if not np.isfinite(ground_m):  # the outermost half cell, round which there are no quads
-        ground_m = surface_m
+        ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
+        there = bool(np.isfinite(ground_m))
+    if not there:
+        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", allowed)
     foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None
     if not scene.world.flat:

@@ -127,17 +127,23 @@ class PagedRelief:
             x = x + 360.0 * np.rint(((west + east) / 2 - x) / 360.0)
         return self.grid.row(y), self.grid.col(x)
 
-    def height_at(self, row: float, col: float) -> float:
-        """Height of the ground at a (fractional) node, metres; NaN where there is none."""
+    def ground_at(self, row: float, col: float) -> tuple[float, bool]:
+        """Height of the ground at a (fractional) node, metres (NaN where there is none), and whether the picture shows it there: a
+        hole is filled, but not shown.
+        """
+        near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
         if self.blocks:
-            return float(self.nodes(0, int(np.floor(row + 0.5)), int(np.floor(col + 0.5)), 1, 1)[0, 0])
+            height, shown = Columns(self.world, self.elevation, 0).heights(near_row, near_col, 1, 1)
+            return float(height[0, 0]), bool(shown[0, 0])
         row0, col0 = int(np.floor(row)), int(np.floor(col))
         fr, fc = row - row0, col - col0
-        nw, ne, sw, se = (float(v) for v in self.nodes(0, row0, col0, 2, 2).ravel())
+        window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, 2, 2)
+        there = bool(window.there[near_row - row0, near_col - col0])
+        nw, ne, sw, se = (float(v) for v in window.height_m.ravel())
         if fr == 0.0 or fc == 0.0:  # on a line between two nodes: others may be missing
             end, share = (sw, fr) if fc == 0.0 else (ne, fc)
-            return nw + share * (end - nw) if share else nw
-        return float(quad_height(nw, ne, sw, se, fr, fc))
+            return nw + share * (end - nw) if share else nw, there
+        return float(quad_height(nw, ne, sw, se, fr, fc)), there
 
 
 def paged_relief(scene: Scene) -> PagedRelief:

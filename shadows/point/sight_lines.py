@@ -18,14 +18,17 @@ import numpy as np
 
 from shadows.point.place import PointPlace
 from shadows.point.relief_pages import PagedRelief
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, epsg_of, transformer
+from terrain.geo.grid import Grid
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, epsg_of, transformer
+from terrain.ground.elevation import Elevation
 
 FIRST_M, GROWTH = 500.0, 1.125
 """The first distance at which lines are placed, and how these grow."""
 
-SPOKES = 32
-"""Azimuths whose lines are placed exactly."""
+SPOKES, HARMONICS = 20, 8
+"""Azimuths whose lines are placed exactly, and how many terms those between them have."""
 
 SPOKES_ERROR = 1e-3
 """Nodes by which the highest harmonics may move a line; else each is placed by itself."""
@@ -61,19 +64,35 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
     if ground.world.flat:
         row, col = _flat_nodes(ground, place, azimuth_deg, distance)
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
-    spokes = np.arange(SPOKES) * (360.0 / SPOKES)
-    nodes = _globe_nodes(ground, place, spokes, distance)
-    known = np.isfinite(nodes).all(axis=(0, 2))
-    distance = distance[: int(np.argmin(known)) if not known.all() else len(distance)]
-    nodes = nodes[:, : len(distance)]
-    harmonics = np.fft.rfft(nodes, axis=0) / SPOKES
-    if np.abs(harmonics[SPOKES // 4 :]).max(initial=0.0) * SPOKES < SPOKES_ERROR:
-        terms = np.ascontiguousarray(harmonics[: SPOKES // 4].reshape(SPOKES // 4, -1))
-        nodes = _between_spokes(terms.real.copy(), terms.imag.copy(), np.radians(azimuth_deg)).reshape(-1, len(distance), 2)
+    spokes = _spokes(ground.world, ground.elevation, ground.grid, place, count)
+    distance = distance[: spokes.real.shape[1] // 2]
+    if spokes.smooth:
+        nodes = _between_spokes(spokes.real, spokes.imaginary, np.radians(azimuth_deg)).reshape(-1, len(distance), 2)
         nodes[:, 0] = place.row, place.col
     else:
-        nodes = _globe_nodes(ground, place, azimuth_deg, distance)
+        nodes = _globe_nodes(ground.grid, place, azimuth_deg, distance)
     return SightLines(azimuth_deg, distance, nodes[..., 0].copy(), nodes[..., 1].copy(), _curvature(place, azimuth_deg))
+
+
+@dataclass(frozen=True, eq=False)
+class Spokes:
+    """The trigonometric polynomials (m, 2 k) of rows and columns at k distances, and whether they tell lines between the spokes."""
+
+    real: np.ndarray
+    imaginary: np.ndarray
+    smooth: bool
+
+
+@cached("scene", 4 * MIB)
+def _spokes(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> Spokes:
+    """The spokes of a place, as far as the grid's CRS goes; kept, since a report looks from one place several times."""
+    distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
+    nodes = _globe_nodes(grid, place, np.arange(SPOKES) * (360.0 / SPOKES), distance)
+    known = np.isfinite(nodes).all(axis=(0, 2))
+    nodes = nodes[:, : int(np.argmin(known)) if not known.all() else len(distance)]
+    harmonics = np.fft.rfft(nodes, axis=0).reshape(SPOKES // 2 + 1, -1) / SPOKES
+    smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * SPOKES < SPOKES_ERROR)
+    return Spokes(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), smooth)
 
 
 def _flat_nodes(
@@ -84,19 +103,19 @@ def _flat_nodes(
     return place.row - units * np.cos(azimuth) / ground.grid.stretch, place.col + units * np.sin(azimuth)
 
 
-def _globe_nodes(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
+def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Rows and columns (n, k, 2) at distances (k,) towards azimuths (n,); NaN beyond the end of the grid's CRS."""
     azimuth, distance = (v.ravel() for v in np.broadcast_arrays(azimuth_deg[:, None], distance_m))
     lon, lat, _ = WGS84.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
     x, y = np.asarray(lon), np.asarray(lat)
-    if epsg_of(ground.grid.crs) != 4326:
-        x, y = transformer(LONGITUDE_LATITUDE, ground.grid.crs).transform(x, y)
-    if ground.grid.crs.is_geographic:
+    if epsg_of(grid.crs) != 4326:
+        x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(x, y)
+    if grid.crs.is_geographic:
         x = place.x + (x - place.x + 180.0) % 360.0 - 180.0
-    row, col = ground.grid.row(y), ground.grid.col(x)
+    row, col = grid.row(y), grid.col(x)
     nodes = np.stack([row, col], axis=-1).reshape(len(azimuth_deg), len(distance_m), 2)
-    if ground.grid.crs.is_geographic:
-        nodes[..., 1] += place.col - ground.grid.col(place.x)
+    if grid.crs.is_geographic:
+        nodes[..., 1] += place.col - grid.col(place.x)
     return np.where(np.isfinite(nodes), nodes, np.nan)
 
 
