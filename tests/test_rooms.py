@@ -165,9 +165,9 @@ def test_every_room_says_what_lives_there_and_what_it_may_import():
     }  # fmt: skip
     assert rooms
     for room, path in rooms.items():
-        said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        said = " ".join((ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split())
         expected = ", ".join(sorted(MAY_IMPORT[room].split())) or "no other room"
-        assert re.search(r"^May import: (.*)\.$", said, re.MULTILINE), path
+        assert said.count("May import: ") == 1, path
         assert f"May import: {expected}." in said, path
 
 

@@ -162,8 +162,9 @@ def shade_raster(
 
 
 @app.command("point", context_settings={"ignore_unknown_options": True})  # a longitude may begin with a minus
+@takes_level
 def sun_at_point(
-    level: LevelArgument,
+    level: LevelSource,
     at: Annotated[str | None, typer.Argument(metavar="[LON,LAT]", help="Degrees; or x,y of --crs.")] = None,
     crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of the point.")] = None,
     time: TimeOption = None,
@@ -190,13 +191,12 @@ def sun_at_point(
 
     sun = parse_sun(time, None, None)
     asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, format, picture, as_json)
-    path = find_level(level)
     if points is not None:
-        report_points(path, points, asked)
+        report_points(level, points, asked)
     elif line is not None:
-        report_line(path, line, asked, start, speed, every)
+        report_line(level, line, asked, start, speed, every)
     else:
-        report_point(path, asked)
+        report_point(level, asked)
 
 
 @app.command()

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from api.cli.warnings import say_warnings
 from api.point.horizon_formats import directions_for, horizon_file
 from api.point.polar_picture import sky_picture
 from api.point.report import (
@@ -31,6 +32,7 @@ from api.point.track import PointAnswerRow, TrackPoint, read_points, read_track,
 from shadows.point.horizon import Surroundings, horizon_round
 from terrain.errors import InputError
 from terrain.level.level import load_level, parse_sun
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
@@ -59,7 +61,7 @@ class PointOptions:
     as_json: bool
 
 
-def report_point(level: Path, options: PointOptions) -> None:
+def report_point(level: LevelSource, options: PointOptions) -> None:
     """Print a point's report, and write its horizon and its chart. Raises ``SkuggaError`` and ``OSError``."""
     if options.at is None:
         raise InputError("LON,LAT", "nothing", "a point, or --points, or --line")
@@ -68,6 +70,7 @@ def report_point(level: Path, options: PointOptions) -> None:
     azimuths = directions_for(options.format)
     query, crs = _query(options, *_pair(options.at)), _crs(options.crs)
     scene = build_scene(load_level(level)).with_sun(options.sun)
+    say_warnings(scene)
     try:
         report = point_report(scene, query, crs)
         if options.horizon is not None or options.picture is not None:
@@ -82,12 +85,12 @@ def report_point(level: Path, options: PointOptions) -> None:
     typer.echo(report.model_dump_json(indent=2)) if options.as_json else _show(report)
 
 
-def report_points(level: Path, file: Path, options: PointOptions) -> None:
+def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
     """Print the sun at the points of a file. Raises as ``report_point``."""
     _report_many(level, read_points(file, options.height), options)
 
 
-def report_line(level: Path, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
+def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
     """Print the sun along a line: at each place when somebody is there who starts at a time. Raises as ``report_point``."""
     points = read_track(file, every_m, options.height)
     if start is not None:
@@ -97,10 +100,11 @@ def report_line(level: Path, file: Path, options: PointOptions, start: str | Non
     _report_many(level, points, options)
 
 
-def _report_many(level: Path, points: list[TrackPoint], options: PointOptions) -> None:
+def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
     if not points:
         raise InputError("--points", "no points", "at least one")
     scene = build_scene(load_level(level)).with_sun(options.sun)
+    say_warnings(scene)
     try:
         moving = points[0].time is not None
         rows = sun_at_points(scene, points, _query(options, 0.0, 0.0), hours=not moving)
