@@ -32,7 +32,7 @@ import numpy as np
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
 from shadows.passes import PassLog, PassRecord
 from shadows.sweep.columns import column_sweep
-from shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, SweepPoints, state_after, sweep_nodes
+from shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
 from shadows.sweep.lines import NO_GROUND_LEVEL
 from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
 from shadows.sweep.settings import SweepSettings, resolve_sweep
@@ -134,6 +134,35 @@ def fill_nodes(
         log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, lines, nodes.height_m)
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
         return rays.turn.back_in_order(lit, targets.window)
+
+
+@dataclass(frozen=True, eq=False)
+class NodeClearance:
+    """What decides whether nodes see the sun: float32 (n, m) in the order of the turned grid, their ``level_m`` and the level
+    ``shade_m`` above which the sun is seen (``NO_GROUND_LEVEL``, or as far below any level, where nothing lies on the way; their
+    difference changes its sign when the sun is lost or comes back). ``turn`` leads there from the nodes' own order; ``rise`` is
+    what a metre of height adds to a level.
+    """
+
+    turn: GridOrientation
+    level_m: np.ndarray
+    shade_m: np.ndarray
+    rise: float
+
+
+def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
+    """By how much nodes of bare ground clear what stands between them and the sun. Raises as ``fill_nodes``."""
+    rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
+    grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
+    ground = grounds[-1]
+    targets = _asked_of_nodes(rays, ground, nodes)
+    shade = np.full(ground.sheet.level.shape, NO_GROUND_LEVEL, np.float32)
+    _swept(grounds, targets, lines, 0.0, shade)
+    down, right = targets.window
+    ends = np.array([down.start, down.stop - 1]), np.array([right.start, right.stop - 1])
+    i, j = rays.turn.onto(*ends, *ground.shape)
+    window = slice(int(i.min()), int(i.max()) + 1), slice(int(j.min()) + 1, int(j.max()) + 2)  # behind the left border
+    return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.rise)
 
 
 def _bytes(grounds: list[GroundWindow], targets: _Asked, soft: bool) -> int:

@@ -138,6 +138,17 @@ class MapView:
         """The view whose pixel centres lie a share of pixels further down and to the right."""
         return replace(self, row0=self.row0 + rows * self.row_step, col0=self.col0 + cols * self.col_step)
 
+    def as_nodes(self) -> MapView:
+        """The same pixels as nodes of a grid of their own, counted from where this one's are."""
+        if self.on_nodes:
+            return self
+        row, col = self.row0 / self.row_step, self.col0 / self.col_step
+        whole_row, whole_col = np.rint(row), np.rint(col)
+        x0, y0 = self.grid.x((col - whole_col) * self.col_step), self.grid.y((row - whole_row) * self.row_step)
+        stretch = self.grid.stretch * self.row_step / self.col_step
+        grid = Grid(self.grid.crs, float(x0), float(y0), self.grid.step * self.col_step, stretch)
+        return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols)
+
     def finer(self, side: int) -> MapView:
         """The view with ``side`` x ``side`` pixels regularly inside each of this one's, cut from the same grid."""
         first = (1.0 / side - 1.0) / 2.0

@@ -1,0 +1,110 @@
+"""Rasters of hours of sun: of any size, block by block, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from api.device_calibration import calibration_for
+from api.raster_file import cog
+from api.shade import transform_of
+from selector.select import plan_of_view
+from shadows.plan import Plan
+from shadows.sun_hours.sun_hours import SunHours, SunRules, ground_extent, sun_hours
+from shadows.sun_hours.suns import sun_days
+from terrain.errors import InputError
+from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
+from terrain.geo.daily_windows import DailyWindow
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
+from terrain.ground.surface import step_at_anchor_m
+from terrain.scene import Scene
+
+BLOCK_NODES = 2 * BLOCK_PX
+"""Side of a block of bare ground: twice a picture's, since each of its suns looks for casters beside it anew."""
+
+LEAST_BLOCK_NODES = 64
+
+QUANTITIES: dict[str, Callable[[SunHours], np.ndarray]] = {
+    "hours": lambda found: found.hours,
+    "first": lambda found: found.first,
+    "last": lambda found: found.last,
+    "longest": lambda found: found.longest,
+    "days": lambda found: found.days,
+}
+"""What a raster may hold, by name: float32, NaN where there is no surface (and of ``first`` and ``last`` no sun)."""
+
+
+def write_sun_hours(
+    scene: Scene,
+    view: MapView,
+    windows: Sequence[DailyWindow],
+    rules: SunRules,
+    paths: dict[str, Path],
+    on_block: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write some quantities of a map's cells, by name, into a file each. ``on_block(done, total)`` is called after each block of
+    each date. Raises ``SkuggaError`` and ``OSError``.
+    """
+    for name in paths:
+        if name not in QUANTITIES:
+            raise InputError("quantity", name, ", ".join(QUANTITIES))
+    days = sun_days(scene.world, windows)
+    transform, shape = transform_of(view), (view.rows, view.cols)
+    blocks, plan_of = sun_blocks(scene, view), _plans(scene)
+    with ExitStack() as stack:
+        files = {
+            name: stack.enter_context(
+                cog(path, view.grid.crs, transform, shape, 1, "float32", float("nan"), smooth=name == "hours")
+            )
+            for name, path in paths.items()
+        }
+        done, total = 0, len(blocks) * len(days)
+
+        def on_day() -> None:
+            nonlocal done
+            done += 1
+            if on_block is not None and done < total:
+                on_block(done, total)
+
+        for number, (block, row, col) in enumerate(blocks):
+            done = number * len(days)
+            found = sun_hours(scene, block, days, rules, plan_of(block), on_day)
+            inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
+            for name, file in files.items():
+                file.write(max(row, 0), max(col, 0), QUANTITIES[name](found)[inside])
+    if on_block is not None:
+        on_block(total, total)
+
+
+def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
+    """The blocks in which hours of sun over a map's cells are found, as from ``blocks_of``: those of bare ground are larger,
+    fixed on the cells' own grid, and end where the raster ends.
+    """
+    if not is_bare(scene):
+        return blocks_of(view)
+    nodes = view.as_nodes()
+    side = BLOCK_NODES
+    if not scene.world.flat:
+        side = int(np.clip(WIDE_M / step_at_anchor_m(scene.world, nodes.grid), LEAST_BLOCK_NODES, BLOCK_NODES))
+    limits = []
+    for (low, high), count in zip(ground_extent(scene, nodes), (view.rows, view.cols), strict=True):
+        limits.append((int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side))))
+    (top, bottom), (left, right) = limits
+    blocks = []
+    for row in range(-(int(nodes.row0) % side), view.rows, side):
+        for col in range(-(int(nodes.col0) % side), view.cols, side):
+            first_row, first_col = max(row, top), max(col, left)
+            rows, cols = min(row + side, bottom) - first_row, min(col + side, right) - first_col
+            meets = first_row + rows > 0 and first_row < view.rows and first_col + cols > 0 and first_col < view.cols
+            if rows > 0 and cols > 0 and meets:
+                blocks.append((nodes.part(first_row, first_col, rows, cols), first_row, first_col))
+    return blocks
+
+
+def _plans(scene: Scene) -> Callable[[MapView], Callable[[Scene], Plan]]:
+    """What plans a block under a sun."""
+    device = None if is_bare(scene) else calibration_for(scene.loaded.level.shadows, {})
+    return lambda block: lambda seen: plan_of_view(seen, block, "map", {}, device=device)

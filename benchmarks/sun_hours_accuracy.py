@@ -1,0 +1,201 @@
+"""Hours of sun beside rays, in minutes, on surfaces of mountains, cities and forests; and the seconds that they take.
+
+    python -m benchmarks.sun_hours_accuracy FOLDER [--date 2024-03-21] [--steps 15,5,2,1] [--cells 3000] [--seconds] [--markdown
+    FILE]
+
+FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Some cells of each raster, off its rim and
+off holes, are followed through the day by rays every 10 seconds, through the very triangles that the sweep goes by. `--seconds`
+measures the time for 4.2 million cells of made mountains instead, on the cores that the process may use (`taskset -c 0` for one).
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, date
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import rasterio
+from affine import Affine
+from scipy.ndimage import binary_erosion
+
+from api.shade import raster_view
+from benchmarks.sweep_speed import CELL_M, mountains
+from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
+from shadows.sun_hours.suns import SunDay, sun_days
+from terrain.casters.rays import RayScene
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.geo.daily_windows import daily_window
+from terrain.geo.grid import MapView
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+
+KINDS = {
+    "mountain": ("bigtujunga_30m_utm11.tif", "sierra_30m_albers.tif", "zion_srtm_4326.tif"),
+    "urban": ("essen_dom1_32_356_5699_1_nw_2020.tif", "goteborg_1m/DSM.tif"),
+    "forest": ("quebec_DSM.tif", "kootenay_CHM_025m.tif"),
+}
+"""Rasters of each folder that are measured: surfaces, as what stands on the ground is in them."""
+
+RAYS_MIN = 10.0 / 60.0
+
+OFF_HOLES = 3
+"""Cells that a sampled cell lies from the rim and from any hole, at least."""
+
+AT_A_TIME = 100
+"""Suns whose rays are sent at a time."""
+
+
+@dataclass(frozen=True)
+class WrongMinutes:
+    """What is wrong with a quantity over cells: the mean, and what 99 % of the cells stay under."""
+
+    mean: float
+    p99: float
+
+
+@dataclass(frozen=True)
+class AccuracyRow:
+    """A raster's figures at a step: of the hours, the first and the last sun."""
+
+    kind: str
+    raster: str
+    step_min: float
+    hours: WrongMinutes
+    first: WrongMinutes
+    last: WrongMinutes
+
+
+def _no_plan(scene: Scene) -> NoReturn:
+    raise AssertionError("bare ground needs no plan")
+
+
+def _day(scene: Scene, day: date) -> SunDay:
+    return sun_days(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
+
+
+def _answers(scene: Scene, view: MapView, day: SunDay, step_min: float) -> SunHours:
+    return sun_hours(scene, view, [day], SunRules(step_min=step_min), _no_plan)
+
+
+def ray_truth(
+    scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: SunDay, every_min: float = RAYS_MIN
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Hours, and minutes of the first and last sun after the window's start (NaN: never), of single cells (n,) by rays."""
+    nodes = bare_nodes(scene, view, 1)
+    surface = scene.surface(view.grid).window(int(view.row0), int(view.col0), view.rows, view.cols, nodes.frame)
+    up = scene.world.up_from(nodes.frame)
+    start = surface.position_frame_m[row, col]
+    upwards = (start - up) / np.linalg.norm(start - up, axis=1, keepdims=True)
+    rays = RayScene([surface.sheet])
+    start = start + 2.0 * rays.offset_m * upwards
+    times = np.arange(every_min / 2, day.window.minutes, every_min)
+    lit_min = np.zeros(len(row))
+    first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
+    for begin in range(0, len(times), AT_A_TIME):
+        directions = nodes.frame.directions_from_earth(day.direction(times[begin : begin + AT_A_TIME]))
+        for minutes, direction in zip(times[begin : begin + AT_A_TIME], directions, strict=True):
+            over = np.flatnonzero(upwards @ direction > 0.0)
+            seen = over[~rays.blocked(start[over], direction)] if len(over) else over
+            lit_min[seen] += every_min
+            first[seen] = np.fmin(first[seen], minutes - every_min / 2)
+            last[seen] = np.fmax(last[seen], minutes + every_min / 2)
+    return lit_min / 60.0, first, last
+
+
+def _wrong(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
+    wrong = np.abs(found_min - true_min)
+    wrong = wrong[np.isfinite(wrong)]
+    return WrongMinutes(float(wrong.mean()), float(np.percentile(wrong, 99)))
+
+
+def rows_of(kind: str, path: Path, day: date, steps: list[float], cells: int) -> Iterator[AccuracyRow]:
+    """The figures of a raster, at each step."""
+    scene = build_scene(load_level(path))
+    view = raster_view(scene).as_nodes()
+    known = binary_erosion(bare_nodes(scene, view, 1).shown, iterations=OFF_HOLES)
+    row, col = np.nonzero(known)
+    some = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
+    row, col = row[some], col[some]
+    its_day = _day(scene, day)
+    hours, first, last = ray_truth(scene, view, row, col, its_day)
+    for step in steps:
+        found = _answers(scene, view, its_day, step)
+        yield AccuracyRow(
+            kind, path.stem, step, _wrong(60.0 * found.hours[row, col], 60.0 * hours), _wrong(found.first[row, col], first),
+            _wrong(found.last[row, col], last),
+        )  # fmt: skip
+    scene.close()
+
+
+def mountain_raster(folder: Path, side: int) -> Path:
+    """A raster of fractal mountains."""
+    path = folder / "mountains.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=side, height=side, count=1, dtype="float32", crs="EPSG:32632",
+        transform=Affine(CELL_M, 0.0, 480000.0, 0.0, -CELL_M, 5200000.0),
+    ) as dataset:  # fmt: skip
+        dataset.write(mountains(side).astype(np.float32), 1)
+    return path
+
+
+def print_seconds(day: date, steps: list[float]) -> None:
+    """The seconds for 2048 x 2048 cells, the second time, when loops are compiled and heights read."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
+        view, its_day = raster_view(scene).as_nodes(), _day(scene, day)
+        _answers(scene, view, its_day, 60.0)
+        for step in steps:
+            begin = time.perf_counter(), time.process_time()
+            _answers(scene, view, its_day, step)
+            wall, computing = time.perf_counter() - begin[0], time.process_time() - begin[1]
+            print(f"{step:4.0f} min: {wall:.1f} s, {computing:.1f} s of computing", flush=True)
+
+
+def table(rows: list[AccuracyRow]) -> str:
+    """The figures as a table."""
+    lines = [
+        "| surface | raster | step, min | hours: mean, 99 % | first sun | last sun |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in rows:
+        wrong = " | ".join(f"{each.mean:.2f}, {each.p99:.1f}" for each in (row.hours, row.first, row.last))
+        lines.append(f"| {row.kind} | {row.raster} | {row.step_min:g} | {wrong} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--date", type=date.fromisoformat, default=date(2024, 3, 21))
+    parser.add_argument("--steps", default="15,5,2,1")
+    parser.add_argument("--cells", type=int, default=3000)
+    parser.add_argument("--seconds", action="store_true")
+    parser.add_argument("--markdown", type=Path)
+    given = parser.parse_args()
+    steps = [float(step) for step in given.steps.split(",")]
+    if given.seconds:
+        print_seconds(given.date, steps)
+    if given.folder is None:
+        return
+    rows = []
+    for kind, names in KINDS.items():
+        for path in (given.folder / kind / name for name in names):
+            if not path.exists():
+                print(f"{path}: not there")
+                continue
+            for row in rows_of(kind, path, given.date, steps, given.cells):
+                rows.append(row)
+                print(table([row]).splitlines()[-1], flush=True)
+    if given.markdown is not None:
+        given.markdown.write_text(table(rows) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

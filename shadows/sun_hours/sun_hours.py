@@ -1,0 +1,264 @@
+"""Hours of sun: how long, from when to when, and on how many days the sun is seen from the cells of a map's block.
+
+The sun is looked for at even steps of time and where it rises and sets. From bare ground the line sweep says by how much a cell
+clears what lies between it and the sun (``shadows.sweep``), and the times between steps at which that changes its sign are found
+from it (``shadows.sun_hours.spells``). Where something stands on the ground a plan's algorithms say how much of the sun is seen:
+a cell has sun where that is half of it at least.
+
+Cells keep the order of the sweep's turned grid from step to step: only three or four times a day does that change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from shadows.plan import Plan
+from shadows.render import render_frame
+from shadows.sun_hours.spells import (
+    ClockReading,
+    Moment,
+    Spells,
+    add_between,
+    clearances,
+    end_day,
+    end_spells,
+    floor_fit,
+    no_spells,
+    turned_copy,
+    turned_spells,
+)
+from shadows.sun_hours.suns import SunSpan, SunDay, sun_spans, lattice_of
+from shadows.sweep.grid import GridOrientation
+from shadows.sweep.sweep import CORES, clearance_of_nodes
+from terrain.casters.reach import Patch, casters_in_sun
+from terrain.errors import InputError
+from terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
+from terrain.gbuffer.covered_nodes import is_bare
+from terrain.geo.grid import MapView
+from terrain.geo.sun import Sun
+from terrain.geo.world import transformer
+from terrain.level.level import SUN
+from terrain.scene import Scene
+
+LINES = 8
+"""Lines to a column of nodes (``shadows.sweep.lines``): with four the hours on surfaces of trees are wrong twice as much."""
+
+CASTERS_MIN = 15.0
+"""Minutes of sun for which ground beside a block is looked for at their two ends: what lies before the sun in between lies before
+it at one of them, but for ground some fifteen times as far away as the block is wide."""
+
+UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+
+ON_RIM = 1e-6
+"""How near to a pixel's side, in pixels, the raster ends there."""
+
+RIM_PLACES = 33
+"""Rows and columns of places by which it is told where a raster lies on another grid."""
+
+
+@dataclass(frozen=True)
+class SunRules:
+    """What counts as sun: seen from ``height_m`` above the ground, where it stands at least ``least_altitude_deg`` high
+    (apparent, at the cell); a day counts from ``threshold_h`` hours on. It is looked for every ``step_min`` minutes.
+    """
+
+    step_min: float = 2.0
+    threshold_h: float = 2.0
+    least_altitude_deg: float = 0.0
+    height_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SunHours:
+    """Of a block's cells, float32 (rows, cols), NaN where there is no surface: mean ``hours`` of sun a date; the ``first`` and
+    ``last`` sun of any date, in minutes from midnight of the window's clock (NaN: never); the ``longest`` unbroken spell of any
+    date, hours; and on how many ``days`` there were enough hours.
+    """
+
+    hours: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    longest: np.ndarray
+    days: np.ndarray
+
+
+def sun_hours(
+    scene: Scene,
+    view: MapView,
+    days: Sequence[SunDay],
+    rules: SunRules,
+    plan_of: Callable[[Scene], Plan],
+    on_day: Callable[[], None] | None = None,
+) -> SunHours:
+    """The sun of some days in a block of a map's cells; ``plan_of`` gives the plan for a scene under a sun, and is asked only where
+    something stands on the ground, or where cells are no nodes. Clouds are left out. ``on_day()`` is called after each.
+
+    Raises ``InputError`` for a height above objects, ``UnsupportedError`` and ``RenderError`` as the algorithms do.
+    """
+    scene = _under_clear_sky(scene)
+    if is_bare(scene) and view.on_nodes:
+        over: _BareBlock | _DrawnBlock = _BareBlock(scene, bare_nodes(scene, view, 1), rules)
+    elif rules.height_m:
+        raise InputError("--height", rules.height_m, "0, where anything stands on the ground")
+    else:
+        over = _DrawnBlock(scene, view, plan_of)
+    known = over.known()
+    seen = _Seen(view, UPRIGHT, no_spells((view.rows, view.cols)))
+    if known.any():
+        for day in days:
+            clock = ClockReading(day.window.clock_min, day.window.change_min, day.window.change_by_min)
+            for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, rules.step_min):
+                seen = _through(seen, over, day, span, clock)
+            end_day(seen.spells, rules.threshold_h * 60.0)
+            if on_day is not None:
+                on_day()
+    spells = turned_spells(seen.spells, seen.turn, UPRIGHT)
+
+    def shown(values: np.ndarray) -> np.ndarray:
+        return np.where(known, values, np.float32(np.nan))
+
+    hours = spells.total / np.float32(60.0 * max(len(days), 1))
+    return SunHours(
+        shown(hours), shown(spells.first), shown(spells.last), shown(spells.longest / np.float32(60.0)), shown(spells.days)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What is known of a block's cells so far, in the order of a turned grid."""
+
+    view: MapView
+    turn: GridOrientation
+    spells: Spells
+
+    def turned(self, turn: GridOrientation) -> _Seen:
+        return self if turn == self.turn else _Seen(self.view, turn, turned_spells(self.spells, self.turn, turn))
+
+    @property
+    def fit(self) -> np.ndarray:
+        """``floor_fit`` of the block's lattice."""
+        row, col = lattice_of(self.view)
+        i, j = self.turn.onto(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
+        return floor_fit(i, j, self.spells.day.shape)
+
+
+def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: SunDay, span: SunSpan, clock: ClockReading) -> _Seen:
+    """Add a day's span."""
+    moments: list[Moment] = []
+    begins = True
+    spare: np.ndarray | None = None
+    for number, minutes in enumerate(span.knots_min):
+        turn, clearance = over.clearance(day, span, number, spare)
+        if turn != seen.turn:
+            moments = [replace(m, clearance=turned_copy(m.clearance, seen.turn, turn)) for m in moments]
+            seen = seen.turned(turn)
+        moments.append(Moment(float(minutes), clearance, span.above[number].ravel()))
+        if number >= 2:
+            here, there, after = moments[-3:]
+            before = moments[-4] if number >= 3 else here
+            add_between(seen.spells, (before, here, there, after), clock, seen.fit, begins, CORES)
+            begins = False
+        spare = moments.pop(0).clearance if len(moments) == 4 else None
+    here, there = moments[-2:]
+    before = moments[-3] if len(moments) >= 3 else here
+    add_between(seen.spells, (before, here, there, there), clock, seen.fit, begins, CORES)
+    end_spells(seen.spells, float(span.knots_min[-1]), clock)
+    return seen
+
+
+class _BareBlock:
+    """Clearances of bare ground, metres, by the line sweep."""
+
+    def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
+        self._scene, self._nodes, self._height_m = scene, nodes, rules.height_m
+        self._alone = _holds_all_ground(scene, nodes.view)
+        self._patches = lru_cache(2)(self._patches_under)
+
+    def known(self) -> np.ndarray:
+        """Which cells (rows, cols) show ground."""
+        return self._nodes.shown
+
+    def clearance(self, day: SunDay, span: SunSpan, number: int, spare: np.ndarray | None) -> tuple[GridOrientation, np.ndarray]:
+        """Clearances (n, m) at a moment of a span, and how they are turned; ``spare`` is an array to put them in."""
+        scene = self._under(day.sun(span.looked_for_min(number), self._scene.world))
+        found = clearance_of_nodes(self._nodes, scene, self._beside(day, span, number), LINES)
+        if spare is None or spare.shape != found.level_m.shape:
+            spare = np.empty(found.level_m.shape, np.float32)
+        return found.turn, clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES)
+
+    def _under(self, sun: Sun) -> Scene:
+        return replace(self._scene, sun=sun)
+
+    def _beside(self, day: SunDay, span: SunSpan, number: int) -> tuple[Patch, ...]:
+        """The ground beside the block that may shade it at a moment."""
+        if self._alone:
+            return ()
+        first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
+        minutes = span.looked_for_min(number)
+        begin = np.floor(minutes / CASTERS_MIN) * CASTERS_MIN
+        ends = (float(np.clip(end, first, last)) for end in (begin, begin + CASTERS_MIN))
+        return tuple(dict.fromkeys(patch for end in ends for patch in self._patches(day, end)))
+
+    def _patches_under(self, day: SunDay, minutes: float) -> tuple[Patch, ...]:
+        return casters_in_sun(self._under(day.sun(minutes, self._scene.world)), self._nodes)
+
+
+class _DrawnBlock:
+    """By how much the visible share of the sun exceeds a half, by a plan's algorithms."""
+
+    def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
+        self._scene, self._view, self._plan_of = scene, view, plan_of
+        self._shown: np.ndarray | None = None
+
+    def known(self) -> np.ndarray:
+        """Which cells (rows, cols) show a surface."""
+        if self._shown is None:
+            scene = replace(self._scene, sun=Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2]))
+            self._shown = render_frame(scene, self._view, self._plan_of(scene)).there
+        return self._shown
+
+    def clearance(self, day: SunDay, span: SunSpan, number: int, spare: np.ndarray | None) -> tuple[GridOrientation, np.ndarray]:
+        """As ``_BareBlock.clearance``, in the cells' own order."""
+        scene = replace(self._scene, sun=day.sun(span.looked_for_min(number), self._scene.world))
+        frame = render_frame(scene, self._view, self._plan_of(scene))
+        return UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
+
+
+def _under_clear_sky(scene: Scene) -> Scene:
+    """A scene whose sun no clouds hide."""
+    level = scene.loaded.level
+    if not level.weather.overcast:
+        return scene
+    clear = level.model_copy(update={"weather": level.weather.model_copy(update={"cloud_cover": 0.0})})
+    return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))
+
+
+def _holds_all_ground(scene: Scene, view: MapView) -> bool:
+    """Whether no ground of a level lies beside a block."""
+    (top, bottom), (left, right) = ground_extent(scene, view)
+    rows, cols = (-0.5 - ON_RIM, view.rows - 0.5 + ON_RIM), (-0.5 - ON_RIM, view.cols - 0.5 + ON_RIM)
+    return bool(top >= rows[0] and bottom <= rows[1] and left >= cols[0] and right <= cols[1])
+
+
+def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and greatest row, and column, of a level's raster, counted in a view's pixels from its first; without end where PROJ
+    cannot say.
+    """
+    elevation, grid = scene.elevation, view.grid
+    rows, cols = (np.linspace(-0.5, count - 0.5, RIM_PLACES) for count in (elevation.rows, elevation.cols))
+    x, y = elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
+    if grid.crs != elevation.crs:
+        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
+    row, col = (grid.row(y) - view.row0) / view.row_step, (grid.col(x) - view.col0) / view.col_step
+    if not (np.isfinite(row).all() and np.isfinite(col).all()):
+        return (-np.inf, np.inf), (-np.inf, np.inf)
+    if grid.crs.is_geographic:  # as many times round the earth as the view
+        period = 360.0 / (grid.step * view.col_step)
+        if np.ptp(col) > period * (1.0 - 1.0 / RIM_PLACES):
+            return (float(row.min()), float(row.max())), (-np.inf, np.inf)
+        col = col + period * np.rint(((view.cols - 1) / 2 - (col.min() + col.max()) / 2) / period)
+    return (float(row.min()), float(row.max())), (float(col.min()), float(col.max()))

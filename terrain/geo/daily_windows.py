@@ -1,0 +1,143 @@
+"""Daily windows of time: from one reading of a clock to another, by the time of a zone, by UTC or by true solar time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from typing import Literal
+
+import numpy as np
+
+from terrain.errors import Fault, InputError
+from terrain.geo.sun_path import YEARS, sun_path
+from terrain.geo.world import World
+
+DAY_MIN = 1440.0
+
+Clock = tzinfo | Literal["solar"]
+"""What a window is told by: a zone, or true solar time, at whose noon the sun stands in the meridian."""
+
+SOLAR: Literal["solar"] = "solar"
+
+SOLAR_ROUNDS = 3
+"""Times that a reading of true solar time is corrected by the equation of time found there: it changes by half a minute a day."""
+
+
+@dataclass(frozen=True)
+class DailyWindow:
+    """A window of one date: from ``start`` on, in UTC, so many minutes.
+
+    ``clock_min`` is what the clock reads at its start, in minutes from midnight; ``change_min`` after that it is put forward by
+    ``change_by_min`` (or back), as on the days on which summer time begins and ends (0: it is not).
+    """
+
+    date: date
+    start: datetime
+    minutes: float
+    clock_min: float
+    change_min: float = 0.0
+    change_by_min: float = 0.0
+
+    def reading_min(self, minutes: float) -> float:
+        """What the clock reads so many minutes after the start, in minutes from midnight."""
+        changed = self.change_by_min != 0.0 and minutes >= self.change_min
+        return self.clock_min + minutes + (self.change_by_min if changed else 0.0)
+
+
+def daily_window(day: date, first_min: float, last_min: float, clock: Clock, world: World) -> DailyWindow:
+    """The window of a date between two readings of a clock, minutes from midnight (0 to 1440).
+
+    A reading that there is not, as an hour is left out when summer time begins, stands for the time as long after the reading
+    before it; of one that there is twice the first is the window's start, and the second its end. Raises ``InputError``.
+    """
+    if not 0.0 <= first_min < last_min <= DAY_MIN:
+        raise InputError("--window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
+    if not YEARS[0] < day.year < YEARS[1]:
+        raise InputError("--date", day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
+    if isinstance(clock, str):
+        start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
+        return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)
+    start, end = _zone_moment(day, first_min, clock, fold=0), _zone_moment(day, last_min, clock, fold=1)
+    minutes = (end - start) / timedelta(minutes=1)
+    before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
+    reading = datetime.combine(day, time(), UTC)
+    clock_min = (start - reading) / timedelta(minutes=1) + before
+    if before == after:
+        return DailyWindow(day, start, minutes, clock_min)
+    return DailyWindow(day, start, minutes, clock_min, _change_min(start, minutes, clock), after - before)
+
+
+def dates_of(first: date, last: date, every_days: int) -> list[date]:
+    """The dates from one to another, both included, so many days apart. Raises ``InputError``."""
+    if last < first:
+        raise InputError("--to", last.isoformat(), f"{first.isoformat()} or later")
+    if every_days < 1:
+        raise InputError("--every", every_days, "1 day or more")
+    return [first + timedelta(days=n) for n in range(0, (last - first).days + 1, every_days)]
+
+
+def clock_text(minutes: float) -> str:
+    """Minutes from midnight as a clock reads: 08:30."""
+    return f"{int(minutes // 60):02d}:{int(minutes % 60):02d}"
+
+
+def date_of(name: str, text: str) -> date:
+    """A date from its text, as 2024-03-21. Raises ``InputError``, also for a date that there is not."""
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError:
+        raise InputError(name, Fault(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None
+
+
+def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
+    """The moment of a reading; a reading that is left out counts from the time before the change (PEP 495, ``fold``)."""
+    days, rest = divmod(minutes, DAY_MIN)
+    reading = datetime.combine(day, time()) + timedelta(days=days, minutes=rest)
+    there = reading.replace(tzinfo=zone, fold=fold).astimezone(UTC)
+    if there.astimezone(zone).replace(tzinfo=None) != reading:  # left out
+        there = reading.replace(tzinfo=zone, fold=0).astimezone(UTC)
+    return there
+
+
+def _offset_min(moment: datetime, zone: tzinfo) -> float:
+    offset = moment.astimezone(zone).utcoffset()
+    assert offset is not None
+    return offset / timedelta(minutes=1)
+
+
+def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
+    """Minutes after a start at which a zone's clock is put forward or back, which it is once within so many."""
+    before = _offset_min(start, zone)
+    low, high = 0, int(np.ceil(minutes))
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _offset_min(start + timedelta(minutes=middle), zone) == before:
+            low = middle
+        else:
+            high = middle
+    return float(high)
+
+
+def _solar_moment(day: date, minutes: float, world: World) -> datetime:
+    """When the sun's hour angle at a level's anchor says so many minutes after midnight of true solar time."""
+    lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
+    moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
+    for _ in range(SOLAR_ROUNDS):
+        late = (solar_min(moment, lon, lat) - minutes + DAY_MIN / 2) % DAY_MIN - DAY_MIN / 2
+        moment -= timedelta(minutes=late)
+    return moment
+
+
+def solar_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
+    """True solar time at a place, minutes from midnight: 720 when the sun stands in the meridian, a quarter degree of hour angle
+    each.
+
+    From tan H = sin A / (cos A sin lat - tan h cos lat) for azimuths A from south and altitudes h without refraction.
+    """
+    path = sun_path([moment], lon_deg, lat_deg)
+    azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)
+    altitude = np.radians(path.altitude_deg[0] - path.lift_deg[0])
+    hour = np.arctan2(
+        np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude) * np.sin(lat) + np.sin(altitude) * np.cos(lat)
+    )
+    return float((np.degrees(hour) * 4.0 + DAY_MIN / 2) % DAY_MIN)

@@ -1,0 +1,230 @@
+"""Hours of sun against closed forms: walls, bowls, slopes, polar days; and against rays on a small fractal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from pyproj import Geod, Transformer
+
+from benchmarks.sun_hours_accuracy import ray_truth
+from benchmarks.sweep_speed import mountains
+from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
+from shadows.sun_hours.suns import sun_spans, sun_days
+from terrain.geo.daily_windows import SOLAR, Clock, DailyWindow, daily_window
+from terrain.geo.grid import Grid, MapView
+from terrain.geo.sun_path import sun_path
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+
+CELL_M = 10.0
+SPRING, SUMMER, WINTER = date(2024, 3, 21), date(2024, 6, 21), date(2024, 12, 21)
+EAST, NORTH = 720e3, 5200e3  # 2.9 degrees east of the zone's meridian: grid north is 2.1 degrees off
+
+Opened = Callable[..., Scene]
+
+
+@pytest.fixture
+def opened(tmp_path: Path):
+    scenes = []
+
+    def make(heights: np.ndarray, crs: str = "EPSG:32632", x: float = EAST, y: float = NORTH, cell: float = CELL_M) -> Scene:
+        path = write_geotiff(tmp_path / f"{len(scenes)}.tif", heights.astype(np.float32), crs, x, y, cell)
+        scenes.append(build_scene(load_level(path)))
+        return scenes[-1]
+
+    yield make
+    for scene in scenes:
+        scene.close()
+
+
+def cells_of(scene: Scene) -> MapView:
+    elevation = scene.elevation
+    (x0, x1), (y0, _) = elevation.xy(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    return MapView(Grid(elevation.crs, float(x0), float(y0), float(x1 - x0)), 0.0, 0.0, 1.0, 1.0, elevation.rows, elevation.cols)
+
+
+def window_of(scene: Scene, day: date, clock: Clock = UTC, first: float = 0.0, last: float = 1440.0) -> DailyWindow:
+    return daily_window(day, first, last, clock, scene.world)
+
+
+def no_plan(scene: Scene):
+    raise AssertionError("bare ground needs no plan")
+
+
+def found(scene: Scene, *windows: DailyWindow, **rules: float) -> SunHours:
+    return sun_hours(scene, cells_of(scene), sun_days(scene.world, windows), SunRules(**{"step_min": 5.0, **rules}), no_plan)
+
+
+def grid_north_deg(scene: Scene) -> float:
+    """How far grid north lies clockwise from true north at a scene's middle: from a kilometre to the north."""
+    lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
+    north_lon, north_lat, _ = Geod(ellps="WGS84").fwd(lon, lat, 0.0, 1000.0)
+    to_map = Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True).transform
+    (x0, y0), (x1, y1) = to_map(lon, lat), to_map(north_lon, north_lat)
+    return -float(np.degrees(np.arctan2(x1 - x0, y1 - y0)))
+
+
+def sun_by_minute(scene: Scene, day: date) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Minutes of a day in UTC, a tenth apart, and the sun's azimuths and altitudes, degrees."""
+    minutes = np.arange(0.0, 1440.0, 0.1)
+    start = datetime(day.year, day.month, day.day, tzinfo=UTC)
+    path = sun_path([start + timedelta(minutes=float(m)) for m in minutes], scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+    return minutes, path.azimuth_deg, path.altitude_deg
+
+
+@pytest.mark.parametrize("day", [SPRING, WINTER], ids=str)
+@pytest.mark.parametrize("step", [5.0, 2.0])
+def test_behind_a_wall_the_sun_comes_and_goes_when_it_clears_it(opened, day, step):
+    heights = np.zeros((301, 121))
+    heights[:, 60] = 80.0  # along grid north
+    scene = opened(heights)
+    answer = found(scene, window_of(scene, day), step_min=step)
+    minutes, azimuth, altitude = sun_by_minute(scene, day)
+    turned = grid_north_deg(scene)
+    assert abs(turned) > 2.0
+    across = np.sin(np.radians(azimuth - turned))  # of a metre towards the sun, how much leads across the wall
+    for cells in (6, 20, 45):
+        clears = (altitude > 0.0) & (np.tan(np.radians(altitude)) * cells * CELL_M > 80.0 * np.abs(across))
+        morning, evening = across > 0.0, across < 0.0
+        west, east = (150, 60 - cells), (150, 60 + cells)
+        assert answer.first[west] == pytest.approx(minutes[clears & morning][0], abs=0.5), cells
+        assert answer.last[east] == pytest.approx(minutes[clears & evening][-1], abs=0.5), cells
+        up = altitude > 0.0
+        assert answer.last[west] == pytest.approx(minutes[up & evening][-1], abs=0.5)
+        assert answer.hours[west] * 60.0 == pytest.approx(answer.last[west] - answer.first[west], abs=0.01)
+        assert answer.longest[east] == pytest.approx(answer.hours[east], abs=1e-3)
+
+
+def test_in_a_bowl_the_sun_is_seen_above_its_slope_alone(opened):
+    row, col = np.mgrid[-100:101, -100:101]
+    far = np.hypot(row, col)
+    scene = opened(np.where(far < 30.0, 0.0, far * CELL_M * np.tan(np.radians(25.0))))
+    answer = found(scene, window_of(scene, SPRING), step_min=5.0)
+    minutes, _, altitude = sun_by_minute(scene, SPRING)
+    over = minutes[altitude > 25.0]
+    assert answer.hours[100, 100] * 60.0 == pytest.approx(over[-1] - over[0], abs=1.0)
+    assert answer.first[100, 100] == pytest.approx(over[0], abs=0.5)
+
+
+def test_a_slope_has_sun_while_the_sun_stands_before_it(opened):
+    tilt_deg = 30.0
+    rows = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls away to grid north
+    scene = opened(rows)
+    answer = found(scene, window_of(scene, SPRING), step_min=5.0)
+    minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
+    turned = grid_north_deg(scene)
+    facing = np.sin(np.radians(altitude)) * np.cos(np.radians(tilt_deg)) + np.cos(np.radians(altitude)) * np.sin(
+        np.radians(tilt_deg)
+    ) * np.cos(np.radians(azimuth - turned))
+    seen = (facing > 0.0) & (altitude > 0.0)
+    assert 60.0 * answer.hours[40, 30] == pytest.approx(0.1 * seen.sum(), abs=0.5)
+    assert answer.first[40, 30] == pytest.approx(minutes[seen][0], abs=0.5)
+    winter = found(scene, window_of(scene, WINTER), step_min=5.0)
+    assert winter.hours[40, 30] == 0.0 and np.isnan(winter.first[40, 30]) and np.isnan(winter.last[40, 30])
+
+
+def test_in_polar_day_there_are_24_hours_and_in_polar_night_none(opened):
+    scene = opened(np.full((40, 40), 100.0), "EPSG:32633", 500e3, 8_900e3)
+    day = found(scene, window_of(scene, SUMMER), step_min=15.0)
+    assert (day.hours == 24.0).all() and (day.longest == 24.0).all() and (day.days == 1.0).all()
+    assert (day.first == 0.0).all() and (day.last == 1440.0).all()
+    night = found(scene, window_of(scene, WINTER), step_min=15.0)
+    assert (night.hours == 0.0).all() and (night.days == 0.0).all() and np.isnan(night.first).all()
+
+
+def test_a_window_a_floor_and_a_height_take_and_give_what_they_say(opened):
+    heights = np.zeros((121, 121))
+    heights[:, 60] = 80.0
+    scene = opened(heights)
+    minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
+    noon = window_of(scene, SPRING, UTC, 600.0, 720.0)
+    within = found(scene, noon)
+    assert within.hours[60, 110] == pytest.approx(2.0, abs=1e-4)  # clear of the wall all the while
+    assert (within.first[60, 110], within.last[60, 110]) == (600.0, 720.0)
+    floor = found(scene, window_of(scene, SPRING), least_altitude_deg=20.0)
+    high = minutes[altitude > 20.0]
+    assert floor.last[60, 40] == pytest.approx(high[-1], abs=0.2)
+    assert floor.hours.max() * 60.0 == pytest.approx(high[-1] - high[0], abs=0.4)
+    turned = grid_north_deg(scene)
+    across = np.sin(np.radians(azimuth - turned))
+    clears = (altitude > 0.0) & (np.tan(np.radians(altitude)) * 200.0 > (80.0 - 30.0) * across) & (across > 0.0)
+    raised = found(scene, window_of(scene, SPRING), height_m=30.0)
+    assert raised.first[60, 40] == pytest.approx(minutes[clears][0], abs=0.5)
+
+
+def test_over_dates_hours_are_means_and_days_are_counted(opened):
+    heights = np.zeros((61, 61))
+    heights[:, 30] = 60.0
+    scene = opened(heights)
+    windows = [window_of(scene, day) for day in (SPRING, SUMMER, WINTER)]
+    each = [found(scene, window, step_min=30.0, threshold_h=9.0) for window in windows]
+    all_of_them = found(scene, *windows, step_min=30.0, threshold_h=9.0)
+    np.testing.assert_allclose(all_of_them.hours, np.mean([one.hours for one in each], axis=0), atol=1e-4)
+    np.testing.assert_array_equal(all_of_them.days, np.sum([one.days for one in each], axis=0))
+    assert set(np.unique(all_of_them.days)) >= {1.0, 2.0}
+    np.testing.assert_array_equal(all_of_them.first, np.nanmin([one.first for one in each], axis=0))
+    np.testing.assert_array_equal(all_of_them.longest, np.max([one.longest for one in each], axis=0))
+
+
+def test_clocks_tell_first_and_last_sun_and_days_of_23_hours_have_their_sun(opened):
+    scene = opened(np.zeros((21, 21)))
+    before, after = (found(scene, window_of(scene, date(2024, 3, day), ZoneInfo("Europe/Oslo")), step_min=30.0) for day in (30, 31))
+    assert after.first[10, 10] - before.first[10, 10] == pytest.approx(
+        58.0, abs=1.0
+    )  # an hour later by the clock, less a day's gain
+    assert after.hours[10, 10] == pytest.approx(before.hours[10, 10] + 3.4 / 60.0, abs=0.02)
+    by_sun = found(scene, window_of(scene, date(2024, 11, 3), SOLAR), step_min=30.0)
+    assert by_sun.first[10, 10] + by_sun.last[10, 10] == pytest.approx(1440.0, abs=1.0)  # as long before noon as after
+
+
+def test_holes_stay_holes(opened):
+    heights = np.zeros((40, 50))
+    heights[10:20, 30:35] = np.nan
+    scene = opened(heights)
+    answer = found(scene, window_of(scene, SPRING), step_min=30.0)
+    for values in (answer.hours, answer.longest, answer.days):
+        np.testing.assert_array_equal(np.isnan(values), np.isnan(heights))
+
+
+def test_it_is_what_rays_say_of_fractal_mountains(opened):
+    scene = opened(mountains(128), cell=30.0)
+    view, window = cells_of(scene), window_of(scene, SPRING)
+    row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
+    (day,) = sun_days(scene.world, [window])
+    hours, first, last = ray_truth(scene, view, row, col, day, every_min=0.5)
+    answer = found(scene, window, step_min=2.0)
+    wrong = 60.0 * np.abs(answer.hours[row, col] - hours)
+    assert wrong.mean() < 0.5 and np.percentile(wrong, 99) < 3.0
+    for mine, its in ((answer.first, first), (answer.last, last)):
+        assert np.nanpercentile(np.abs(mine[row, col] - its), 90) < 1.0  # a glance of sun that one of both misses moves it by hours
+
+
+def test_crossings_between_steps_are_found_not_counted(opened):
+    scene = opened(mountains(128), cell=30.0)
+    noon = window_of(scene, SPRING, UTC, 600.0, 800.0)
+    fine, coarse = (found(scene, noon, step_min=step).hours for step in (1.0, 5.0))
+    wrong = 60.0 * np.abs(coarse - fine)[3:-3, 3:-3]
+    assert (wrong > 0.0).mean() > 0.1 and wrong[wrong > 0.0].mean() < 0.7  # counted frames: 1.25 for each crossing
+
+
+def test_sunrise_and_sunset_are_moments_to_look_for(opened):
+    scene = opened(np.zeros((10, 10)))
+    (day,) = sun_days(scene.world, [window_of(scene, SPRING)])
+    (spell,) = sun_spans(day, cells_of(scene), scene.world, 0.0, 15.0)
+    minutes, _, altitude = sun_by_minute(scene, SPRING)
+    up = minutes[altitude > 0.0]
+    assert spell.knots_min[0] == pytest.approx(up[0], abs=0.2) and spell.knots_min[-1] == pytest.approx(up[-1], abs=0.2)
+    assert (spell.knots_min[1:-1] % 15.0 == 0.0).all()
+    assert not sun_spans(day, cells_of(scene), scene.world, 80.0, 15.0)
+
+
+def test_a_flat_world_has_no_dates(opened):
+    scene = opened(np.zeros((10, 10)), ENGINEERING, 0.0, 0.0)
+    with pytest.raises(Exception, match="--date: '2024-03-21' cannot be served: an engineering CRS"):
+        sun_days(scene.world, [window_of(scene, SPRING)])

@@ -1,0 +1,106 @@
+"""Daily windows: what clocks read, days of 23 and 25 hours, solar noon, and what is no date."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, timedelta, timezone
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from terrain.errors import InputError
+from terrain.geo.daily_windows import SOLAR, daily_window, date_of, dates_of, solar_min
+from terrain.geo.sun_path import sun_path
+from terrain.geo.world import World
+
+OSLO = ZoneInfo("Europe/Oslo")
+LON, LAT = 10.75, 59.9
+
+
+@pytest.fixture
+def world() -> World:
+    return World(CRS.from_epsg(4326), False, LON, LAT, LON, LAT, 1.0)
+
+
+@pytest.mark.parametrize(("day", "hours"), [("2024-03-31", 23), ("2024-10-27", 25), ("2024-03-21", 24)])
+def test_days_on_which_clocks_change_are_shorter_and_longer(world, day, hours):
+    window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
+    assert window.minutes == hours * 60
+    assert window.reading_min(0.0) == 0.0
+    assert window.reading_min(window.minutes) == 1440.0  # the clock has been put forward or back
+
+
+@pytest.mark.parametrize(("day", "before_min", "by"), [("2024-03-31", 120.0, 60.0), ("2024-10-27", 180.0, -60.0)])
+def test_the_clock_jumps_when_it_is_put_forward_or_back(world, day, before_min, by):
+    window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
+    assert window.reading_min(before_min - 0.01) == pytest.approx(before_min, abs=0.02)
+    assert window.reading_min(before_min + 0.01) == pytest.approx(before_min + by, abs=0.02)
+
+
+def test_a_window_of_a_zone_lies_at_its_own_time(world):
+    window = daily_window(date(2024, 6, 21), 8 * 60.0, 16 * 60.0, OSLO, world)
+    assert (window.start, window.minutes, window.clock_min) == (datetime(2024, 6, 21, 6, tzinfo=UTC), 480.0, 480.0)
+    fixed = daily_window(date(2024, 6, 21), 0.0, 1440.0, timezone(timedelta(hours=9)), world)
+    assert (fixed.start, fixed.clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
+
+
+def test_a_reading_that_is_left_out_and_one_that_there_is_twice(world):
+    left_out = daily_window(date(2024, 3, 31), 150.0, 240.0, OSLO, world)  # 02:30, which is 03:30 of summer time
+    assert left_out.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
+    assert left_out.reading_min(0.0) == 210.0
+    twice = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
+    assert twice.minutes == 61.0
+
+
+@pytest.mark.parametrize("day", [date(2024, 2, 11), date(2024, 11, 3), date(2024, 6, 21)])
+def test_at_noon_of_true_solar_time_the_sun_stands_in_the_south(world, day):
+    window = daily_window(day, 8 * 60.0, 16 * 60.0, SOLAR, world)
+    noon = window.start + timedelta(minutes=window.minutes / 2)
+    path = sun_path([noon, window.start], LON, LAT)
+    assert path.azimuth_deg[0] == pytest.approx(180.0, abs=0.05)
+    assert window.minutes == pytest.approx(480.0, abs=0.5)  # the equation of time changes by half a minute a day at most
+    assert solar_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
+
+
+def test_solar_time_differs_from_the_clock_by_the_equation_of_time(world):
+    early, late = (
+        (daily_window(day, 720.0, 721.0, SOLAR, world).start.replace(tzinfo=None) - datetime(2024, day.month, day.day, 12))
+        / timedelta(minutes=1) + 4.0 * LON
+        for day in (date(2024, 11, 3), date(2024, 2, 11))
+    )  # fmt: skip
+    assert early == pytest.approx(-16.4, abs=0.2)  # the year's extremes
+    assert late == pytest.approx(14.2, abs=0.2)
+
+
+def test_dates_stand_in_even_steps():
+    assert dates_of(date(2024, 2, 26), date(2024, 3, 7), 3) == [
+        date(2024, 2, 26),
+        date(2024, 2, 29),
+        date(2024, 3, 3),
+        date(2024, 3, 6),
+    ]
+    assert dates_of(date(2024, 1, 1), date(2024, 1, 1), 1) == [date(2024, 1, 1)]
+
+
+@pytest.mark.parametrize("text", ["2023-02-29", "2024-13-01", "soon", "21.3.2024"])
+def test_what_is_no_date_is_told_in_one_line(text):
+    with pytest.raises(InputError, match=rf"--date: '{text}' is no date; allowed: a date of the calendar, as 2024-03-21"):
+        date_of("--date", text)
+
+
+def test_windows_and_dates_that_run_back_are_refused(world):
+    with pytest.raises(InputError, match="--window: '16:00-08:00'"):
+        daily_window(date(2024, 3, 21), 960.0, 480.0, UTC, world)
+    with pytest.raises(InputError, match="--to"):
+        dates_of(date(2024, 3, 21), date(2024, 3, 20), 1)
+    with pytest.raises(InputError, match="--every"):
+        dates_of(date(2024, 3, 21), date(2024, 3, 22), 0)
+    with pytest.raises(InputError, match="years"):
+        daily_window(date(9999, 3, 21), 0.0, 960.0, UTC, world)
+
+
+def test_a_pole_has_solar_time():
+    pole = World(CRS.from_epsg(3413), False, 0.0, 0.0, -45.0, 90.0, 1.0)
+    window = daily_window(date(2024, 6, 21), 0.0, 1440.0, SOLAR, pole)
+    assert np.isclose(window.minutes, 1440.0, atol=0.6)
