@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from api.contour_lines import write_contours
 from api.device_calibration import calibration_for
 from api.raster_file import cog
 from api.shade import transform_of
@@ -44,9 +45,10 @@ def write_sun_hours(
     rules: SunRules,
     paths: dict[str, Path],
     on_block: Callable[[int, int], None] | None = None,
+    contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
-    """Write some quantities of a map's cells, by name, into a file each. ``on_block(done, total)`` is called after each block of
-    each date. Raises ``SkuggaError`` and ``OSError``.
+    """Write some quantities of a map's cells, by name, into a file each; and ``contours`` of the first, a file and values.
+    ``on_block(done, total)`` is called after each block of each date. Raises ``SkuggaError`` and ``OSError``.
     """
     for name in paths:
         if name not in QUANTITIES:
@@ -75,6 +77,8 @@ def write_sun_hours(
             inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
             for name, file in files.items():
                 file.write(max(row, 0), max(col, 0), QUANTITIES[name](found)[inside])
+    if contours is not None:
+        write_contours(next(iter(paths.values())), contours[1], contours[0])
     if on_block is not None:
         on_block(total, total)
 

@@ -85,13 +85,14 @@ MAY_IMPORT = {
     "api.raster_file": "",
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
-    "api.sun_hours": "device_calibration raster_file shade",
+    "api.contour_lines": "",
+    "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
     "api.workers": "device_calibration errors layers point settings",
     "api.library": "catalogue device_calibration layers raster_file shade",
     "api.http": "errors layers point settings shadow_parameters workers",
     "api.cli": (
-        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item"
+        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item sun_hours"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

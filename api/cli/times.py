@@ -34,7 +34,7 @@ def suns_of(
         missing = next(name for name, value in steps.items() if value is None)
         raise InputError(missing, "nothing", "--from, --to and --step together")
     first, last = (_moment(name, text) for name, text in (("--from", start), ("--to", end)))
-    every = _duration(step)
+    every = duration_of("--step", step)
     count = (last - first) // every + 1
     if not 1 <= count <= MOST_TIMES:
         raise InputError("--to", end, f"1 to {MOST_TIMES} times from --from on, in steps of {step}; these are {count}")
@@ -57,9 +57,10 @@ def _moment(name: str, text: str) -> datetime:
     return sun.time
 
 
-def _duration(text: str) -> timedelta:
+def duration_of(name: str, text: str) -> timedelta:
+    """A length of time, as 15m. Raises ``InputError``, which names the option."""
     found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,6})?)([smhd])", text.strip())
     length = timedelta(**{_UNITS[found[2]]: float(found[1])}) if found else timedelta(0)
     if length < timedelta(seconds=1):
-        raise InputError("--step", text, "a number and s, m, h or d, as 15m; at least 1s")
+        raise InputError(name, text, "a number and s, m, h or d, as 15m; at least 1s")
     return length

@@ -31,7 +31,7 @@ from shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
-from shadows.sun_hours.suns import SunSpan, SunDay, sun_spans, lattice_of
+from shadows.sun_hours.suns import SunDay, SunSpan, lattice_of, sun_spans
 from shadows.sweep.grid import GridOrientation
 from shadows.sweep.sweep import CORES, clearance_of_nodes
 from terrain.casters.reach import Patch, casters_in_sun

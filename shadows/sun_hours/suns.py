@@ -59,8 +59,8 @@ class SunDay:
 @dataclass(frozen=True, eq=False)
 class SunSpan:
     """A time, from a rise of the sun in a block or the window's start on to a set or its end: moments ``knots_min`` (k,) at which
-    the sun is looked for, minutes after the window's start. ``above`` (k, BLOCK_PLACES, BLOCK_PLACES) is by how much the sine of its
-    altitude exceeds the floor's at places of the block.
+    the sun is looked for, minutes after the window's start. ``above`` (k, BLOCK_PLACES, BLOCK_PLACES) is by how much the sine of
+    its altitude exceeds the floor's at places of the block.
     """
 
     knots_min: np.ndarray

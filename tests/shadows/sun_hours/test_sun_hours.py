@@ -14,7 +14,7 @@ from pyproj import Geod, Transformer
 from benchmarks.sun_hours_accuracy import ray_truth
 from benchmarks.sweep_speed import mountains
 from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
-from shadows.sun_hours.suns import sun_spans, sun_days
+from shadows.sun_hours.suns import sun_days, sun_spans
 from terrain.geo.daily_windows import SOLAR, Clock, DailyWindow, daily_window
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun_path import sun_path

@@ -1,0 +1,121 @@
+"""``skugga sunhours``: from its options to files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from datetime import UTC, timedelta, timezone
+from pathlib import Path
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from api.cli.shading import SUFFIXES
+from api.cli.times import duration_of
+from api.shade import Bounds, raster_view
+from api.sun_hours import QUANTITIES, write_sun_hours
+from shadows.sun_hours.sun_hours import SunRules
+from terrain.errors import InputError
+from terrain.geo.daily_windows import DAY_MIN, SOLAR, Clock, DailyWindow, daily_window, date_of, dates_of
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+
+MOST_DATES = 3700
+"""A decade's."""
+
+CLOCKS = "solar, utc, an offset as +01:00, or a time zone as Europe/Oslo"
+
+
+def write_sun_level(
+    level: Path,
+    output: Path,
+    quantity: str,
+    dates: tuple[str, str | None, str],
+    window: str,
+    clock: str,
+    rules: SunRules,
+    where: tuple[Bounds | None, str | None, float | None, Path | None],
+    contours: tuple[Path, str] | None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a quantity of a level's sun, and its contours. Raises ``SkuggaError`` and ``OSError``."""
+    if output.suffix.lower() not in SUFFIXES:
+        raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
+    if quantity not in QUANTITIES:
+        raise InputError("--quantity", quantity, ", ".join(QUANTITIES))
+    lines = None if contours is None else (contours[0], _values(contours))
+    for path in (output, *(contours[:1] if contours is not None else ())):
+        if not path.parent.is_dir():
+            raise FileNotFoundError(2, "folder not found", str(path))
+    known_clock, readings = clock_of(clock), window_of(window)
+    scene = build_scene(load_level(level))
+    try:
+        windows = _windows(scene, dates, readings, known_clock)
+        write_sun_hours(scene, raster_view(scene, *where), windows, rules, {quantity: output}, on_block, lines)
+    finally:
+        scene.close()
+
+
+def clock_of(text: str) -> Clock:
+    """The clock of ``--clock``. Raises ``InputError``."""
+    name = text.strip()
+    if name.lower() == SOLAR:
+        return SOLAR
+    if name.lower() in ("utc", "z"):
+        return UTC
+    offset = re.fullmatch(r"([+-])(\d{2}):(\d{2})", name)
+    try:
+        if offset:
+            ahead = timedelta(hours=int(offset[2]), minutes=int(offset[3]))
+            return timezone(ahead if offset[1] == "+" else -ahead)
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise InputError("--clock", text, CLOCKS) from None
+
+
+def window_of(text: str) -> tuple[float, float]:
+    """The two readings of ``--window``, minutes from midnight. Raises ``InputError``."""
+    found = re.fullmatch(r"(\d{1,2}):(\d{2})-(\d{1,2}):(\d{2})", text.strip())
+    first, last = (
+        ((int(found[n]) * 60 + int(found[n + 1]) if int(found[n + 1]) < 60 else -1) for n in (1, 3)) if found else (-1, -1)
+    )
+    if not 0 <= first < last <= DAY_MIN:
+        raise InputError("--window", text, "a time and a later one of one day, as 08:00-16:00; at most 00:00-24:00")
+    return float(first), float(last)
+
+
+def rules_of(step: str, threshold: str, least_altitude: float, height: float) -> SunRules:
+    """What counts as sun, of the options. Raises ``InputError``."""
+    minutes = duration_of("--step", step) / timedelta(minutes=1)
+    if not 0.5 <= minutes <= 60.0:
+        raise InputError("--step", step, "30s to 1h")
+    if not -1.0 <= least_altitude < 90.0:
+        raise InputError("--least-altitude", least_altitude, "degrees above the horizon, -1 to 90")
+    if not 0.0 <= height <= 1000.0:
+        raise InputError("--height", height, "metres above the ground, 0 to 1000")
+    return SunRules(minutes, duration_of("--threshold", threshold) / timedelta(hours=1), least_altitude, height)
+
+
+def _windows(scene: Scene, dates: tuple[str, str | None, str], readings: tuple[float, float], clock: Clock) -> list[DailyWindow]:
+    first = date_of("--date", dates[0])
+    last = first if dates[1] is None else date_of("--to", dates[1])
+    every = duration_of("--every", dates[2])
+    if every % timedelta(days=1):
+        raise InputError("--every", dates[2], "whole days, as 7d")
+    days = dates_of(first, last, every.days)
+    if len(days) > MOST_DATES:
+        raise InputError("--to", dates[1], f"at most {MOST_DATES} dates; these are {len(days)}")
+    if scene.world.flat:
+        raise InputError("--date", dates[0], "no date: an engineering CRS is not georeferenced, and has no sun of a date")
+    return [daily_window(day, *readings, clock, scene.world) for day in days]
+
+
+def _values(contours: tuple[Path, str]) -> list[float]:
+    path, text = contours
+    if path.suffix.lower() != ".gpkg":
+        raise InputError("--contours", str(path), "a GeoPackage: .gpkg")
+    try:
+        values = sorted({float(part) for part in text.split(",")})
+    except ValueError:
+        values = []
+    if not values or not all(abs(value) < 1e6 for value in values):
+        raise InputError("--levels", text, "numbers, as 1,2,3: of hours, or of minutes from midnight for first and last")
+    return values

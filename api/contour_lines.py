@@ -1,0 +1,71 @@
+"""Contours of a raster as lines in a GeoPackage, window by window, joined where windows meet."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.windows import Window
+
+from terrain.errors import InputError
+
+WINDOW_CELLS = 2048
+"""Cells along a window; neighbours share a row or column, on which their lines end at the same points."""
+
+MOST_VERTICES = 20_000_000
+"""Of all lines together: about a gigabyte."""
+
+
+def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
+    """Write the lines of some values of a raster's first band, through its cells' centres, as features with the attribute ``value``
+    into a GeoPackage; how many lines there are. It takes its place when all is written. Raises ``InputError`` and ``OSError``.
+    """
+    import pyogrio  # here: where pandas is installed it imports that
+    import shapely
+
+    with rasterio.open(raster) as dataset:
+        parts: dict[float, list[np.ndarray]] = {value: [] for value in values}
+        vertices = 0
+        for row in range(0, max(dataset.height - 1, 1), WINDOW_CELLS - 1):
+            for col in range(0, max(dataset.width - 1, 1), WINDOW_CELLS - 1):
+                window = Window(col, row, min(WINDOW_CELLS, dataset.width - col), min(WINDOW_CELLS, dataset.height - row))
+                for value, line in _lines(dataset.read(1, window=window), row, col, values):
+                    parts[value].append(line)
+                    vertices += len(line)
+                if vertices > MOST_VERTICES:
+                    raise InputError(
+                        "--contours", str(output), f"at most {MOST_VERTICES} vertices; --bounds or fewer --levels help"
+                    )
+        transform, crs = dataset.transform, dataset.crs
+    found, labels = [], []
+    for value, lines in parts.items():
+        if not lines:
+            continue
+        joined = shapely.line_merge(shapely.multilinestrings([shapely.linestrings(line) for line in lines]))
+        single = shapely.get_parts(joined)
+        found.append(shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1)))
+        labels.append(np.full(len(single), value))
+    lines_found = np.concatenate(found) if found else np.empty(0, object)
+    with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as folder:
+        path = Path(folder) / output.name
+        pyogrio.raw.write(
+            path, geometry=shapely.to_wkb(lines_found), field_data=[np.concatenate(labels) if labels else np.empty(0)],
+            fields=np.array(["value"], object), geometry_type="LineString", crs=crs.to_wkt(), driver="GPKG", layer="contours",
+        )  # fmt: skip
+        os.replace(path, output)
+    return len(lines_found)
+
+
+def _lines(values: np.ndarray, row: int, col: int, levels: Sequence[float]) -> list[tuple[float, np.ndarray]]:
+    """The lines (n, 2) of levels, columns and rows of the raster, in a window of cells from a row and column on."""
+    from contourpy import contour_generator
+
+    if min(values.shape) < 2:
+        return []
+    x, y = np.arange(values.shape[1], dtype=np.float64) + col, np.arange(values.shape[0], dtype=np.float64) + row
+    generator = contour_generator(x, y, np.ma.masked_invalid(values.astype(np.float64)), line_type="Separate", corner_mask=True)
+    return [(level, line) for level in levels for line in generator.lines(level) if isinstance(line, np.ndarray)]

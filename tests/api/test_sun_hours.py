@@ -1,0 +1,135 @@
+"""Rasters of hours of sun: parts equal the whole, blocks join, other CRSs, objects on the ground, contours."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, date
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from rasterio.warp import transform as warped
+
+from api import contour_lines
+from api import sun_hours as module
+from api.contour_lines import write_contours
+from api.shade import raster_view
+from api.sun_hours import sun_blocks, write_sun_hours
+from benchmarks.sweep_speed import mountains
+from shadows.sun_hours.sun_hours import SunRules
+from terrain.errors import InputError
+from terrain.geo.daily_windows import daily_window
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import write_geotiff
+
+CELL_M = 30.0
+
+
+@pytest.fixture
+def scene(tmp_path: Path):
+    made = build_scene(load_level(write_geotiff(tmp_path / "own.tif", mountains(150), "EPSG:32632", 500e3, 5200e3, CELL_M)))
+    yield made
+    made.close()
+
+
+def written(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **where) -> tuple[np.ndarray, Path]:
+    path = folder / f"{quantity}.tif"
+    window = daily_window(date(2024, 3, 21), 0.0, 1440.0, UTC, scene.world)
+    seen: list[tuple[int, int]] = []
+    write_sun_hours(
+        scene, raster_view(scene, **where), [window], SunRules(step_min=step), {quantity: path}, lambda *done: seen.append(done)
+    )
+    assert seen[-1][0] == seen[-1][1] and sorted(seen) == seen
+    with rasterio.open(path) as dataset:
+        return dataset.read(1), path
+
+
+def test_a_part_equals_the_whole(scene, tmp_path):
+    whole, path = written(scene, tmp_path)
+    with rasterio.open(path) as dataset, rasterio.open(tmp_path / "own.tif") as own:
+        assert (dataset.transform, dataset.shape, dataset.crs) == (own.transform, own.shape, own.crs)
+        left, top = dataset.transform @ (20, 70)
+    part, _ = written(scene, tmp_path, bounds=(left, top - 50 * CELL_M, left + 60 * CELL_M, top))
+    np.testing.assert_array_equal(part, whole[70:120, 20:80])
+
+
+def test_blocks_join(scene, tmp_path, monkeypatch):
+    whole, _ = written(scene, tmp_path)
+    monkeypatch.setattr(module, "BLOCK_NODES", 64)
+    assert len(sun_blocks(scene, raster_view(scene))) == 9
+    apart, _ = written(scene, tmp_path)
+    wrong = 60.0 * np.abs(apart - whole)
+    assert wrong.mean() < 0.2 and np.percentile(wrong, 99) < 3.0  # minutes: lines fall elsewhere between nodes
+
+
+def test_cells_of_another_crs_and_of_other_sides_say_the_same(scene, tmp_path):
+    own, path = written(scene, tmp_path)
+    (tmp_path / "far").mkdir()
+    far, other = written(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
+    with rasterio.open(other) as there, rasterio.open(path) as here:
+        rows, cols = (np.random.default_rng(1).integers(10, 90, 400) for _ in range(2))
+        x, y = warped(there.crs, here.crs, *(there.transform @ (cols + 0.5, rows + 0.5)))
+        col, row = ~here.transform @ (np.array(x), np.array(y))
+    wrong = np.abs(far[rows, cols] - own[row.astype(int), col.astype(int)])
+    assert np.median(wrong) < 0.2  # cells' centres lie up to half a cell apart
+    tall = write_geotiff(tmp_path / "tall.tif", mountains(150)[::2], "EPSG:32632", 500e3, 5200e3, (CELL_M, 2 * CELL_M))
+    oblong = build_scene(load_level(tall))
+    half, _ = written(oblong, tmp_path)
+    oblong.close()
+    assert np.corrcoef(half[5:-5, 5:-5].ravel(), own[::2][5:-5, 5:-5].ravel())[0, 1] > 0.9
+
+
+def test_objects_cast_their_shadow_too(gl, tmp_path):
+    write_geotiff(tmp_path / "flat.tif", np.zeros((60, 60), np.float32), "EPSG:32632", 500e3, 5200e3, 5.0)
+    house = shapely.transform(
+        shapely.box(500140.0, 5199840.0, 500160.0, 5199860.0),
+        lambda xy: np.stack(warped("EPSG:32632", "EPSG:4326", xy[:, 0], xy[:, 1]), axis=1),
+    )
+    collection = {"type": "Feature", "properties": {"high": 20.0}, "geometry": json.loads(shapely.to_geojson(house))}
+    (tmp_path / "house.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [collection]}), encoding="utf-8")
+    level = tmp_path / "level.yaml"
+    text = "version: 1\nterrain: {source: flat.tif}\nmeshes: [{source: house.geojson, height: high}]\nsun: none\n"
+    level.write_text(text, encoding="utf-8")
+    with_house = build_scene(load_level(level))
+    hours, _ = written(with_house, tmp_path, step=60.0)
+    with pytest.raises(InputError, match="--height"):
+        window = daily_window(date(2024, 3, 21), 0.0, 1440.0, UTC, with_house.world)
+        path = {"hours": tmp_path / "a.tif"}
+        write_sun_hours(with_house, raster_view(with_house), [window], SunRules(height_m=1.5), path)
+    with_house.close()
+    assert hours[50, 5] == pytest.approx(12.1, abs=0.3)  # far to the south: the whole day
+    assert hours[26, 30] < 8.0  # just north of the house
+    assert hours[40, 30] > 11.0  # south of it
+
+
+def test_contours_join_across_windows(tmp_path, monkeypatch):
+    row, col = np.mgrid[:90, :120]
+    hours = np.hypot(row - 45, col - 60).astype(np.float32)
+    raster = write_geotiff(tmp_path / "rings.tif", hours, "EPSG:32632", 500e3, 5200e3, 10.0)
+    monkeypatch.setattr(contour_lines, "WINDOW_CELLS", 32)
+    assert write_contours(raster, [20.0, 30.0], tmp_path / "lines.gpkg") == 2
+    meta, _, wkb, (value,) = pyogrio.raw.read(tmp_path / "lines.gpkg")
+    lines = shapely.from_wkb(wkb)
+    assert meta["crs"] == "EPSG:32632" and sorted(value) == [20.0, 30.0]
+    for line, radius in zip(lines, value, strict=True):
+        assert shapely.is_closed(line)
+        assert shapely.length(line) == pytest.approx(2.0 * np.pi * radius * 10.0, rel=0.01)
+        assert shapely.centroid(line).x == pytest.approx(500e3 + 605.0, abs=0.5)
+        assert shapely.centroid(line).y == pytest.approx(5200e3 - 455.0, abs=0.5)
+
+
+def test_contours_end_at_holes_and_may_be_none(tmp_path):
+    hours = np.tile(np.arange(40, dtype=np.float32), (30, 1))
+    hours[10:12] = np.nan
+    raster = write_geotiff(tmp_path / "hole.tif", hours, "EPSG:32632", 500e3, 5200e3, 10.0)
+    assert write_contours(raster, [20.5], tmp_path / "lines.gpkg") == 2
+    assert write_contours(raster, [99.0], tmp_path / "none.gpkg") == 0
+
+
+def test_a_quantity_that_there_is_not_is_told(scene, tmp_path):
+    with pytest.raises(InputError, match="hours, first, last, longest, days"):
+        written(scene, tmp_path, "minutes")
