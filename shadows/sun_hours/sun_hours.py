@@ -10,14 +10,13 @@ Cells keep the order of the sweep's turned grid from step to step: only three or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from shadows.plan import Plan
-from shadows.render import render_frame
+from shadows.render import Frame, render_frame
 from shadows.sun_hours.spells import (
     ClockReading,
     Moment,
@@ -150,19 +149,17 @@ def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: SunDay, span: Sun
     """Add a day's span."""
     moments: list[Moment] = []
     begins = True
-    spare: np.ndarray | None = None
-    for number, minutes in enumerate(span.knots_min):
-        turn, clearance = over.clearance(day, span, number, spare)
+    for number, (turn, clearance) in enumerate(over.clearances(day, span)):
         if turn != seen.turn:
             moments = [replace(m, clearance=turned_copy(m.clearance, seen.turn, turn)) for m in moments]
             seen = seen.turned(turn)
-        moments.append(Moment(float(minutes), clearance, span.above[number].ravel()))
+        moments.append(Moment(float(span.knots_min[number]), clearance, span.above[number].ravel()))
         if number >= 2:
             here, there, after = moments[-3:]
             before = moments[-4] if number >= 3 else here
             add_between(seen.spells, (before, here, there, after), clock, seen.fit, begins, CORES)
             begins = False
-        spare = moments.pop(0).clearance if len(moments) == 4 else None
+        del moments[:-3]
     here, there = moments[-2:]
     before = moments[-3] if len(moments) >= 3 else here
     add_between(seen.spells, (before, here, there, there), clock, seen.fit, begins, CORES)
@@ -176,35 +173,42 @@ class _BareBlock:
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._height_m = scene, nodes, rules.height_m
         self._alone = _holds_all_ground(scene, nodes.view)
-        self._patches = lru_cache(2)(self._patches_under)
 
     def known(self) -> np.ndarray:
         """Which cells (rows, cols) show ground."""
         return self._nodes.shown
 
-    def clearance(self, day: SunDay, span: SunSpan, number: int, spare: np.ndarray | None) -> tuple[GridOrientation, np.ndarray]:
-        """Clearances (n, m) at a moment of a span, and how they are turned; ``spare`` is an array to put them in."""
-        scene = self._under(day.sun(span.looked_for_min(number), self._scene.world))
-        found = clearance_of_nodes(self._nodes, scene, self._beside(day, span, number), LINES)
-        if spare is None or spare.shape != found.level_m.shape:
-            spare = np.empty(found.level_m.shape, np.float32)
-        return found.turn, clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES)
+    def clearances(self, day: SunDay, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+        """Clearances (n, m) at each moment of a span, and how they are turned; the fifth is in the first one's array."""
+        used: list[np.ndarray] = []
+        for minutes, patches in self._casters(day, span):
+            found = clearance_of_nodes(self._nodes, self._under(day, minutes), patches, LINES)
+            spare = used.pop(0) if len(used) == 4 else None
+            if spare is None or spare.shape != found.level_m.shape:
+                spare = np.empty(found.level_m.shape, np.float32)
+            used.append(clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES))
+            yield found.turn, used[-1]
 
-    def _under(self, sun: Sun) -> Scene:
-        return replace(self._scene, sun=sun)
+    def _under(self, day: SunDay, minutes: float) -> Scene:
+        return replace(self._scene, sun=day.sun(minutes, self._scene.world))
 
-    def _beside(self, day: SunDay, span: SunSpan, number: int) -> tuple[Patch, ...]:
-        """The ground beside the block that may shade it at a moment."""
-        if self._alone:
-            return ()
+    def _casters(self, day: SunDay, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
+        """When the sun is looked for, and the ground beside the block that may shade it then."""
         first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
-        minutes = span.looked_for_min(number)
-        begin = np.floor(minutes / CASTERS_MIN) * CASTERS_MIN
-        ends = (float(np.clip(end, first, last)) for end in (begin, begin + CASTERS_MIN))
-        return tuple(dict.fromkeys(patch for end in ends for patch in self._patches(day, end)))
+        end = -np.inf
+        before: tuple[Patch, ...] = ()
+        after: tuple[Patch, ...] = ()
+        for number in range(len(span.knots_min)):
+            minutes = span.looked_for_min(number)
+            if not self._alone and minutes >= end:
+                begin = np.floor(minutes / CASTERS_MIN) * CASTERS_MIN
+                before = after if begin == end else self._patches(day, float(np.clip(begin, first, last)))
+                end = begin + CASTERS_MIN
+                after = self._patches(day, float(np.clip(end, first, last)))
+            yield minutes, tuple(dict.fromkeys((*before, *after)))
 
-    def _patches_under(self, day: SunDay, minutes: float) -> tuple[Patch, ...]:
-        return casters_in_sun(self._under(day.sun(minutes, self._scene.world)), self._nodes)
+    def _patches(self, day: SunDay, minutes: float) -> tuple[Patch, ...]:
+        return casters_in_sun(self._under(day, minutes), self._nodes)
 
 
 class _DrawnBlock:
@@ -212,20 +216,20 @@ class _DrawnBlock:
 
     def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
         self._scene, self._view, self._plan_of = scene, view, plan_of
-        self._shown: np.ndarray | None = None
 
     def known(self) -> np.ndarray:
         """Which cells (rows, cols) show a surface."""
-        if self._shown is None:
-            scene = replace(self._scene, sun=Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2]))
-            self._shown = render_frame(scene, self._view, self._plan_of(scene)).there
-        return self._shown
+        return self._drawn(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
 
-    def clearance(self, day: SunDay, span: SunSpan, number: int, spare: np.ndarray | None) -> tuple[GridOrientation, np.ndarray]:
-        """As ``_BareBlock.clearance``, in the cells' own order."""
-        scene = replace(self._scene, sun=day.sun(span.looked_for_min(number), self._scene.world))
-        frame = render_frame(scene, self._view, self._plan_of(scene))
-        return UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
+    def clearances(self, day: SunDay, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+        """As ``_BareBlock.clearances``, in the cells' own order."""
+        for number in range(len(span.knots_min)):
+            frame = self._drawn(day.sun(span.looked_for_min(number), self._scene.world))
+            yield UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
+
+    def _drawn(self, sun: Sun) -> Frame:
+        scene = replace(self._scene, sun=sun)
+        return render_frame(scene, self._view, self._plan_of(scene))
 
 
 def _under_clear_sky(scene: Scene) -> Scene:
