@@ -15,7 +15,7 @@ from api.shade import transform_of
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from shadows.sun_hours.sun_hours import SunHours, SunRules, ground_extent, sun_hours
-from shadows.sun_hours.suns import sun_days
+from shadows.sun_hours.suns import window_suns
 from terrain.errors import InputError
 from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
 from terrain.geo.daily_windows import DailyWindow
@@ -53,7 +53,7 @@ def write_sun_hours(
     for name in paths:
         if name not in QUANTITIES:
             raise InputError("quantity", name, ", ".join(QUANTITIES))
-    days = sun_days(scene.world, windows)
+    days = window_suns(scene.world, windows)
     transform, shape = transform_of(view), (view.rows, view.cols)
     blocks, plan_of = sun_blocks(scene, view), _plans(scene)
     with ExitStack() as stack:

@@ -27,7 +27,7 @@ from scipy.ndimage import binary_erosion
 from api.shade import raster_view
 from benchmarks.sweep_speed import CELL_M, mountains
 from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
-from shadows.sun_hours.suns import SunDay, sun_days
+from shadows.sun_hours.suns import WindowSun, window_suns
 from terrain.casters.rays import RayScene
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.geo.daily_windows import daily_window
@@ -75,16 +75,16 @@ def _no_plan(scene: Scene) -> NoReturn:
     raise AssertionError("bare ground needs no plan")
 
 
-def _day(scene: Scene, day: date) -> SunDay:
-    return sun_days(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
+def _day(scene: Scene, day: date) -> WindowSun:
+    return window_suns(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
 
 
-def _answers(scene: Scene, view: MapView, day: SunDay, step_min: float) -> SunHours:
+def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float) -> SunHours:
     return sun_hours(scene, view, [day], SunRules(step_min=step_min), _no_plan)
 
 
 def ray_truth(
-    scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: SunDay, every_min: float = RAYS_MIN
+    scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, every_min: float = RAYS_MIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hours, and minutes of the first and last sun after the window's start (NaN: never), of single cells (n,) by rays."""
     nodes = bare_nodes(scene, view, 1)

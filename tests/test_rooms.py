@@ -92,7 +92,8 @@ MAY_IMPORT = {
     "api.library": "catalogue device_calibration layers raster_file shade",
     "api.http": "errors layers point settings shadow_parameters workers",
     "api.cli": (
-        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item sun_hours"
+        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item "
+        "sun_hours"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

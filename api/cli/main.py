@@ -200,8 +200,9 @@ def sun_at_point(
 
 
 @app.command("sunhours")
+@takes_level
 def sun_hours_raster(
-    level: LevelArgument,
+    level: LevelSource,
     output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG).")],
     date: Annotated[str, typer.Option(metavar="DATE", help="The date, or the first of many, as 2024-03-21.")],
     last: Annotated[str | None, typer.Option("--to", metavar="DATE", help="The last of many dates, ...")] = None,
@@ -229,7 +230,7 @@ def sun_hours_raster(
     lines = None if contours is None else (contours, levels)
     with _progress("Following the sun") as advance:
         write_sun_level(
-            find_level(level), output, quantity, (date, last, every), window, clock, rules,
+            level, output, quantity, (date, last, every), window, clock, rules,
             (_bounds(bounds), crs, resolution, like), lines, advance,
         )  # fmt: skip
 

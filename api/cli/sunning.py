@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from datetime import UTC, timedelta, timezone
+from datetime import timedelta
 from pathlib import Path
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
+from api.cli.warnings import say_warnings
 from api.shade import Bounds, raster_view
 from api.sun_hours import QUANTITIES, write_sun_hours
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.errors import InputError
-from terrain.geo.daily_windows import DAY_MIN, SOLAR, Clock, DailyWindow, daily_window, date_of, dates_of
+from terrain.geo.clock import Clock, clock_named
+from terrain.geo.daily_windows import DAY_MIN, DailyWindow, daily_window, date_of, dates_of
 from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
 from terrain.scene import Scene, build_scene
 
 MOST_DATES = 3700
 """A decade's."""
 
-CLOCKS = "solar, utc, an offset as +01:00, or a time zone as Europe/Oslo"
-
 
 def write_sun_level(
-    level: Path,
+    level: LevelSource,
     output: Path,
     quantity: str,
     dates: tuple[str, str | None, str],
@@ -45,30 +45,14 @@ def write_sun_level(
     for path in (output, *(contours[:1] if contours is not None else ())):
         if not path.parent.is_dir():
             raise FileNotFoundError(2, "folder not found", str(path))
-    known_clock, readings = clock_of(clock), window_of(window)
+    known_clock, readings = clock_named("--clock", clock), window_of(window)
     scene = build_scene(load_level(level))
+    say_warnings(scene)
     try:
         windows = _windows(scene, dates, readings, known_clock)
         write_sun_hours(scene, raster_view(scene, *where), windows, rules, {quantity: output}, on_block, lines)
     finally:
         scene.close()
-
-
-def clock_of(text: str) -> Clock:
-    """The clock of ``--clock``. Raises ``InputError``."""
-    name = text.strip()
-    if name.lower() == SOLAR:
-        return SOLAR
-    if name.lower() in ("utc", "z"):
-        return UTC
-    offset = re.fullmatch(r"([+-])(\d{2}):(\d{2})", name)
-    try:
-        if offset:
-            ahead = timedelta(hours=int(offset[2]), minutes=int(offset[3]))
-            return timezone(ahead if offset[1] == "+" else -ahead)
-        return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise InputError("--clock", text, CLOCKS) from None
 
 
 def window_of(text: str) -> tuple[float, float]:

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
-from zoneinfo import ZoneInfo
 
-from terrain.errors import InputError
-
-CLOCK_WORDS = "solar, utc, an offset as +02:00, or a time zone as Europe/Oslo"
-
-_OFFSET = re.compile(r"([+-])(\d\d):?(\d\d)")
+from terrain.geo.clock import clock_named
 
 
 def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
@@ -18,18 +12,8 @@ def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
 
     Raises ``InputError`` for a name that is no clock's.
     """
-    if name.lower() in ("utc", "z"):
-        return UTC
-    if name.lower() == "solar":
-        return solar_clock(lon_deg or 0.0, day)
-    offset = _OFFSET.fullmatch(name.replace(" ", "+"))
-    if offset is not None and int(offset[2]) < 24 and int(offset[3]) < 60:
-        minutes = int(offset[2]) * 60 + int(offset[3])
-        return timezone(timedelta(minutes=-minutes if offset[1] == "-" else minutes))
-    try:
-        return ZoneInfo(name)
-    except (ValueError, OSError, LookupError):
-        raise InputError("clock", name, CLOCK_WORDS) from None
+    clock = clock_named("clock", name)
+    return solar_clock(lon_deg or 0.0, day) if isinstance(clock, str) else clock
 
 
 def solar_clock(lon_deg: float, day: date) -> timezone:

@@ -30,7 +30,7 @@ from shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
-from shadows.sun_hours.suns import SunDay, SunSpan, lattice_of, sun_spans
+from shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
 from shadows.sweep.grid import GridOrientation
 from shadows.sweep.sweep import CORES, clearance_of_nodes
 from terrain.casters.reach import Patch, casters_in_sun
@@ -88,7 +88,7 @@ class SunHours:
 def sun_hours(
     scene: Scene,
     view: MapView,
-    days: Sequence[SunDay],
+    days: Sequence[WindowSun],
     rules: SunRules,
     plan_of: Callable[[Scene], Plan],
     on_day: Callable[[], None] | None = None,
@@ -145,7 +145,7 @@ class _Seen:
         return floor_fit(i, j, self.spells.day.shape)
 
 
-def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: SunDay, span: SunSpan, clock: ClockReading) -> _Seen:
+def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: WindowSun, span: SunSpan, clock: ClockReading) -> _Seen:
     """Add a day's span."""
     moments: list[Moment] = []
     begins = True
@@ -178,7 +178,7 @@ class _BareBlock:
         """Which cells (rows, cols) show ground."""
         return self._nodes.shown
 
-    def clearances(self, day: SunDay, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Clearances (n, m) at each moment of a span, and how they are turned; the fifth is in the first one's array."""
         used: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
@@ -189,10 +189,10 @@ class _BareBlock:
             used.append(clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES))
             yield found.turn, used[-1]
 
-    def _under(self, day: SunDay, minutes: float) -> Scene:
+    def _under(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
 
-    def _casters(self, day: SunDay, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
+    def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
         """When the sun is looked for, and the ground beside the block that may shade it then."""
         first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
         end = -np.inf
@@ -207,7 +207,7 @@ class _BareBlock:
                 after = self._patches(day, float(np.clip(end, first, last)))
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
-    def _patches(self, day: SunDay, minutes: float) -> tuple[Patch, ...]:
+    def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
         return casters_in_sun(self._under(day, minutes), self._nodes)
 
 
@@ -221,7 +221,7 @@ class _DrawnBlock:
         """Which cells (rows, cols) show a surface."""
         return self._drawn(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
 
-    def clearances(self, day: SunDay, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
+    def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """As ``_BareBlock.clearances``, in the cells' own order."""
         for number in range(len(span.knots_min)):
             frame = self._drawn(day.sun(span.looked_for_min(number), self._scene.world))

@@ -30,7 +30,7 @@ APART_MIN = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class SunDay:
+class WindowSun:
     """The sun through a window of a date: unit vectors ``towards_earth`` (n, 3), ``lift_deg`` and angles (n,) at minutes
     ``times_min`` (n,) after its start.
     """
@@ -72,7 +72,7 @@ class SunSpan:
         return float(np.clip(self.knots_min[number], first, max(first, last)))
 
 
-def sun_days(world: World, windows: Sequence[DailyWindow]) -> list[SunDay]:
+def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
     """The sun through daily windows. Raises ``UnsupportedError`` in a flat world, ``InputError`` for years that are not known."""
     if world.flat:
         raise UnsupportedError("--date", str(windows[0].date), "an engineering CRS is not georeferenced: it has no sun of a date")
@@ -83,7 +83,7 @@ def sun_days(world: World, windows: Sequence[DailyWindow]) -> list[SunDay]:
         path = sun_path(start + np.rint(times * 60e6).astype("timedelta64[us]"), world.anchor_lon_deg, world.anchor_lat_deg)
         enu = np.stack([direction_enu(*angles) for angles in zip(path.azimuth_deg, path.altitude_deg, strict=True)])
         towards = enu @ world.earth_from_anchor.T
-        days.append(SunDay(window, times, towards, path.azimuth_deg, path.altitude_deg, path.lift_deg))
+        days.append(WindowSun(window, times, towards, path.azimuth_deg, path.altitude_deg, path.lift_deg))
     return days
 
 
@@ -94,7 +94,7 @@ def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
     return rows, cols
 
 
-def sun_spans(day: SunDay, view: MapView, world: World, floor_deg: float, step_min: float) -> list[SunSpan]:
+def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, step_min: float) -> list[SunSpan]:
     """When the sun stands above a floor (degrees, apparent) anywhere in a block, and the moments at which to look for it."""
     row, col = lattice_of(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)

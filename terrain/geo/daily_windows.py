@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
-from typing import Literal
 
 import numpy as np
 
 from terrain.errors import Fault, InputError
+from terrain.geo.clock import Clock
 from terrain.geo.sun_path import YEARS, sun_path
 from terrain.geo.world import World
 
 DAY_MIN = 1440.0
-
-Clock = tzinfo | Literal["solar"]
-"""What a window is told by: a zone, or true solar time, at whose noon the sun stands in the meridian."""
-
-SOLAR: Literal["solar"] = "solar"
 
 SOLAR_ROUNDS = 3
 """Times that a reading of true solar time is corrected by the equation of time found there: it changes by half a minute a day."""

@@ -14,8 +14,9 @@ from pyproj import Geod, Transformer
 from benchmarks.sun_hours_accuracy import ray_truth
 from benchmarks.sweep_speed import mountains
 from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
-from shadows.sun_hours.suns import sun_days, sun_spans
-from terrain.geo.daily_windows import SOLAR, Clock, DailyWindow, daily_window
+from shadows.sun_hours.suns import sun_spans, window_suns
+from terrain.geo.clock import SOLAR, Clock
+from terrain.geo.daily_windows import DailyWindow, daily_window
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun_path import sun_path
 from terrain.level.level import load_level
@@ -58,7 +59,7 @@ def no_plan(scene: Scene):
 
 
 def found(scene: Scene, *windows: DailyWindow, **rules: float) -> SunHours:
-    return sun_hours(scene, cells_of(scene), sun_days(scene.world, windows), SunRules(**{"step_min": 5.0, **rules}), no_plan)
+    return sun_hours(scene, cells_of(scene), window_suns(scene.world, windows), SunRules(**{"step_min": 5.0, **rules}), no_plan)
 
 
 def grid_north_deg(scene: Scene) -> float:
@@ -196,7 +197,7 @@ def test_it_is_what_rays_say_of_fractal_mountains(opened):
     scene = opened(mountains(128), cell=30.0)
     view, window = cells_of(scene), window_of(scene, SPRING)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
-    (day,) = sun_days(scene.world, [window])
+    (day,) = window_suns(scene.world, [window])
     hours, first, last = ray_truth(scene, view, row, col, day, every_min=0.5)
     answer = found(scene, window, step_min=2.0)
     wrong = 60.0 * np.abs(answer.hours[row, col] - hours)
@@ -215,7 +216,7 @@ def test_crossings_between_steps_are_found_not_counted(opened):
 
 def test_sunrise_and_sunset_are_moments_to_look_for(opened):
     scene = opened(np.zeros((10, 10)))
-    (day,) = sun_days(scene.world, [window_of(scene, SPRING)])
+    (day,) = window_suns(scene.world, [window_of(scene, SPRING)])
     (spell,) = sun_spans(day, cells_of(scene), scene.world, 0.0, 15.0)
     minutes, _, altitude = sun_by_minute(scene, SPRING)
     up = minutes[altitude > 0.0]
@@ -227,4 +228,4 @@ def test_sunrise_and_sunset_are_moments_to_look_for(opened):
 def test_a_flat_world_has_no_dates(opened):
     scene = opened(np.zeros((10, 10)), ENGINEERING, 0.0, 0.0)
     with pytest.raises(Exception, match="--date: '2024-03-21' cannot be served: an engineering CRS"):
-        sun_days(scene.world, [window_of(scene, SPRING)])
+        window_suns(scene.world, [window_of(scene, SPRING)])

@@ -10,7 +10,8 @@ import pytest
 from pyproj import CRS
 
 from terrain.errors import InputError
-from terrain.geo.daily_windows import SOLAR, daily_window, date_of, dates_of, solar_min
+from terrain.geo.clock import SOLAR
+from terrain.geo.daily_windows import daily_window, date_of, dates_of, solar_min
 from terrain.geo.sun_path import sun_path
 from terrain.geo.world import World
 
