@@ -83,6 +83,21 @@ def write_sun_hours(
         on_block(total, total)
 
 
+def sun_hours_array(scene: Scene, view: MapView, windows: Sequence[DailyWindow], rules: SunRules, quantity: str) -> np.ndarray:
+    """A quantity of a map's cells, by name: float32 (rows, cols). Raises ``SkuggaError``."""
+    if quantity not in QUANTITIES:
+        raise InputError("quantity", quantity, ", ".join(QUANTITIES))
+    days, plan_of = window_suns(scene.world, windows), _plans(scene)
+    out = np.full((view.rows, view.cols), np.nan, np.float32)
+    for block, row, col in sun_blocks(scene, view):
+        found = QUANTITIES[quantity](sun_hours(scene, block, days, rules, plan_of(block)))
+        inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
+        part = found[inside]
+        rows, cols = part.shape
+        out[max(row, 0) : max(row, 0) + rows, max(col, 0) : max(col, 0) + cols] = part
+    return out
+
+
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     """The blocks in which hours of sun over a map's cells are found, as from ``blocks_of``: those of bare ground are larger,
     fixed on the cells' own grid, and end where the raster ends.

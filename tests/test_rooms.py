@@ -89,7 +89,7 @@ MAY_IMPORT = {
     "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
     "api.workers": "device_calibration errors layers point settings",
-    "api.library": "catalogue device_calibration layers raster_file shade",
+    "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.http": "errors layers point settings shadow_parameters workers",
     "api.cli": (
         "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item "

@@ -25,12 +25,12 @@ from api.point.report import (
     around_point,
     clock_asked,
     day_asked,
-    parse_day,
     point_report,
 )
 from api.point.track import PointAnswerRow, TrackPoint, read_points, read_track, sun_at_points, with_arrivals
 from shadows.point.horizon import Surroundings, horizon_round
 from terrain.errors import InputError
+from terrain.geo.clock import date_of
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -117,7 +117,7 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
 
 
 def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
-    day = None if options.date is None else parse_day(options.date, "--date")
+    day = None if options.date is None else date_of("date", options.date)
     try:
         return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
     except ValidationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -14,14 +13,11 @@ from api.shade import Bounds, raster_view
 from api.sun_hours import QUANTITIES, write_sun_hours
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.errors import InputError
-from terrain.geo.clock import Clock, clock_named
-from terrain.geo.daily_windows import DAY_MIN, DailyWindow, daily_window, date_of, dates_of
+from terrain.geo.clock import clock_named, date_of
+from terrain.geo.daily_windows import readings_of, windows_asked
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
-from terrain.scene import Scene, build_scene
-
-MOST_DATES = 3700
-"""A decade's."""
+from terrain.scene import build_scene
 
 
 def write_sun_level(
@@ -45,25 +41,19 @@ def write_sun_level(
     for path in (output, *(contours[:1] if contours is not None else ())):
         if not path.parent.is_dir():
             raise FileNotFoundError(2, "folder not found", str(path))
-    known_clock, readings = clock_named("--clock", clock), window_of(window)
+    known_clock, readings = clock_named("clock", clock), readings_of(window)
+    first = date_of("date", dates[0])
+    last = first if dates[1] is None else date_of("to", dates[1])
+    every = duration_of("every", dates[2])
+    if every % timedelta(days=1):
+        raise InputError("every", dates[2], "whole days, as 7d")
     scene = build_scene(load_level(level))
     say_warnings(scene)
     try:
-        windows = _windows(scene, dates, readings, known_clock)
+        windows = windows_asked(scene.world, first, last, every.days, readings, known_clock)
         write_sun_hours(scene, raster_view(scene, *where), windows, rules, {quantity: output}, on_block, lines)
     finally:
         scene.close()
-
-
-def window_of(text: str) -> tuple[float, float]:
-    """The two readings of ``--window``, minutes from midnight. Raises ``InputError``."""
-    found = re.fullmatch(r"(\d{1,2}):(\d{2})-(\d{1,2}):(\d{2})", text.strip())
-    first, last = (
-        ((int(found[n]) * 60 + int(found[n + 1]) if int(found[n + 1]) < 60 else -1) for n in (1, 3)) if found else (-1, -1)
-    )
-    if not 0 <= first < last <= DAY_MIN:
-        raise InputError("--window", text, "a time and a later one of one day, as 08:00-16:00; at most 00:00-24:00")
-    return float(first), float(last)
 
 
 def rules_of(step: str, threshold: str, least_altitude: float, height: float) -> SunRules:
@@ -76,20 +66,6 @@ def rules_of(step: str, threshold: str, least_altitude: float, height: float) ->
     if not 0.0 <= height <= 1000.0:
         raise InputError("--height", height, "metres above the ground, 0 to 1000")
     return SunRules(minutes, duration_of("--threshold", threshold) / timedelta(hours=1), least_altitude, height)
-
-
-def _windows(scene: Scene, dates: tuple[str, str | None, str], readings: tuple[float, float], clock: Clock) -> list[DailyWindow]:
-    first = date_of("--date", dates[0])
-    last = first if dates[1] is None else date_of("--to", dates[1])
-    every = duration_of("--every", dates[2])
-    if every % timedelta(days=1):
-        raise InputError("--every", dates[2], "whole days, as 7d")
-    days = dates_of(first, last, every.days)
-    if len(days) > MOST_DATES:
-        raise InputError("--to", dates[1], f"at most {MOST_DATES} dates; these are {len(days)}")
-    if scene.world.flat:
-        raise InputError("--date", dates[0], "no date: an engineering CRS is not georeferenced, and has no sun of a date")
-    return [daily_window(day, *readings, clock, scene.world) for day in days]
 
 
 def _values(contours: tuple[Path, str]) -> list[float]:

@@ -6,8 +6,11 @@ temporary raster, and each chunk of the answer is made from there, with casters 
 
 from __future__ import annotations
 
+import datetime
+import shutil
 import tempfile
 import threading
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -55,10 +58,30 @@ class SkuggaAccessor:
             raise InputError("time", None, "a time, or an azimuth and an altitude")
 
         def made(level: OpenLevel, **where: Any) -> np.ndarray:
-            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **where, **shadows)
+            asked = {**({"algorithm": WITHOUT_OPENGL} if where else {}), **shadows}
+            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **where, **asked)
             return visibility < 0.5  # NaN, where there is no ground, is not
 
         return self._answer("shadow", made, np.bool_)
+
+    def sun_hours(self, date: datetime.date | str, **rules: Any) -> xarray.DataArray:
+        """How long the sun is seen: float32, NaN where there is no ground. ``rules`` are ``to``, ``window``, ``clock``,
+        ``quantity`` and others of ``OpenLevel.sun_hours``. Raises as ``shadow``.
+        """
+
+        def made(level: OpenLevel, **where: Any) -> np.ndarray:
+            return level.sun_hours(date, **where, **rules)
+
+        return self._answer("sun_hours", made, np.float32)
+
+    def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
+        """The horizon of a point, ``height`` metres above the ground, in the array's own coordinates: elevation angles, degrees, by
+        ``azimuth``, degrees clockwise from true north. Raises as ``shadow``; an array of dask is read at once.
+        """
+        upright = _upright(self._array)
+        with open_heights(upright.to_numpy(), upright.rio.transform(recalc=True), _crs(upright)) as level:
+            found = level.horizon(x, y, height=height, crs=level.crs)
+        return xarray.DataArray(found.elevation_deg, dims="azimuth", coords={"azimuth": found.azimuth_deg}, name="horizon")
 
     def _answer(self, name: str, made: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
         """A DataArray like the heights of what is made of an open level."""
@@ -96,8 +119,9 @@ class _Staged:
     """A temporary raster that chunks are written to, and read from once all are there."""
 
     def __init__(self, array: xarray.DataArray) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="skugga-")
-        self.path = Path(self._folder.name) / "heights.tif"
+        folder = tempfile.mkdtemp(prefix="skugga-")
+        self._gone = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.path = Path(folder) / "heights.tif"
         self._lock, self._levels = threading.Lock(), threading.local()
         self.transform: Affine = array.rio.transform(recalc=True)
         rows, cols = array.shape
@@ -146,7 +170,7 @@ def _by_chunk(array: xarray.DataArray, made: Callable[..., np.ndarray], dtype: t
         (top, bottom), (left, right) = block_info[None]["array-location"]
         at = ready.transform
         bounds = at.c + at.a * left, at.f + at.e * bottom, at.c + at.a * right, at.f + at.e * top
-        return made(ready.level(), bounds=bounds, algorithm=WITHOUT_OPENGL).astype(dtype)
+        return made(ready.level(), bounds=bounds).astype(dtype)
 
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
         chunk, ready=ready, chunks=array.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)

@@ -1,9 +1,14 @@
-"""Shadows of plain arrays of heights, in a flat world: no file, no level, no OpenGL."""
+"""Plain arrays of heights: no file, no level, no OpenGL. Shadows are those of a flat world."""
 
 from __future__ import annotations
 
-import numpy as np
+import datetime
+from typing import Any
 
+import numpy as np
+from affine import Affine
+
+from api.library.opened_level import open_heights
 from shadows.sweep.grid import CellSize, sunlit
 
 
@@ -23,3 +28,22 @@ def shadow(
     if altitude_deg <= 0.0:
         return there
     return there & ~sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines, cores)
+
+
+def sun_hours_of_array(
+    height_m: np.ndarray, cell_m: CellSize, date: datetime.date | str, lat_deg: float, lon_deg: float = 0.0, **rules: Any
+) -> np.ndarray:
+    """How long the sun is seen on a heightfield round a place: float32 (rows, cols), hours unless ``rules`` say otherwise, NaN
+    where there is no ground.
+
+    ``height_m`` and ``cell_m`` are as in ``shadow``, and north is up in the middle; ``rules`` are those of ``OpenLevel.sun_hours``.
+    Raises ``SkuggaError``, and ``ValueError`` for heights that are no grid.
+    """
+    height_m = np.asarray(height_m, np.float32)
+    if height_m.ndim != 2:
+        raise ValueError(f"height_m has the shape {height_m.shape}; it must be (rows, cols)")
+    (rows, cols), (down_m, right_m) = height_m.shape, cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
+    transform = Affine(right_m, 0.0, -cols * right_m / 2.0, 0.0, -down_m, rows * down_m / 2.0)
+    crs = {"proj": "aeqd", "lat_0": lat_deg, "lon_0": lon_deg, "datum": "WGS84", "units": "m"}
+    with open_heights(height_m, transform, crs) as level:
+        return level.sun_hours(date, **rules)

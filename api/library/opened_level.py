@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -18,14 +18,21 @@ from api.catalogue import find_level
 from api.device_calibration import calibration_for
 from api.layers import PASS_LAYERS, frame_layer
 from api.library.tile_service import TileService
+from api.point.report import PointQuery, PointReport, around_point, point_report
 from api.shade import Bounds, raster_view, shade_array, transform_of
+from api.sun_hours import sun_hours_array
 from selector.select import plan_of_view
+from shadows.point.horizon import PointHorizon, horizon_round
 from shadows.render import render_frame
+from shadows.sun_hours.sun_hours import SunRules
+from terrain.geo.clock import clock_named, date_of
+from terrain.geo.daily_windows import readings_of, windows_asked
 from terrain.level.level import load_level, parse_sun
+from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
-Time = datetime | np.datetime64 | str
+Time = datetime.datetime | np.datetime64 | str
 
 
 class OpenLevel:
@@ -47,6 +54,11 @@ class OpenLevel:
     def path(self) -> Path:
         """The file that it was opened from."""
         return self._scene.loaded.path
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was noticed when it was opened, as a collar that the raster does not declare."""
+        return self._scene.warnings
 
     @property
     def crs(self) -> CRS:
@@ -112,6 +124,66 @@ class OpenLevel:
         view = raster_view(self._scene, bounds, crs, resolution, like)
         return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
 
+    def sun_hours(
+        self,
+        date: datetime.date | str,
+        *,
+        to: datetime.date | str | None = None,
+        every_days: int = 1,
+        window: str = "00:00-24:00",
+        clock: str = "solar",
+        quantity: str = "hours",
+        step_min: float = 2.0,
+        threshold_h: float = 2.0,
+        least_altitude: float = 0.0,
+        height: float = 0.0,
+        bounds: Bounds | None = None,
+        crs: str | None = None,
+        resolution: float | None = None,
+        like: Path | None = None,
+    ) -> np.ndarray:
+        """How long the sun is seen, float32 (rows, cols), NaN where there is no surface: ``hours`` (the mean of the dates),
+        ``first`` or ``last`` sun (minutes from midnight by the clock), the ``longest`` spell (hours) or the number of ``days``
+        with at least ``threshold_h`` hours.
+
+        Counted is sun at least ``least_altitude`` degrees high, seen from ``height`` metres above the ground, in a daily
+        ``window`` of the dates from ``date`` to ``to``. ``clock`` is ``solar``, ``utc``, an offset or a zone as ``Europe/Oslo``;
+        the sun is looked for every ``step_min`` minutes, and crossings in between are found. Cells are as in ``shade``. Raises
+        ``SkuggaError``.
+        """
+        first = _day("date", date)
+        last = first if to is None else _day("to", to)
+        windows = windows_asked(self._scene.world, first, last, every_days, readings_of(window), clock_named("clock", clock))
+        rules = SunRules(step_min, threshold_h, least_altitude, height)
+        return sun_hours_array(self._scene, raster_view(self._scene, bounds, crs, resolution, like), windows, rules, quantity)
+
+    def point(
+        self,
+        lon: float,
+        lat: float,
+        *,
+        time: Time | None = None,
+        date: datetime.date | str | None = None,
+        clock: str | None = None,
+        height: float = 0.0,
+        year: int | None = None,
+        crs: Any = None,
+    ) -> PointReport:
+        """The sun at a point, ``height`` metres above the ground: now (``time``), on a day, and on each day of a year. With a
+        ``crs``, as pyproj takes it, ``lon`` and ``lat`` are x and y of it. Raises ``SkuggaError``.
+        """
+        scene = self._scene.with_sun(_sun(time, None, None))
+        day = None if date is None else _day("date", date)
+        query = PointQuery(lon=lon, lat=lat, height=height, date=day, clock=clock, year=year)
+        return point_report(scene, query, None if crs is None else CRS.from_user_input(crs))
+
+    def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: Any = None) -> PointHorizon:
+        """The horizon of a point in 720 directions, by ground, buildings and trees: ``azimuth_deg`` clockwise from true north, and
+        ``elevation_deg``. The point is as in ``point``. Raises ``SkuggaError``.
+        """
+        query = PointQuery(lon=lon, lat=lat, height=height)
+        return horizon_round(around_point(self._scene, query, None if crs is None else CRS.from_user_input(crs)))
+
     def as_leaflet_layer(
         self,
         layer: str = "color",
@@ -164,9 +236,14 @@ class OpenLevel:
         self.close()
 
 
-def open_level(source: str | Path) -> OpenLevel:
-    """Open a level: a bundled one by its name, a level file, or a raster of heights. Raises ``SkuggaError``."""
-    return OpenLevel(build_scene(load_level(find_level(str(source)))))
+def open_level(
+    source: str | Path, *, canopy: Path | None = None, buildings: Path | None = None, nodata: float | None = None
+) -> OpenLevel:
+    """Open a level: a bundled one by its name, a level file, or a raster of heights, if wanted with ``canopy`` heights or trees,
+    footprints of ``buildings``, and the value of cells without a height. Raises ``SkuggaError``.
+    """
+    path = find_level(str(source))
+    return OpenLevel(build_scene(load_level(LevelSource(path=path, canopy=canopy, buildings=buildings, nodata=nodata))))
 
 
 def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel:
@@ -192,4 +269,8 @@ def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel
 def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
     if isinstance(time, np.datetime64):
         time = f"{np.datetime_as_string(time, unit='s')}Z"
-    return parse_sun(time.isoformat() if isinstance(time, datetime) else time, azimuth, altitude)
+    return parse_sun(time.isoformat() if isinstance(time, datetime.datetime) else time, azimuth, altitude)
+
+
+def _day(name: str, day: datetime.date | str) -> datetime.date:
+    return date_of(name, day) if isinstance(day, str) else day

@@ -15,7 +15,6 @@ from shadows.point.place import HIGHEST_EYE_M, place_at
 from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
-from terrain.errors import InputError
 from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
@@ -192,14 +191,6 @@ def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
         kind=caster.kind, distance_m=caster.distance_m, azimuth=caster.azimuth_deg, elevation=caster.elevation_deg,
         height_m=caster.height_m, lon=caster.lon_deg, lat=caster.lat_deg,
     )  # fmt: skip
-
-
-def parse_day(text: str, name: str = "date") -> date:
-    """A date of an option or a query. Raises ``InputError``."""
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise InputError(name, text, "a date as 2024-10-21") from None
 
 
 def _reported_day(day: SunDay, clock: str) -> ReportedDay:

@@ -102,7 +102,7 @@ def sun_hours(
     if is_bare(scene) and view.on_nodes:
         over: _BareBlock | _DrawnBlock = _BareBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
-        raise InputError("--height", rules.height_m, "0, where anything stands on the ground")
+        raise InputError("height", rules.height_m, "0, where anything stands on the ground")
     else:
         over = _DrawnBlock(scene, view, plan_of)
     known = over.known()

@@ -1,13 +1,13 @@
-"""The clocks that days and times of day are told by."""
+"""Dates, and the clocks that days and times of day are told by."""
 
 from __future__ import annotations
 
 import re
-from datetime import UTC, timedelta, timezone, tzinfo
+from datetime import UTC, date, timedelta, timezone, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo
 
-from terrain.errors import InputError
+from terrain.errors import Fault, InputError
 
 Clock = tzinfo | Literal["solar"]
 """A zone, or true solar time, at whose noon the sun stands in the meridian."""
@@ -36,3 +36,11 @@ def clock_named(parameter: str, text: str) -> Clock:
         return ZoneInfo(name)
     except (ValueError, OSError, LookupError):
         raise InputError(parameter, text, CLOCK_WORDS) from None
+
+
+def date_of(name: str, text: str) -> date:
+    """A date from its text, as 2024-03-21. Raises ``InputError``, also for a date that there is not."""
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError:
+        raise InputError(name, Fault(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta, tzinfo
 
 import numpy as np
 
-from terrain.errors import Fault, InputError
+from terrain.errors import InputError
 from terrain.geo.clock import Clock
 from terrain.geo.sun_path import YEARS, sun_path
 from terrain.geo.world import World
 
 DAY_MIN = 1440.0
+
+MOST_DATES = 3700
+"""A decade's."""
 
 SOLAR_ROUNDS = 3
 """Times that a reading of true solar time is corrected by the equation of time found there: it changes by half a minute a day."""
@@ -46,9 +50,9 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     before it; of one that there is twice the first is the window's start, and the second its end. Raises ``InputError``.
     """
     if not 0.0 <= first_min < last_min <= DAY_MIN:
-        raise InputError("--window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
+        raise InputError("window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
     if not YEARS[0] < day.year < YEARS[1]:
-        raise InputError("--date", day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
+        raise InputError("date", day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
     if isinstance(clock, str):
         start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
         return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)
@@ -65,23 +69,36 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
 def dates_of(first: date, last: date, every_days: int) -> list[date]:
     """The dates from one to another, both included, so many days apart. Raises ``InputError``."""
     if last < first:
-        raise InputError("--to", last.isoformat(), f"{first.isoformat()} or later")
+        raise InputError("to", last.isoformat(), f"{first.isoformat()} or later")
     if every_days < 1:
-        raise InputError("--every", every_days, "1 day or more")
+        raise InputError("every", every_days, "1 day or more")
     return [first + timedelta(days=n) for n in range(0, (last - first).days + 1, every_days)]
+
+
+def readings_of(text: str) -> tuple[float, float]:
+    """The two readings of a window, as 08:00-16:00: minutes from midnight. Raises ``InputError``."""
+    found = re.fullmatch(r"(\d{1,2}):([0-5]\d)-(\d{1,2}):([0-5]\d)", text.strip(), re.ASCII)
+    first, last = (int(found[n]) * 60 + int(found[n + 1]) for n in (1, 3)) if found else (-1, -1)
+    if not 0 <= first < last <= DAY_MIN:
+        raise InputError("window", text, "a time and a later one of one day, as 08:00-16:00; at most 00:00-24:00")
+    return float(first), float(last)
+
+
+def windows_asked(
+    world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
+) -> list[DailyWindow]:
+    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also in a flat world."""
+    days = dates_of(first, last, every_days)
+    if len(days) > MOST_DATES:
+        raise InputError("to", last.isoformat(), f"at most {MOST_DATES} dates; these are {len(days)}")
+    if world.flat:
+        raise InputError("date", first.isoformat(), "no date: an engineering CRS is not georeferenced, and has no sun of a date")
+    return [daily_window(day, *readings, clock, world) for day in days]
 
 
 def clock_text(minutes: float) -> str:
     """Minutes from midnight as a clock reads: 08:30."""
     return f"{int(minutes // 60):02d}:{int(minutes % 60):02d}"
-
-
-def date_of(name: str, text: str) -> date:
-    """A date from its text, as 2024-03-21. Raises ``InputError``, also for a date that there is not."""
-    try:
-        return date.fromisoformat(text.strip())
-    except ValueError:
-        raise InputError(name, Fault(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None
 
 
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:

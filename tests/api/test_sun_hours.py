@@ -96,7 +96,7 @@ def test_objects_cast_their_shadow_too(gl, tmp_path):
     level.write_text(text, encoding="utf-8")
     with_house = build_scene(load_level(level))
     hours, _ = written(with_house, tmp_path, step=60.0)
-    with pytest.raises(InputError, match="--height"):
+    with pytest.raises(InputError, match="height"):
         window = daily_window(date(2024, 3, 21), 0.0, 1440.0, UTC, with_house.world)
         path = {"hours": tmp_path / "a.tif"}
         write_sun_hours(with_house, raster_view(with_house), [window], SunRules(height_m=1.5), path)

@@ -94,7 +94,7 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
         (["0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
         (["here"], "LON,LAT: 'here' is not allowed"),
         ([], "LON,LAT: 'nothing' is not allowed"),
-        ([AT, "--date", "monday"], "--date: 'monday' is not allowed"),
+        ([AT, "--date", "monday"], "date: 'monday' is no date"),
         ([AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
         ([AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
         ([AT, "--horizon", "x.csv", "--format", "xyz"], "format: 'xyz' is not allowed"),

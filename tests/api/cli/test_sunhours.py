@@ -40,13 +40,13 @@ def test_days_over_a_threshold_by_a_clock(run, raster, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--date", "2023-02-29"], "--date: '2023-02-29' is no date"),
-        (["--to", "2024-03-20"], "--to: '2024-03-20'"),
-        (["--window", "16:00-08:00"], "--window: '16:00-08:00'"),
-        (["--clock", "Europe/Gotham"], "--clock: 'Europe/Gotham'"),
+        (["--date", "2023-02-29"], "date: '2023-02-29' is no date"),
+        (["--to", "2024-03-20"], "to: '2024-03-20'"),
+        (["--window", "16:00-08:00"], "window: '16:00-08:00'"),
+        (["--clock", "Europe/Gotham"], "clock: 'Europe/Gotham'"),
         (["--step", "5"], "--step: '5'"),
         (["--step", "2h"], "--step: '2h'"),
-        (["--every", "12h"], "--every: '12h'"),
+        (["--every", "12h"], "every: '12h'"),
         (["--threshold", "soon"], "--threshold: 'soon'"),
         (["--quantity", "shade"], "--quantity: 'shade'"),
         (["--least-altitude", "95"], "--least-altitude: '95.0'"),
@@ -66,4 +66,4 @@ def test_what_is_wrong_is_one_line(run, raster, tmp_path, options, message):
 def test_a_flat_world_has_no_dates(run, tmp_path):
     flat = write_geotiff(tmp_path / "flat.tif", np.zeros((9, 9), np.float32), ENGINEERING, 0.0, 90.0, 10.0)
     status, _, error = run("sunhours", str(flat), "-o", str(tmp_path / "h.tif"), "--date", "2024-03-21")
-    assert status == 2 and "--date: '2024-03-21'" in error and "engineering" in error
+    assert status == 2 and "date: '2024-03-21'" in error and "engineering" in error

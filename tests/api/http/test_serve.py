@@ -105,7 +105,7 @@ def test_the_services_process_has_no_opengl(hills_level: Path, client):
 
 def test_a_wrong_level_ends_it_at_once(tmp_path: Path):
     wrong = tmp_path / "wrong.yaml"
-    wrong.write_text("version: 7", encoding="utf-8")
+    wrong.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
     script = "import sys; from api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
     command = [sys.executable, "-c", script, str(wrong)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)

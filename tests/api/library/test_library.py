@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from datetime import datetime
+from datetime import date, datetime
 from urllib.error import URLError
 from urllib.request import urlopen
 
@@ -128,6 +128,39 @@ def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
     xarray.testing.assert_equal(lazy.compute(), heights.skugga.shadow(**LOW))
     assert len(read) == 9, "each chunk is read once"
     np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW)[80:90, 120:130])
+
+
+def test_hours_of_sun_by_every_door(heights, height_m):
+    """From an array of a place, an open level, and the accessor, in one piece or by chunks."""
+    hours = heights.skugga.sun_hours("2024-12-21", step_min=30.0)
+    assert hours.dtype == np.float32 and 0.0 <= float(hours.min()) < 4.0 < float(hours.max()) < 9.0
+    np.testing.assert_array_equal(np.isnan(hours), np.isnan(height_m))
+    xarray.testing.assert_equal(heights.chunk({"y": 120, "x": 200}).skugga.sun_hours("2024-12-21", step_min=30.0).compute(), hours)
+    with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
+        by_level = level.sun_hours(date(2024, 12, 21), step_min=30.0)
+        first = level.sun_hours("2024-12-21", quantity="first", step_min=30.0)
+        with pytest.raises(skugga.SkuggaError, match="quantity"):
+            level.sun_hours("2024-12-21", quantity="hour")
+        with pytest.raises(skugga.SkuggaError, match="2023-02-29"):
+            level.sun_hours("2023-02-29")
+    np.testing.assert_array_equal(by_level, hours)
+    assert 6 * 60 < np.nanmin(first) < 9 * 60
+    of_array = skugga.sun_hours(height_m, CELL_M, "2024-12-21", 46.9, 15.0, step_min=30.0)
+    np.testing.assert_array_equal(np.isnan(of_array), np.isnan(height_m))
+    assert np.nanmean(np.abs(of_array - hours.to_numpy())) < 0.1  # another grid's north, and another place's sun
+
+
+def test_the_sun_at_a_point_and_its_horizon(heights, height_m):
+    with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
+        x, y = float(heights.x[100]), float(heights.y[150])
+        report = level.point(x, y, crs=level.crs, time="2024-12-21T09:00:00+01:00", height=2.0)
+        assert report.day is not None and 0.0 <= report.day.direct_h < report.day.daylight_h < 9.0
+        assert report.elevation_m == pytest.approx(height_m[150, 100], abs=0.01)
+        seen = level.horizon(x, y, crs=level.crs, height=2.0)
+    horizon = heights.skugga.horizon(x, y, height=2.0)
+    assert horizon.dims == ("azimuth",) and horizon.sizes["azimuth"] == 720
+    np.testing.assert_array_equal(horizon, seen.elevation_deg)
+    assert float(horizon.max()) > 5.0
 
 
 def test_what_the_accessor_refuses(heights):

@@ -227,5 +227,5 @@ def test_sunrise_and_sunset_are_moments_to_look_for(opened):
 
 def test_a_flat_world_has_no_dates(opened):
     scene = opened(np.zeros((10, 10)), ENGINEERING, 0.0, 0.0)
-    with pytest.raises(Exception, match="--date: '2024-03-21' cannot be served: an engineering CRS"):
+    with pytest.raises(Exception, match="date: '2024-03-21' cannot be served: an engineering CRS"):
         window_suns(scene.world, [window_of(scene, SPRING)])
