@@ -27,6 +27,11 @@ UNSHADED = np.float32(1e6)
 DARK_SHARE = 0.75
 """How much the time counts that clearances in shadow lead to, where those in the sun lead to another one."""
 
+BELOW_FLOOR = 0.002
+"""Sine below its floor, about a tenth of a degree, at which a sun's clearances say nothing: across a wide block it has long risen
+elsewhere, and level ground hides it. What is lit at the other moment is then lit from its rise, or until its set.
+"""
+
 BAND_ROWS = 128
 """Rows that a thread works on at a time."""
 
@@ -184,9 +189,9 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                 if s0 <= 0.0 and s1 <= 0.0:
                     end = t0 - 1.0
                 elif s0 <= 0.0:
-                    begin = max(begin, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    begin = max(t0 if s0 < -BELOW_FLOOR else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
                 elif s1 <= 0.0:
-                    end = min(end, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    end = min(t1 if s1 < -BELOW_FLOOR else end, t0 + (t1 - t0) * s0 / (s0 - s1))
             since = np.float64(spells.since[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
                 _close(spells, i, j, since, t0, clock)

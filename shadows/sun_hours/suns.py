@@ -16,11 +16,14 @@ from terrain.errors import UnsupportedError
 from terrain.geo.daily_windows import DailyWindow
 from terrain.geo.grid import MapView
 from terrain.geo.sun import Sun, direction_enu
-from terrain.geo.sun_path import sun_path
+from terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
 from terrain.geo.world import World
 
 BLOCK_PLACES = 5
 """Rows and columns of places that stand for a block's."""
+
+LOWEST_LIFTED_DEG = -0.8333
+"""Altitude below which the formula knows no refraction: none of the sun's disc is seen."""
 
 UP_MIN = 0.02
 """By how many minutes after a rise, and before a set, the sun stands that is looked for there."""
@@ -31,13 +34,14 @@ APART_MIN = 0.25
 
 @dataclass(frozen=True, eq=False)
 class WindowSun:
-    """The sun through a window of a date: unit vectors ``towards_earth`` (n, 3), ``lift_deg`` and angles (n,) at minutes
-    ``times_min`` (n,) after its start.
+    """The sun through a window of a date: unit vectors ``towards_earth`` (n, 3), and ``bare_earth`` without refraction,
+    ``lift_deg`` and angles (n,) at minutes ``times_min`` (n,) after its start.
     """
 
     window: DailyWindow
     times_min: np.ndarray
     towards_earth: np.ndarray
+    bare_earth: np.ndarray
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
     lift_deg: np.ndarray
@@ -81,10 +85,24 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
         start = np.datetime64(window.start.astimezone(UTC).replace(tzinfo=None), "us")
         path = sun_path(start + np.rint(times * 60e6).astype("timedelta64[us]"), world.anchor_lon_deg, world.anchor_lat_deg)
-        enu = np.stack([direction_enu(*angles) for angles in zip(path.azimuth_deg, path.altitude_deg, strict=True)])
-        towards = enu @ world.earth_from_anchor.T
-        days.append(WindowSun(window, times, towards, path.azimuth_deg, path.altitude_deg, path.lift_deg))
+        towards, bare = (
+            np.stack([direction_enu(*angles) for angles in zip(path.azimuth_deg, altitude, strict=True)])
+            @ world.earth_from_anchor.T
+            for altitude in (path.altitude_deg, path.altitude_deg - path.lift_deg)
+        )
+        days.append(WindowSun(window, times, towards, bare, path.azimuth_deg, path.altitude_deg, path.lift_deg))
     return days
+
+
+def lifted_sine(sine: np.ndarray) -> np.ndarray:
+    """The sine of the sun's apparent altitude for that of its altitude without refraction, by the formula of ``sun_path`` (Reda &
+    Andreas 2004, eq. 42): so a wide block's places have each their own sunrise.
+    """
+    altitude = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+    air = PRESSURE_PA / 101000.0 * 283.0 / (273.0 + TEMPERATURE_C)
+    over = np.maximum(altitude, LOWEST_LIFTED_DEG)
+    lift = air * 1.02 / (60.0 * np.tan(np.radians(over + 10.3 / (over + 5.11))))
+    return np.asarray(np.sin(np.radians(altitude + np.where(altitude >= LOWEST_LIFTED_DEG, lift, 0.0))))
 
 
 def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +118,7 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
-    heights = day.towards_earth @ up.T - floor
+    heights = lifted_sine(day.bare_earth @ up.T) - floor
     spells = []
     for first, last in _above_zero(day.times_min, heights.max(axis=1)):
         steps = np.arange(np.ceil(first / step_min), np.floor(last / step_min) + 1.0) * step_min
@@ -110,7 +128,8 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
             if moment - knots[-1] >= APART_MIN and last - moment >= APART_MIN:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
-        above = (day.direction(moments) @ up.T - floor).reshape(-1, BLOCK_PLACES, BLOCK_PLACES)
+        above = np.stack([np.interp(moments, day.times_min, place) for place in heights.T], axis=1)
+        above = above.reshape(-1, BLOCK_PLACES, BLOCK_PLACES)
         spells.append(SunSpan(moments, above))
     return spells
 

@@ -184,6 +184,19 @@ def test_clocks_tell_first_and_last_sun_and_days_of_23_hours_have_their_sun(open
     assert by_sun.first[10, 10] + by_sun.last[10, 10] == pytest.approx(1440.0, abs=1.0)  # as long before noon as after
 
 
+def test_across_a_wide_raster_the_sun_rises_and_sets_cell_by_cell(opened):
+    scene = opened(np.zeros((20, 70)), cell=2000.0)
+    answer = found(scene, window_of(scene, SPRING), step_min=15.0)
+    start, minutes = datetime(2024, 3, 21, tzinfo=UTC), np.arange(0.0, 1440.0, 0.25)
+    to_degrees = Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform
+    for col in (2, 35, 67):
+        lon, lat = to_degrees(EAST + (col + 0.5) * 2000.0, NORTH - 10.5 * 2000.0)
+        up = minutes[sun_path([start + timedelta(minutes=float(m)) for m in minutes], lon, lat).altitude_deg > 0.0]
+        assert answer.first[10, col] == pytest.approx(up[0], abs=2.0)  # a sun lifted by refraction at the middle alone
+        assert answer.last[10, col] == pytest.approx(up[-1], abs=3.5)
+    assert answer.first[10, 2] - answer.first[10, 67] > 6.0  # 1.7 degrees of longitude
+
+
 def test_holes_stay_holes(opened):
     heights = np.zeros((40, 50))
     heights[10:20, 30:35] = np.nan
