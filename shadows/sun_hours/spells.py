@@ -189,9 +189,9 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                 if s0 <= 0.0 and s1 <= 0.0:
                     end = t0 - 1.0
                 elif s0 <= 0.0:
-                    begin = max(t0 if s0 < -BELOW_FLOOR else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    begin = max(t0 if lit1 and s0 < -BELOW_FLOOR else begin, t0 + (t1 - t0) * s0 / (s0 - s1))
                 elif s1 <= 0.0:
-                    end = min(t1 if s1 < -BELOW_FLOOR else end, t0 + (t1 - t0) * s0 / (s0 - s1))
+                    end = min(t1 if lit0 and s1 < -BELOW_FLOOR else end, t0 + (t1 - t0) * s0 / (s0 - s1))
             since = np.float64(spells.since[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
                 _close(spells, i, j, since, t0, clock)
