@@ -102,6 +102,18 @@ def test_behind_a_wall_the_sun_comes_and_goes_when_it_clears_it(opened, day, ste
         assert answer.longest[east] == pytest.approx(answer.hours[east], abs=1e-3)
 
 
+@pytest.mark.parametrize("step", [20.0, 5.0])
+def test_pits_that_no_sun_reaches_have_none_at_dusk_either(opened, step):
+    """On a wide raster the sun sets in the east while it is up in the west; over America a window of UTC begins then."""
+    heights = np.zeros((41, 41))
+    heights[5:36:5, 5:36:5] = -9000.0  # of one cell, 3 km wide: their horizon is 72 degrees high
+    scene = opened(heights, "EPSG:32611", 500e3, 3800e3, 3000.0)
+    answer = found(scene, window_of(scene, WINTER), step_min=step)
+    pits = heights < 0.0
+    assert (answer.hours[pits] == 0.0).all() and np.isnan(answer.first[pits]).all()
+    assert (answer.hours[0] > 9.0).all()
+
+
 def test_in_a_bowl_the_sun_is_seen_above_its_slope_alone(opened):
     row, col = np.mgrid[-100:101, -100:101]
     far = np.hypot(row, col)
