@@ -29,10 +29,33 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
         part, key = whole
         errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
     of_keys: dict[_Keys, list[ErrorDetails]] = {}
-    for error in errors:
+    for error in _of_meant_branches(data, errors):
         of_keys.setdefault(_keys(data, error), []).append(error)
     deepest = [keys for keys in of_keys if not any(other[: len(keys)] == keys for other in of_keys if other != keys)]
     return all_at_once([_of_key(path, keys, of_keys[keys]) for keys in deepest])
+
+
+def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """The errors without those of a union's branches that fail nearer to the union than another one does.
+
+    The branch that follows a value deepest is the one that was meant: a list of points in which one coordinate is wrong is no
+    point whose coordinates are lists.
+    """
+    depths: dict[_Keys, dict[str, int]] = {}
+    for error in errors:
+        for union, branch in _branches(data, error):
+            of_union = depths.setdefault(union, {})
+            of_union[branch] = max(of_union.get(branch, 0), len(_keys(data, error)))
+    return [
+        error
+        for error in errors
+        if all(depths[union][branch] == max(depths[union].values()) for union, branch in _branches(data, error))
+    ]
+
+
+def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
+    """The branches of unions that an error lies in: each union by its keys, and the branch by pydantic's name for it."""
+    return [(keys, step) for keys, step in _steps(data, error) if step is not None]
 
 
 def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
@@ -56,13 +79,24 @@ def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
 
 def _keys(data: Any, error: ErrorDetails) -> _Keys:
     """The keys of a file on the way to an error: pydantic's location without the names of its own union branches."""
-    keys: list[str] = []
+    *_, (keys, _) = [((), None), *_steps(data, error)]
+    return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else keys
+
+
+def _steps(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str | None]]:
+    """Pydantic's location of an error step by step: the keys so far, and the name of the branch where a union is entered."""
+    steps: list[tuple[_Keys, str | None]] = []
+    keys: _Keys = ()
     location = error["loc"]
     for number, part in enumerate(location):
         inside = isinstance(data, dict) and part in data
         if inside or (isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)):
-            keys.append(str(part))
+            keys = (*keys, str(part))
             data = data[part]
+            steps.append((keys, None))
         elif isinstance(data, dict) and number == len(location) - 1 and error["type"] == "missing":
-            keys.append(str(part))
-    return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else tuple(keys)
+            keys = (*keys, str(part))
+            steps.append((keys, None))
+        elif isinstance(part, str):
+            steps.append((keys, part))
+    return steps

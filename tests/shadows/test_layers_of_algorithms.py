@@ -16,7 +16,7 @@ from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
 from terrain.errors import InputError, UnsupportedError
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
+from terrain.geo.grid import MapView, map_view
 from terrain.gl.device import Device
 from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
@@ -295,7 +295,7 @@ def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
 
 
 def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):
-    view = scene.view(bounds=(9000, 9000, 9050, 9050), size=(48, 48))
+    view = map_view(scene.world, scene.world.crs, (9000.0, 9000.0, 9050.0, 9050.0), rows=48, cols=48)
     frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
     with pytest.raises(InputError, match="no light has any"):
         write_layer(scene, frame, "shadow-map", tmp_path / "map.png")
