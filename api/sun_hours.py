@@ -26,6 +26,11 @@ from terrain.scene import Scene
 BLOCK_NODES = 2 * BLOCK_PX
 """Side of a block of bare ground: twice a picture's, since each of its suns looks for casters beside it anew."""
 
+LARGE_RASTER_CELLS = 16_000_000
+"""From as many on a raster's blocks are smaller: what may stand beside one is more than itself, and memory is bounded."""
+
+BLOCK_NODES_OF_LARGE = BLOCK_PX + BLOCK_PX // 2
+
 LEAST_BLOCK_NODES = 64
 
 QUANTITIES: dict[str, Callable[[SunHours], np.ndarray]] = {
@@ -105,9 +110,9 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     if not is_bare(scene):
         return blocks_of(view)
     nodes = view.as_nodes()
-    side = BLOCK_NODES
+    side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else BLOCK_NODES_OF_LARGE
     if not scene.world.flat:
-        side = int(np.clip(WIDE_M / step_at_anchor_m(scene.world, nodes.grid), LEAST_BLOCK_NODES, BLOCK_NODES))
+        side = int(np.clip(WIDE_M / step_at_anchor_m(scene.world, nodes.grid), LEAST_BLOCK_NODES, side))
     limits = []
     for (low, high), count in zip(ground_extent(scene, nodes), (view.rows, view.cols), strict=True):
         limits.append((int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side))))

@@ -86,11 +86,13 @@ MAY_IMPORT = {
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
     "api.contour_lines": "",
+    "api.color_scale": "",
+    "api.sun_hours_layer": "color_scale sun_hours",
     "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
-    "api.workers": "device_calibration errors layers point settings",
+    "api.workers": "device_calibration errors layers point settings sun_hours_layer",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
-    "api.http": "errors layers point settings shadow_parameters workers",
+    "api.http": "color_scale errors layers point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
         "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item "
         "sun_hours"

@@ -61,10 +61,10 @@ def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode
     """
     timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in drawn.passes]
     timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if kept else 'drawn'}"]
-    return {
-        "Server-Timing": ", ".join(timings),
-        **reach_headers(drawn.headline, drawn.reach_used_m, drawn.reach_needed_m, drawn.reach_clipped),
-    }
+    reach = {}
+    if drawn.reach_used_m is not None and drawn.reach_needed_m is not None:
+        reach = reach_headers(drawn.headline, drawn.reach_used_m, drawn.reach_needed_m, drawn.reach_clipped)
+    return {"Server-Timing": ", ".join(timings), **reach}
 
 
 def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, clipped: bool = False) -> dict[str, str]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Any, cast, get_args
 
-from fastapi import Query, Request
+from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 
 from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
+from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import Fault, InputError
@@ -128,7 +130,70 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
         raise InputError("size", f"{size[0]}x{size[1]}", allowed)
 
 
+@dataclass(frozen=True)
+class TileQuery:
+    """What is asked of tiles: a layer of a picture, or, with ``sun_hours``, hours of sun."""
+
+    layer: str
+    picture: PictureRequest
+    sun_hours: SunHoursQuery | None = None
+
+    def query(self) -> str:
+        """The same as a query string; empty where nothing is asked."""
+        if self.sun_hours is not None:
+            return f"layer={self.layer}&{self.sun_hours.query()}"
+        return self.picture.query(**({} if self.layer == "color" else {"layer": self.layer}))
+
+
 _LAYERS_IN_WORDS = "; ".join(f"`{name}` is {LAYERS[name].about}" for name in PICTURE_LAYERS)
 LayerQuery = Annotated[PictureLayer, Query(description=f"{_LAYERS_IN_WORDS}.")]
+
+TileLayerQuery = Annotated[
+    str,
+    Query(
+        description=f"{_LAYERS_IN_WORDS}; `{SUN_HOURS_LAYER}` is how long the sun is seen on a `date`.",
+        json_schema_extra={"enum": [*PICTURE_LAYERS, SUN_HOURS_LAYER]},
+    ),
+]
+
+
+async def tile_query(
+    request: Request,
+    picture: Annotated[PictureRequest, Depends(picture_query)],
+    layer: TileLayerQuery = "color",
+    date: Annotated[datetime.date | None, Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.")] = None,
+    quantity: Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.")] = None,
+    window: Annotated[str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.")] = None,
+    clock: Annotated[
+        str | None,
+        Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo."),
+    ] = None,
+    height: Annotated[float | None, Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.")] = None,
+    least_altitude: Annotated[
+        float | None, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
+    ] = None,
+) -> TileQuery:
+    """The dependency for tiles. Raises ``InputError``."""
+    asked = {
+        "date": date, "quantity": quantity, "window": window, "clock": clock, "height": height, "least_altitude": least_altitude,
+    }  # fmt: skip
+    given = {name: value for name, value in asked.items() if value is not None}
+    if layer != SUN_HOURS_LAYER:
+        if layer not in PICTURE_LAYERS:
+            raise InputError("layer", layer, ", ".join([*PICTURE_LAYERS, SUN_HOURS_LAYER]))
+        for name, value in given.items():
+            raise InputError(name, str(value), f"nothing but beside layer={SUN_HOURS_LAYER}")
+        return TileQuery(layer, picture)
+    for name in PICTURE_PARAMETERS:
+        if name in request.query_params:
+            raise InputError(name, request.query_params[name], f"nothing beside layer={SUN_HOURS_LAYER}: it is of a whole date")
+    if date is None:
+        raise InputError("date", None, f"a date beside layer={SUN_HOURS_LAYER}, as 2024-03-21")
+    return TileQuery(layer, picture, SunHoursQuery(**given))
+
+
+SUN_HOURS_PARAMETERS = tuple(SunHoursQuery.model_fields)
+TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *SUN_HOURS_PARAMETERS)
+"""What may be asked of tiles."""
 
 ViewQuery = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.http.answers import json_answer
-from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, allow_only, picture_query
+from api.color_scale import LegendFormat
+from api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, json_answer, tag_of
+from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
 from api.http.service import TheService
-from api.layers import PictureFormat
-from api.workers.jobs import PictureRequest
+from api.layers import MEDIA_TYPES, PictureFormat
+from api.sun_hours_layer import SUN_HOURS_LAYER
+from terrain.errors import InputError
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
 
@@ -39,7 +42,7 @@ async def level(request: Request, service: TheService, level: str) -> Response:
 @router.get(
     "/levels/{level}/{tms}/tilejson.json",
     summary="TileJSON",
-    dependencies=[Depends(allow_only("layer", "format", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only("format", *TILE_PARAMETERS))],
     response_model=dict[str, Any],
 )
 async def tilejson(
@@ -47,27 +50,36 @@ async def tilejson(
     service: TheService,
     level: str,
     tms: str,
-    wanted: Annotated[PictureRequest, Depends(picture_query)],
-    layer: LayerQuery = "color",
+    wanted: Annotated[TileQuery, Depends(tile_query)],
     format: Annotated[PictureFormat, Query(description="Of the tiles.")] = "png",
 ) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
 
     Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
-    `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun).
+    `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun, or the layer is of
+    many). Layers with a legend have it as a picture, and in `skugga.legend` as numbers, labels and colours.
     """
     served = await service.level(level)
     zooms = served.zooms_in(tms)
-    sun = await run_in_threadpool(served.sun, wanted.sun)
+    sun = None if wanted.sun_hours is not None else await run_in_threadpool(served.sun, wanted.picture.sun)
     where: dict[str, Any] | None = None
     if sun is not None:
         time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
         where = {**time_default, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
     assert served.bounds is not None  # it has zooms, so it has a place on earth
     west, south, east, north = served.bounds
-    query = wanted.query(**({} if layer == "color" else {"layer": layer}))
-    address = f"{_base_url(request, service.settings.public_url)}/levels/{quote(served.name)}/tiles/{tms}"
-    tiles = f"{address}/{{z}}/{{x}}/{{y}}.{format}"
+    query = wanted.query()
+    address = f"{_base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
+    tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
+    legend: dict[str, Any] = {}
+    extra: dict[str, Any] = {"layer": wanted.layer, "tile_matrix_set": tms, "sun": where}
+    if wanted.sun_hours is not None:
+        scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
+        picture = f"{address}/legend.png?{query}"
+        legend = {"legend": f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'}
+        extra["legend"] = {
+            "title": scale.title, "low": scale.low, "high": scale.high, "picture": picture, "entries": scale.entries(),
+        }  # fmt: skip
     return json_answer(
         request,
         {
@@ -80,9 +92,30 @@ async def tilejson(
             "maxzoom": zooms.last,
             "bounds": [west, south, east, north],
             "center": [(west + east) / 2, (south + north) / 2, zooms.first],
-            "skugga": {"layer": layer, "tile_matrix_set": tms, "sun": where},
+            **legend,
+            "skugga": extra,
         },
     )
+
+
+@router.get("/levels/{level}/legend.{format}", summary="A legend", dependencies=[Depends(allow_only(*TILE_PARAMETERS))])
+async def legend_of_tiles(
+    request: Request,
+    service: TheService,
+    level: str,
+    format: LegendFormat,
+    wanted: Annotated[TileQuery, Depends(tile_query)],
+) -> Response:
+    """The legend of a layer of tiles as a picture. Of the layers that are pictures there is none."""
+    served = await service.level(level)
+    if wanted.sun_hours is None:
+        raise InputError("layer", wanted.layer, f"a layer with a legend: {SUN_HOURS_LAYER}")
+    headers = cache_headers(tag_of("legend", format, served.version, wanted.query()), GIVEN_SUN_S)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
+    body = await run_in_threadpool(scale.legend, format)
+    return Response(body, headers=headers, media_type="image/svg+xml" if format == "svg" else MEDIA_TYPES["png"])
 
 
 def _base_url(request: Request, public_url: str | None) -> str:

@@ -11,12 +11,12 @@ from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
-from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, allow_only, picture_query
+from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService, cancel_on_disconnect
 from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
 from api.workers.block_tiles import check_format, empty_tile, place_in_block
-from api.workers.jobs import BlockJob, BlockTiles, PictureRequest
+from api.workers.jobs import BlockJob, BlockTiles, SunHoursJob
 from selector.formatting import format_list
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
@@ -30,7 +30,7 @@ PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
 
 router = APIRouter(
     tags=["tiles"],
-    dependencies=[Depends(allow_only("layer", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
     responses=PICTURE_DOCS,
     default_response_class=Response,
 )
@@ -54,11 +54,10 @@ async def double_tile(
     x: int,
     y: int,
     format: FormatPath,
-    wanted: Annotated[PictureRequest, Depends(picture_query)],
-    layer: LayerQuery = "color",
+    wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
     """The four tiles of the next zoom that cover the tile, for dense screens."""
-    return await _answer(request, service, level, tms, (z, x, y), 2, format, wanted, layer)
+    return await _answer(request, service, level, tms, (z, x, y), 2, format, wanted)
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}", summary="A tile of 256 x 256 pixels")
@@ -71,11 +70,10 @@ async def tile(
     x: int,
     y: int,
     format: FormatPath,
-    wanted: Annotated[PictureRequest, Depends(picture_query)],
-    layer: LayerQuery = "color",
+    wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
     """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
-    return await _answer(request, service, level, tms, (z, x, y), 1, format, wanted, layer)
+    return await _answer(request, service, level, tms, (z, x, y), 1, format, wanted)
 
 
 async def _answer(
@@ -86,28 +84,27 @@ async def _answer(
     zxy: tuple[int, int, int],
     scale: int,
     format: PictureFormat,
-    wanted: PictureRequest,
-    layer: str,
+    wanted: TileQuery,
 ) -> Response:
     level, matrix_set = await service.level(name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not doubles(matrix_set, zxy[0]):
         raise NotServedError("z", f"{tms} has no @2x tiles at zoom {zxy[0]}.")
-    check_format(layer, format)
+    check_format(wanted.layer, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
-    tag_parts = (level.version, name, tms, zxy, scale, format, layer, wanted.query())
+    fresh_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
+    tag_parts = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
     headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
-        body = await run_in_threadpool(empty_tile, layer, format, scale)
+        body = await run_in_threadpool(empty_tile, wanted.layer, format, scale)
         return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])
@@ -115,10 +112,15 @@ async def _answer(
         service.tiles.put(request, tile, name, (level.version, service.pool.renderer, service.pool.calibration))
         return tile.answer(request)
     (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
-    job = BlockJob(
-        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, layer=layer, format=format,
-        tiles=scale, request=wanted,
-    )  # fmt: skip
+    where: dict[str, Any] = {
+        "level": level.key, "matrix_set": tms, "zoom": zxy[0] + scale - 1, "block_x": block_x, "block_y": block_y,
+        "format": format, "tiles": scale,
+    }  # fmt: skip
+    job: BlockJob | SunHoursJob
+    if wanted.sun_hours is None:
+        job = BlockJob(**where, layer=wanted.layer, request=wanted.picture)
+    else:
+        job = SunHoursJob(**where, query=wanted.sun_hours)
     kept = service.pool.finished(job) is not None
     block = await cancel_on_disconnect(request, service.pool.run(job))
     assert isinstance(block, BlockTiles)

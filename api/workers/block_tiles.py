@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image
 
 from api.layers import LAYERS, PictureFormat, encode_picture, picture_layer
+from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
 from terrain.geo.grid import BLOCK_PX
@@ -69,9 +70,21 @@ def encoded_tiles(block: PicturedBlock, layer: str, format: PictureFormat, tiles
     return out
 
 
+def cut_tiles(picture: np.ndarray, format: PictureFormat, tiles: int = 1) -> dict[Place, bytes]:
+    """The bytes of all parts of ``tiles`` x ``tiles`` tiles of a block's picture RGBA, without loss."""
+    side = tiles * TILE_PX
+    return {
+        (row, col): encode_picture(
+            np.ascontiguousarray(picture[row * side : (row + 1) * side, col * side : (col + 1) * side]), f".{format}"
+        )
+        for row in range(BLOCK_TILES // tiles)
+        for col in range(BLOCK_TILES // tiles)
+    }
+
+
 def check_format(layer: str, format: str) -> None:
     """Raise ``InputError`` where a format cannot hold a layer."""
-    formats = LAYERS[layer].formats
+    formats = ("png", "webp") if layer == SUN_HOURS_LAYER else LAYERS[layer].formats
     if format not in formats:
         raise InputError("format", format, f"{', '.join(formats)} for layer {layer}")
 
@@ -98,6 +111,8 @@ def encode(array: np.ndarray, layer: str, format: str) -> bytes:
 def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
     """A tile without a surface."""
     shape = tiles * TILE_PX, tiles * TILE_PX
+    if layer == SUN_HOURS_LAYER:
+        return encode_picture(np.zeros((*shape, 4), np.uint8), f".{format}")
     missing = np.full(shape, np.nan, np.float32)
     nothing = PicturedBlock(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), missing)
     return encode(picture_layer(nothing, layer), layer, format)

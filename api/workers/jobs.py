@@ -13,6 +13,7 @@ from api.errors import OUTCOMES
 from api.layers import PictureFormat, PictureLayer
 from api.point.report import PointQuery
 from api.point.track import TrackPoint
+from api.sun_hours_layer import SunHoursQuery
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.level_source import LevelSource
@@ -144,6 +145,20 @@ class SnapshotJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
+class SunHoursJob(_Value):
+    """Find the hours of sun in a block of tiles, which is as in ``BlockJob``, and encode pictures of them."""
+
+    level: LevelKey
+    matrix_set: str
+    zoom: int
+    block_x: int
+    block_y: int
+    format: PictureFormat = "png"
+    tiles: int = 1
+    query: SunHoursQuery
+    request: PictureRequest = PictureRequest()
+
+
 PointProduct = Literal["report", "horizon", "sky"]
 
 
@@ -166,7 +181,7 @@ class PointsJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
-Job = BlockJob | PlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+Job = BlockJob | SunHoursJob | PlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
 
 
 @dataclass(frozen=True)
@@ -196,16 +211,16 @@ class Ready:
 class BlockTiles:
     """The tiles of a block, by row and column in it, in one layer and format; ``drawn`` for this answer, or kept.
 
-    ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres;
-    ``renderer`` drew it, by plans of a ``calibration`` (its digest).
+    ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres,
+    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a ``calibration`` (its digest).
     """
 
     tiles: dict[tuple[int, int], bytes]
     encode_ms: float
     headline: str
     passes: tuple[tuple[str, float], ...]
-    reach_used_m: float
-    reach_needed_m: float
+    reach_used_m: float | None
+    reach_needed_m: float | None
     reach_clipped: bool
     renderer: str
     calibration: str = ""

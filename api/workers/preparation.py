@@ -24,7 +24,8 @@ import numpy as np
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 
 from api.point.report import PointQuery, point_report
-from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob
+from api.sun_hours_layer import SunHoursQuery
+from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob, SunHoursJob
 from api.workers.render_worker import MAX_SCENES, WorkerState, plan_of_tiles, run_job
 from shadows.ground_pictures import SKY_PASS
 from terrain.errors import InputError, SkuggaError
@@ -56,6 +57,7 @@ def prepare(served: Sequence[ServedPictures], state: WorkerState, say: Callable[
                     say(f"first start with {name}: compiling what its pictures need ({at})")
                     run_job(job, state)
                 _look_from_the_middle(scene)
+                _find_hours(level, scene, state)
                 _leave(stamp)
             _find_sky(level, scene, state)
         except SkuggaError as error:
@@ -87,6 +89,14 @@ def _look_from_the_middle(scene: Scene) -> None:
     lon, lat = (0.0, 0.0) if flat else (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
     with suppress(InputError):
         point_report(scene, PointQuery(lon=lon, lat=lat, date=None if flat else ANY_DAY))
+
+
+def _find_hours(level: ServedPictures, scene: Scene, state: WorkerState) -> None:
+    """Compile what hours of sun need: a block of them does."""
+    block = next((job for job in level.pictures if isinstance(job, BlockJob)), None)
+    if block is not None and is_bare(scene):
+        asked = block.model_dump(include={"matrix_set", "zoom", "block_x", "block_y"})
+        run_job(SunHoursJob(level=level.level, **asked, query=SunHoursQuery(date=ANY_DAY)), state)
 
 
 def _engine() -> str:

@@ -19,7 +19,8 @@ from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration, digest_of
 from api.layers import LAYERS, encode_picture, picture_layer
-from api.workers.block_tiles import NOT_ASKED, PicturedBlock, encoded_tiles
+from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
+from api.workers.block_tiles import NOT_ASKED, PicturedBlock, cut_tiles, encoded_tiles
 from api.workers.jobs import (
     Answer,
     BlockJob,
@@ -39,6 +40,7 @@ from api.workers.jobs import (
     ServedPictures,
     Snapshot,
     SnapshotJob,
+    SunHoursJob,
     Tiles,
 )
 from api.workers.point_jobs import point_answer, points_answer
@@ -163,7 +165,7 @@ class WorkerState:
         return digest_of(self.device)
 
 
-def block_view(job: BlockJob) -> MapView:
+def block_view(job: BlockJob | SunHoursJob) -> MapView:
     """The view of a block: its pixels are the tile matrix's own."""
     return _block(tile_grid(matrix_sets.get(job.matrix_set), job.zoom), job.block_x, job.block_y)
 
@@ -195,6 +197,8 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return points_answer(job, scene)
         case BlockJob():
             return _block_tiles(job, scene, state)
+        case SunHoursJob():
+            return _sun_hours_tiles(job, scene, state)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
@@ -221,6 +225,18 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     start = clock.perf_counter()
     tiles = encoded_tiles(block, job.layer, job.format, job.tiles)
     return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=drawn, **facts)
+
+
+def _sun_hours_tiles(job: SunHoursJob, scene: Scene, state: WorkerState) -> BlockTiles:
+    start = clock.perf_counter()
+    picture = sun_hours_picture(scene, block_view(job), job.query)
+    found = clock.perf_counter()
+    tiles = cut_tiles(picture, job.format, job.tiles)
+    return BlockTiles(
+        tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=SUN_HOURS_LAYER,
+        passes=((SUN_HOURS_LAYER, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,
+        renderer=state.renderer, calibration=state.calibration,
+    )  # fmt: skip
 
 
 def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:

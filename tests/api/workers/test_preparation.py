@@ -9,7 +9,7 @@ import pytest
 from api.http.first_pictures import SUNS, served_pictures
 from api.http.served_levels import ServedLevels
 from api.workers import preparation
-from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob
+from api.workers.jobs import BlockJob, Job, LevelKey, ServedPictures, SnapshotJob, SunHoursJob
 from api.workers.preparation import prepare
 from api.workers.render_worker import WorkerState
 from tests.api.conftest import write_level
@@ -21,11 +21,17 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[BlockJob | SnapshotJob]:
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
     """The jobs that would have been drawn."""
-    jobs: list[BlockJob | SnapshotJob] = []
+    jobs: list[Job] = []
     monkeypatch.setattr(preparation, "run_job", lambda job, state: jobs.append(job))
     return jobs
+
+
+def is_prepared(level: ServedPictures, drawn: list[Job]) -> bool:
+    """Whether each of a level's pictures was drawn and its hours of sun were found, and nothing else."""
+    *pictures, hours = drawn
+    return pictures == list(level.pictures) and isinstance(hours, SunHoursJob) and hours.level == level.level
 
 
 def said_to(state: WorkerState, *levels: ServedPictures) -> list[str]:
@@ -47,24 +53,24 @@ def test_pictures_of_a_level(hills_level: Path):
     assert [job.view for job in views] == ["map"]
 
 
-def test_a_level_is_drawn_once_in_an_installation(gl, hills_level: Path, drawn: list[BlockJob | SnapshotJob]):
+def test_a_level_is_drawn_once_in_an_installation(gl, hills_level: Path, drawn: list[Job]):
     (hills,) = served_pictures(ServedLevels([hills_level]))
     said = said_to(state_of(gl), hills)
-    assert drawn == list(hills.pictures)
-    assert len(said) == len(drawn) and "first start with hills" in said[0] and "level 1 of 1, picture 1 of 10" in said[0]
-    assert said_to(state_of(gl), hills) == [] and len(drawn) == len(hills.pictures)
+    assert is_prepared(hills, drawn)
+    assert len(said) == len(hills.pictures) and "first start with hills" in said[0] and "level 1 of 1, picture 1 of 10" in said[0]
+    assert said_to(state_of(gl), hills) == [] and is_prepared(hills, drawn)
     changed = ServedPictures(LevelKey(path=hills.level.path, version="another"), hills.pictures)
     assert said_to(state_of(gl), changed) != []
 
 
-def test_one_block_is_enough_where_there_is_more_than_ground(gl, tmp_path: Path, drawn: list[BlockJob | SnapshotJob]):
+def test_one_block_is_enough_where_there_is_more_than_ground(gl, tmp_path: Path, drawn: list[Job]):
     level = write_level(tmp_path, "roofs", terrain={"source": "roofs.tif", "surface": "blocks"})
     (roofs,) = served_pictures(ServedLevels([level]))
     said_to(state_of(gl), roofs)
     assert [type(job) for job in drawn] == [BlockJob, SnapshotJob]
 
 
-def test_scenes_are_open_and_their_sky_is_known(gl, hills_level: Path, drawn: list[BlockJob | SnapshotJob]):
+def test_scenes_are_open_and_their_sky_is_known(gl, hills_level: Path, drawn: list[Job]):
     (hills,) = served_pictures(ServedLevels([hills_level]))
     state = state_of(gl)
     said_to(state, hills)
@@ -72,13 +78,13 @@ def test_scenes_are_open_and_their_sky_is_known(gl, hills_level: Path, drawn: li
     state.scenes.get(hills.level).close()
 
 
-def test_a_level_that_cannot_be_opened_holds_nothing_up(gl, tmp_path: Path, hills_level: Path, drawn: list[BlockJob | SnapshotJob]):
+def test_a_level_that_cannot_be_opened_holds_nothing_up(gl, tmp_path: Path, hills_level: Path, drawn: list[Job]):
     level = write_level(tmp_path, "gone")
     gone, hills = served_pictures(ServedLevels([level, hills_level]))
     (tmp_path / "gone.tif").unlink()
     said = said_to(state_of(gl), gone, hills)
     assert said[0].startswith("level gone cannot be drawn yet: ") and "gone.tif" in said[0]
-    assert drawn == list(hills.pictures)
+    assert is_prepared(hills, drawn)
 
 
 def test_a_level_that_fails_unexpectedly_holds_nothing_up(gl, tmp_path: Path, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
@@ -93,11 +99,11 @@ def test_a_level_that_fails_unexpectedly_holds_nothing_up(gl, tmp_path: Path, hi
     monkeypatch.setattr(preparation, "run_job", draw)
     said = said_to(state_of(gl), odd, hills)
     assert said[1] == "level odd cannot be prepared for: ZeroDivisionError"
-    assert drawn == list(hills.pictures)
+    assert is_prepared(hills, drawn)
 
 
 def test_a_cache_that_cannot_be_written_is_no_error(
-    gl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hills_level: Path, drawn: list[BlockJob | SnapshotJob]
+    gl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hills_level: Path, drawn: list[Job]
 ):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))

@@ -1,0 +1,72 @@
+"""Colours that stand for numbers: how layers of data are shown, and the legend that says so, for whoever serves one."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+
+LegendFormat = Literal["png", "svg"]
+
+LEGEND_IN = (3.4, 0.85)
+"""Width and height of a legend, inches of 100 pixels."""
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """Colours of numbers from ``low`` to ``high``, which those beyond share: a colour map of matplotlib's. ``ticks`` are numbers of
+    the scale with what is written beside them.
+    """
+
+    title: str
+    colormap: str
+    low: float
+    high: float
+    ticks: tuple[tuple[float, str], ...]
+
+    def colored(self, values: np.ndarray) -> np.ndarray:
+        """Numbers (rows, cols) as RGBA (rows, cols, 4) uint8, transparent where they are NaN."""
+        there = np.isfinite(values)
+        share = (np.where(there, values, self.low) - self.low) / (self.high - self.low)
+        out = _table(self.colormap)[np.clip(np.rint(share * 255.0), 0, 255).astype(np.uint8)]
+        out[~there] = 0
+        return out
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The ticks as JSON: value, label, colour."""
+        shown = self.colored(np.array([[value for value, _ in self.ticks]]))[0]
+        return [
+            {"value": value, "label": label, "color": "#" + bytes(color[:3]).hex()}
+            for (value, label), color in zip(self.ticks, shown, strict=True)
+        ]
+
+    def legend(self, format: LegendFormat) -> bytes:
+        """The legend as a picture: a bar of the colours with ticks below and the title above."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=LEGEND_IN, dpi=100, facecolor="white")
+        FigureCanvasAgg(figure)
+        axes = figure.add_axes((0.06, 0.36, 0.88, 0.26))
+        bar = figure.colorbar(
+            ScalarMappable(Normalize(self.low, self.high), self.colormap), cax=axes, orientation="horizontal",
+            ticks=[value for value, _ in self.ticks],
+        )  # fmt: skip
+        bar.ax.set_xticklabels([label for _, label in self.ticks], fontsize=8)
+        bar.ax.set_title(self.title, fontsize=9, pad=5)
+        out = io.BytesIO()
+        figure.savefig(out, format=format, metadata={"Date": None} if format == "svg" else {"Software": None})
+        return out.getvalue()
+
+
+@cache
+def _table(colormap: str) -> np.ndarray:
+    """The 256 colours (256, 4) uint8 of a map."""
+    from matplotlib import colormaps
+
+    return (colormaps[colormap](np.arange(256)) * 255.0 + 0.5).astype(np.uint8)

@@ -1,0 +1,114 @@
+"""Hours of sun as tiles, with their legend."""
+
+from __future__ import annotations
+
+import io
+from datetime import date
+
+import numpy as np
+import pytest
+from morecantile import tms
+from PIL import Image
+
+from api.color_scale import ColorScale
+from api.sun_hours_layer import SunHoursQuery
+from tests.api.conftest import Client
+from tests.api.http.test_problems import check_problem
+
+MERCATOR = tms.get("WebMercatorQuad")
+ASKED = "layer=sunhours&date=2024-12-21"
+ZOOM = 13
+
+
+def tile_of(client: Client, query: str = ASKED, suffix: str = "png"):
+    west, south, east, north = client.get("/levels/hills").json()["bounds"]
+    tile = MERCATOR.tile((west + east) / 2, (south + north) / 2, ZOOM)
+    return tile, client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{tile.x}/{tile.y}{suffix and '.' + suffix}?{query}")
+
+
+def picture(answer) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)))
+
+
+def test_colours_are_the_hours_that_points_have(client: Client):
+    """By the other way to the same answer: horizons of points."""
+    tile, answer = tile_of(client)
+    shown = picture(answer)
+    assert shown.shape == (256, 256, 4) and (shown[..., 3] == 255).all()
+    said = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{ASKED}").json()
+    legend = said["skugga"]["legend"]
+    of_hours = np.linspace(legend["low"], legend["high"], 256)
+    colors = ColorScale("", "inferno", legend["low"], legend["high"], ()).colored(of_hours[None])[0].astype(int)
+    rows, cols = (each.ravel() for each in np.mgrid[10:256:35, 5:256:35])
+    bounds = MERCATOR.xy_bounds(tile)
+    side = (bounds.right - bounds.left) / 256
+    lon_lat = [MERCATOR.lnglat(bounds.left + col * side, bounds.top - row * side) for row, col in zip(rows, cols, strict=True)]
+    asked = {"points": [{"lon": place.x, "lat": place.y} for place in lon_lat], "time": "2024-12-21T12:00:00+01:00"}
+    direct = np.array([each["direct_h"] for each in client.post("/levels/hills/point", json=asked).json()["points"]])
+    by_color = of_hours[np.abs(colors - shown[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
+    assert direct.std() > 1.0
+    assert np.corrcoef(by_color, direct)[0, 1] > 0.95  # the tile's ground lies between the cells
+    assert np.abs(by_color - direct).mean() < 0.5
+
+
+def test_they_are_fresh_kept_and_of_their_date(client: Client):
+    _, answer = tile_of(client)
+    _, again = tile_of(client)
+    assert again.content == answer.content and "kept" in again.headers["server-timing"]
+    assert "x-skugga-caster-reach" not in answer.headers
+    summer = tile_of(client, "layer=sunhours&date=2024-06-21")[1]
+    assert summer.headers["etag"] != answer.headers["etag"] and summer.content != answer.content
+    path = answer.request.url.raw_path.decode()
+    assert client.get(path, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    first = picture(tile_of(client, f"{ASKED}&quantity=first&clock=Europe/Zurich")[1])
+    assert (first != picture(answer)).any()
+
+
+def test_the_legend_is_a_picture_and_numbers(client: Client):
+    said = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{ASKED}&quantity=first&clock=%2B01:00").json()
+    assert said["tiles"][0].endswith("?layer=sunhours&date=2024-12-21&quantity=first&clock=%2B01%3A00")
+    legend = said["skugga"]["legend"]
+    assert legend["title"] == "First sun, 21 December 2024 (+01:00)"
+    assert legend["entries"][0]["label"] == "08:00" and legend["entries"][-1]["label"] in ("16:00", "17:00")
+    assert legend["picture"] in said["legend"].replace("&amp;", "&")
+    png = client.get(legend["picture"])
+    assert png.headers["content-type"] == "image/png" and picture(png).shape[:2] == (85, 340)
+    svg = client.get(legend["picture"].replace("legend.png", "legend.svg"))
+    assert svg.headers["content-type"].startswith("image/svg+xml") and b"</svg>" in svg.content
+    assert client.get(legend["picture"], headers={"If-None-Match": png.headers["etag"]}).status_code == 304
+
+
+@pytest.mark.parametrize(
+    ("query", "name"),
+    [
+        ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"), (f"{ASKED}&time=2024-12-21T09:00Z", "time"),
+        (f"{ASKED}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"), (f"{ASKED}&window=16:00-08:00", "window"),
+        (f"{ASKED}&quantity=days", "quantity"), (f"{ASKED}&height=-1", "height"),
+        ("layer=hours", "layer"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong(client: Client, query: str, name: str):
+    check_problem(tile_of(client, query)[1], 422, "invalid_parameter", name)
+
+
+def test_of_layers_that_are_pictures_there_is_no_legend(client: Client):
+    check_problem(client.get("/levels/hills/legend.png?layer=mask"), 422, "invalid_parameter", "layer")
+    check_problem(tile_of(client, ASKED, "jpg")[1], 422, "invalid_parameter", "format")
+
+
+def test_polar_night_has_a_scale_too(globe_at):
+    for lat, day in ((80.0, date(2024, 12, 21)), (80.0, date(2024, 6, 21)), (45.0, date(2024, 3, 21))):
+        for quantity in ("hours", "first", "last", "longest"):
+            scale = SunHoursQuery(date=day, quantity=quantity).color_scale(globe_at(10.0, lat))
+            assert scale.low < scale.high and 2 <= len(scale.ticks) <= 8
+            assert scale.ticks[0][0] == scale.low
+
+
+@pytest.fixture
+def globe_at():
+    from pyproj import CRS
+
+    from terrain.geo.world import World
+
+    return lambda lon, lat: World(CRS.from_epsg(4326), False, lon, lat, lon, lat)
