@@ -14,7 +14,7 @@ NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --n
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser hunt check viewer viewer-if-possible chromium clean
+.PHONY: help setup run test test-long test-browser hunt check notebook viewer viewer-if-possible chromium clean
 .DELETE_ON_ERROR:
 
 help:
@@ -24,6 +24,7 @@ help:
 	@echo "make test-browser  the viewer in Chromium, which is installed where it is missing"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff and mypy"
+	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
 	@echo "make viewer        build the viewer into api/static/"
 	@echo "make clean         remove everything that make has made"
 
@@ -53,6 +54,11 @@ check: $(INSTALLED)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+notebook: setup
+	$(VENV)/bin/python -m pip install -qq -e '.[docs]'
+	$(VENV)/bin/jupytext -q --to ipynb -o docs/a-winters-day.ipynb examples/a_winters_day.py
+	$(VENV)/bin/jupyter execute --inplace docs/a-winters-day.ipynb
 
 viewer: $(VIEWER)
 
