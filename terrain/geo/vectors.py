@@ -15,6 +15,8 @@ from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
 from terrain.geo.world import transformer
+from terrain.level.data_files import check_geodata
+from terrain.level.linked_files import is_remote
 
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
 """Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in
@@ -48,6 +50,7 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
     Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
     coordinates that cannot be transformed.
     """
+    check_geodata(source)
     import pyogrio  # here: where pandas is installed it imports that, half a second of every start
     from pyogrio.errors import DataLayerError, DataSourceError
 
@@ -85,7 +88,8 @@ def attribute_names(source: str) -> tuple[str, ...]:
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    if "://" not in source and not source.startswith("/vsi") and not Path(source).exists():
+    check_geodata(source)
+    if not is_remote(source) and not Path(source).exists():
         raise SourceError(source, "no such file", "a vector file that GDAL reads")
     try:
         with _quiet():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import rasterio
 from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
@@ -13,6 +12,7 @@ from rasterio.errors import RasterioError
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.level.rasters import open_raster
 from terrain.srgb import linear_of_srgb
 
 MAX_SIDE = 4096
@@ -25,7 +25,7 @@ class Imagery:
     def __init__(self, source: str) -> None:
         self.name = source
         try:
-            with rasterio.open(source) as dataset:
+            with open_raster(source) as dataset:
                 if dataset.count < 3 or dataset.crs is None:
                     had = f"{dataset.count} bands" if dataset.count < 3 else "no coordinate reference system"
                     raise SourceError(source, had, "a raster with a CRS and red, green and blue as its first bands")

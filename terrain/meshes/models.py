@@ -16,6 +16,7 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from terrain.errors import SourceError
+from terrain.level.data_files import check_file
 from terrain.meshes.body import NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
@@ -39,6 +40,7 @@ def read_model(source: str) -> Body:
     Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_MODEL_TRIANGLES`` or has
     coordinates that are no numbers.
     """
+    check_file(source)
     if not Path(source).exists():
         raise SourceError(source, "no such file", ALLOWED)
     parts = [part for part in _loaded(source).dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
