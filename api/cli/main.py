@@ -24,6 +24,7 @@ from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError, printable
+from terrain.level.gdal_guard import forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.whole_files import write_whole
@@ -88,6 +89,8 @@ def serve(
 
     options = {"host": host, "port": port, "workers": workers}
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
+    if not settings.remote_sources:
+        forbid_remote_reads()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
     run(settings, levels)
 
@@ -401,6 +404,7 @@ def doctor(as_json: JsonOption = False) -> None:
 def main() -> None:
     """Entry point of ``skugga``."""
     debug = "--debug" in sys.argv[1:]
+    forbid_code()
     try:
         with _ended_in_order():
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)

@@ -350,8 +350,8 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     if (kind := special_kind(path)) is not None:
         raise LevelError(str(path), Fault(kind), "a readable YAML file, or a raster that GDAL reads")
     try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_CHARACTERS + 1)
+        with path.open(encoding="utf-8") as level_file:
+            text = level_file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
         raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None

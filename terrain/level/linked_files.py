@@ -40,7 +40,8 @@ _FILE_ELEMENTS = (
 )
 _FILE_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
 _MODELS_TEXT = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
-_LINKED_CRS = re.compile(rb'"link"|\\\\u00[0-7]', re.IGNORECASE)
+_PIPELINE = b"gdal_streamed_alg"  # a file that GDAL takes for a command
+_LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
 _ADDRESS = re.compile(r"""[A-Za-z][\w+.-]*://[^\s<>"']+|/vsi\w+/[^\s<>"']+""")
 _MATERIAL_TEXT = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]+)", re.MULTILINE | re.IGNORECASE)
 
@@ -136,6 +137,8 @@ def _service_addresses(path: Path) -> Iterator[str]:
 def _linked_crs(path: Path) -> Iterator[str]:
     """Addresses of linked CRS in GeoJSON (GeoJSON 2008, section 3.2), whichever object states them."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        if text.find(_PIPELINE) >= 0:
+            yield from _ADDRESS.findall(text[:].decode("utf-8", "replace"))
         if not _LINKED_CRS.search(text):
             return
         found: list[str] = []
