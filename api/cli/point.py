@@ -140,7 +140,7 @@ def _crs(text: str | None) -> CRS | None:
     if text is None:
         return None
     try:
-        return CRS.from_user_input(int(text) if text.isdecimal() else text)
+        return CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
     except CRSError:
         raise InputError("--crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
 

@@ -11,7 +11,7 @@ from ruamel.yaml.constructor import SafeConstructor
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
-MOST_NODES = 100_000
+MOST_VALUES = 100_000
 """Values and keys of a file, with every alias spelt out: some 30,000 places of a model. Nine aliases of nine aliases, nine times
 over, are gigabytes."""
 
@@ -28,7 +28,7 @@ _HARMFUL = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 def parse_level_text(text: str) -> Any:
     """The values of a level file. Aliases and merges are understood.
 
-    Raises ``YAMLError`` for what is no YAML, has more than ``MOST_NODES`` values, is deeper than ``DEEPEST`` or has control
+    Raises ``YAMLError`` for what is no YAML, has more than ``MOST_VALUES`` values, is deeper than ``DEEPEST`` or has control
     characters; ``ValueError`` for a value that its type does not have.
     """
     yaml = YAML(typ="safe", pure=True)
@@ -46,8 +46,8 @@ class _BoundedComposer(Composer):
         mark = self.parser.peek_event().start_mark
         if self._depth > DEEPEST:
             raise MarkedYAMLError(problem=f"more than {DEEPEST} lists and mappings inside of one another", problem_mark=mark)
-        if self._count > MOST_NODES:
-            raise MarkedYAMLError(problem=f"more than {MOST_NODES} values", problem_mark=mark)
+        if self._count > MOST_VALUES:
+            raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values", problem_mark=mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
         if isinstance(node, ScalarNode) and (found := _HARMFUL.search(node.value)):
@@ -79,7 +79,7 @@ def _check_expanded(node: Node, known: dict[int, tuple[int, int] | None]) -> tup
     count, depth = 1 + sum(counts), 1 + max(depths, default=0)
     if depth > DEEPEST:
         raise MarkedYAMLError(problem=f"more than {DEEPEST} lists and mappings inside of one another", problem_mark=node.start_mark)
-    if count > MOST_NODES:
-        raise MarkedYAMLError(problem=f"more than {MOST_NODES} values, its aliases spelt out", problem_mark=node.start_mark)
+    if count > MOST_VALUES:
+        raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values, its aliases spelt out", problem_mark=node.start_mark)
     known[id(node)] = count, depth
     return count, depth

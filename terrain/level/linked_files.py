@@ -11,6 +11,7 @@ import mmap
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 VRT_ROOTS = ("VRTDataset", "OGRVRTDataSource")
@@ -164,14 +165,20 @@ def _matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
 
 
 def _gltf_addresses(path: Path) -> Iterator[str]:
+    for part in ("buffers", "images"):
+        for each in gltf_parts(path, part):
+            if isinstance(each.get("uri"), str):
+                yield each["uri"]
+
+
+def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
+    """What a glTF file states of its ``buffers``, ``accessors`` or ``images``. Raises ``OSError`` and ``ValueError``."""
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] == b"glTF":
-            text = file.read(int.from_bytes(head[12:16], "little"))
+            text = file.read(min(int.from_bytes(head[12:16], "little"), MOST_XML_BYTES))
         else:
             text = head + file.read(MOST_XML_BYTES)
     data = json.loads(text)
-    for part in ("buffers", "images"):
-        for each in data.get(part) or () if isinstance(data, dict) else ():
-            if isinstance(each, dict) and isinstance(each.get("uri"), str):
-                yield each["uri"]
+    stated = data.get(part) if isinstance(data, dict) else None
+    return [each for each in stated if isinstance(each, dict)] if isinstance(stated, list) else []

@@ -23,6 +23,7 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.elevation import UNIT_WORDS
+from terrain.ground.georeference import check_cells
 from terrain.level.parts import METRES_PER_UNIT
 from terrain.level.rasters import open_raster
 from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
@@ -97,8 +98,7 @@ class Canopy:
         if crs is None:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
-        if dataset.transform.determinant == 0:
-            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of a size above 0")
+        check_cells(source, dataset)
         unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
         self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
         self.rows, self.cols = dataset.height, dataset.width

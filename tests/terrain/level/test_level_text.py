@@ -12,7 +12,7 @@ from ruamel.yaml.error import YAMLError
 
 from terrain.errors import InputError, LevelError, all_at_once, printable
 from terrain.level.level import load_level
-from terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_NODES, parse_level_text
+from terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
 
 HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
 
@@ -40,7 +40,7 @@ def level(tmp_path):
         ("a: &a [*a]\n", "an alias of what it lies in"),
         ("a: " + "[" * 100_000, "inside of one another"),
         ("a:\n  " + "- " * 100_000, "inside of one another"),
-        ("a: [" + "1," * (MOST_NODES + 1) + "]", f"more than {MOST_NODES} values"),
+        ("a: [" + "1," * (MOST_VALUES + 1) + "]", f"more than {MOST_VALUES} values"),
         ('title: "\\e[2J"', "control character '\\x1b'"),
         ('title: "\\ud800"', "control character '\\ud800'"),
         ('"\\u009b2J": 1', "control character '\\x9b'"),
@@ -68,7 +68,7 @@ def test_aliases_count_as_what_they_stand_for(widths):
         lines.append(f"a{number}: &a{number} [{','.join([f'*a{number - 1}'] * width)}]")
         count = 1 + width * count
         expected += 1 + count
-    if expected <= MOST_NODES:
+    if expected <= MOST_VALUES:
         assert len(parse_level_text("\n".join(lines))) == len(widths) + 1
     else:
         with pytest.raises(YAMLError, match="aliases"):
