@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import errno
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import rasterio
 from rasterio.windows import Window
 
 from terrain.errors import InputError
+from terrain.whole_files import replaced_whole
 
 WINDOW_CELLS = 2048
 """Cells along a window; neighbours share a row or column, on which their lines end at the same points."""
@@ -26,6 +26,7 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
     """
     import pyogrio  # here: where pandas is installed it imports that
     import shapely
+    from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
 
     with rasterio.open(raster) as dataset:
         parts: dict[float, list[np.ndarray]] = {value: [] for value in values}
@@ -50,13 +51,18 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
         found.append(shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1)))
         labels.append(np.full(len(single), value))
     lines_found = np.concatenate(found) if found else np.empty(0, object)
-    with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as folder:
-        path = Path(folder) / output.name
-        pyogrio.raw.write(
-            path, geometry=shapely.to_wkb(lines_found), field_data=[np.concatenate(labels) if labels else np.empty(0)],
-            fields=np.array(["value"], object), geometry_type="LineString", crs=crs.to_wkt(), driver="GPKG", layer="contours",
-        )  # fmt: skip
-        os.replace(path, output)
+    full = f"the contours could not be written whole; is the disk full? {len(lines_found)} lines"
+    with replaced_whole(output) as path:
+        try:
+            pyogrio.raw.write(
+                path, geometry=shapely.to_wkb(lines_found), field_data=[np.concatenate(labels) if labels else np.empty(0)],
+                fields=np.array(["value"], object), geometry_type="LineString", crs=crs.to_wkt(), driver="GPKG", layer="contours",
+            )  # fmt: skip
+            written = len(pyogrio.raw.read(path)[2])
+        except (DataSourceError, DataLayerError, GeometryError, FeatureError) as error:
+            raise OSError(errno.EIO, full, str(path)) from error
+        if written != len(lines_found):
+            raise OSError(errno.EIO, full, str(path))
     return len(lines_found)
 
 

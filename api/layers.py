@@ -13,11 +13,13 @@ import numpy as np
 from PIL import Image
 
 from api.png import encode_png
+from api.raster_file import check_raster
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
+from terrain.whole_files import replaced_whole, write_whole
 
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 """Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
@@ -241,12 +243,12 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     check_suffix(layer, path)
     array = frame_layer(scene, frame, layer)
     if suffix == ".npy":
-        with path.open("wb") as file:
+        with replaced_whole(path) as part, part.open("wb") as file:
             np.save(file, array)
     elif suffix == ".tif":
         _write_tiff(frame, array, path, LAYERS[layer].nodata)
     else:
-        path.write_bytes(encode_picture(viewable(layer, array, frame.color), suffix))
+        write_whole(path, encode_picture(viewable(layer, array, frame.color), suffix))
 
 
 def check_suffix(layer: str, path: Path) -> None:
@@ -267,10 +269,11 @@ def _write_tiff(frame: Frame, array: np.ndarray, path: Path, nodata: float | Non
     where = {}
     if isinstance(view, MapView):
         where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), rasterio.Env(), replaced_whole(path) as part:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
         with rasterio.open(
-            path, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
+            part, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
             **where, compress="deflate", nodata=nodata,
         ) as dataset:  # fmt: skip
             dataset.write(bands)
+        check_raster(part)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import errno
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +12,12 @@ import numpy as np
 import rasterio
 from affine import Affine
 from pyproj import CRS
+from rasterio.errors import RasterioError
 from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
+
+from terrain.whole_files import replaced_whole
 
 TILE = 512
 
@@ -49,26 +51,41 @@ def cog(
 ) -> Iterator[RasterFile]:
     """A COG to be written; ``smooth``: its overviews are means, else they repeat cells.
 
-    It takes its place when all is written; where that fails, what lay there stays. Raises ``OSError`` and rasterio's errors.
+    It takes its place when all is written and can be read; where that fails, what lay there stays. Raises ``OSError``.
     """
     rows, cols = shape
-    with rasterio.Env(), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-        raw, done = Path(folder) / "raw.tif", Path(folder) / "cog.tif"
+    with rasterio.Env(), replaced_whole(path) as done:
+        raw = done.parent / "cells" / "raw.tif"
+        raw.parent.mkdir()
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
             nodata=nodata, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw", bigtiff="if_safer", sparse_ok=True,
         ) as dataset:  # fmt: skip
             yield RasterFile(dataset)
-        copy(
-            raw, done, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE, BIGTIFF="IF_SAFER",
-            OVERVIEW_RESAMPLING="AVERAGE" if smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
-        )  # fmt: skip
-        with suppress(OSError):
-            done.chmod(0o666 & ~_umask())
-        os.replace(done, path)
+        try:
+            copy(
+                raw, done, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE, BIGTIFF="IF_SAFER",
+                OVERVIEW_RESAMPLING="AVERAGE" if smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
+            )  # fmt: skip
+        except Exception as error:  # GDAL's own errors, which rasterio gives no public base
+            raise OSError(errno.EIO, _reason(error), str(done)) from error
+        check_raster(done)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def check_raster(path: Path) -> None:
+    """Read every block of a raster that was written: GDAL may close a file on a full disk without a word. Raises ``OSError``."""
+    try:
+        with rasterio.open(path) as dataset:
+            for _, window in dataset.block_windows(1):
+                dataset.read(window=window)
+            overviews = len(dataset.overviews(1))
+        for level in range(overviews):
+            with rasterio.open(path, OVERVIEW_LEVEL=level) as dataset:
+                for _, window in dataset.block_windows(1):
+                    dataset.read(window=window)
+    except RasterioError as error:
+        raise OSError(errno.EIO, _reason(error), str(path)) from error
+
+
+def _reason(error: Exception) -> str:
+    return f"the raster could not be written whole; is the disk full? ({error.__cause__ or error})"

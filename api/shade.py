@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from affine import Affine
 from pyproj import CRS
 from rasterio.errors import RasterioError
@@ -32,6 +31,7 @@ from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.geo.grid import Grid, MapView, blocks_of
 from terrain.ground.surface import step_at_anchor_m
 from terrain.level.parts import SunSpec
+from terrain.level.rasters import open_raster
 from terrain.scene import Scene
 
 Bounds = tuple[float, float, float, float]
@@ -138,7 +138,7 @@ def _own(scene: Scene) -> MapView:
 def cells_of_raster(path: Path) -> RasterCells:
     """The cells of a raster file. Raises ``SourceError``."""
     try:
-        with warnings.catch_warnings(action="ignore"), rasterio.open(path) as dataset:
+        with warnings.catch_warnings(action="ignore"), open_raster(str(path)) as dataset:
             crs, transform, (rows, cols) = dataset.crs, dataset.transform, dataset.shape
     except RasterioError:
         raise SourceError(str(path), "it cannot be opened", "a raster that GDAL reads") from None

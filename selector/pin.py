@@ -9,9 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import stat
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -29,6 +27,7 @@ from shadows.registry import NO_SHADOWS
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, is_level_raster
+from terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
 """Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""
@@ -87,19 +86,9 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
         raise LevelError(
             f"{path}: shadows", json.dumps(dict(chosen)), "keys written by hand: this file's layout cannot be edited safely"
         )
-    temporary = None
     try:
-        with tempfile.NamedTemporaryFile("wb", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = file.name
-            file.write(after.encode("utf-8"))
-            file.flush()
-            os.fsync(file.fileno())
-        shutil.copymode(path, temporary)
-        os.replace(temporary, path)
+        write_whole(path, after)
     except OSError as error:
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
         raise LevelError(str(path), error.strerror or str(error), "a folder in which files may be written") from None
 
 

@@ -14,14 +14,22 @@ SkuggaError
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TypeVar
 
 InputErrorT = TypeVar("InputErrorT", bound="InputError")
 
 
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
 class SkuggaError(Exception):
     """Base of all errors that Skugga raises on purpose; the message is a line for a person, or one for each error of a file."""
+
+
+MOST_LINES = 100
+"""Errors of one input that are told."""
 
 
 class Fault(str):
@@ -50,7 +58,7 @@ class InputError(SkuggaError):
         self.value = value
         self.allowed = allowed
         fault = value if isinstance(value, Fault) else f"{_short(value)} is not allowed"
-        super().__init__(f"{name}: {fault}; allowed: {allowed}")
+        super().__init__(printable(f"{name}: {fault}; allowed: {allowed}"))
 
 
 class LevelError(InputError):
@@ -62,7 +70,7 @@ class SourceError(InputError):
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         super().__init__(name, value, allowed)
-        self.args = (f"{name}: {_short(value)}; needed: {allowed}",)
+        self.args = (printable(f"{name}: {_short(value)}; needed: {allowed}"),)
 
 
 class UnsupportedError(InputError):
@@ -70,14 +78,15 @@ class UnsupportedError(InputError):
 
     def __init__(self, name: str, value: object, reason: str) -> None:
         super().__init__(name, value, reason)
-        self.args = (f"{name}: {_short(value)} cannot be served: {reason}",)
+        self.args = (printable(f"{name}: {_short(value)} cannot be served: {reason}"),)
 
 
 def all_at_once(errors: Sequence[InputErrorT]) -> InputErrorT:
     """Some errors, at least one, as the first of them, whose message has a line for each."""
-    first, *others = errors
+    first, *others = errors[:MOST_LINES]
     first.others = tuple(others)
-    first.args = ("\n".join(str(error) for error in errors),)
+    further = [f"{len(errors) - MOST_LINES} more are wrong"] if len(errors) > MOST_LINES else []
+    first.args = ("\n".join([*map(str, (first, *others)), *further]),)
     return first
 
 
@@ -99,6 +108,13 @@ class GraphicsError(RenderError):
 
 class RenderTimeoutError(RenderError):
     """A render took longer than the settings allow and was ended."""
+
+
+def printable(text: str) -> str:
+    """A text with control characters, turns of the writing direction and lone surrogates as escapes: one line, which a terminal
+    shows and does not obey, and which can be encoded.
+    """
+    return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def _short(value: object) -> str:

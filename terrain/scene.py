@@ -265,7 +265,7 @@ class Scene:
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
         assert self.bounds_lon_lat is not None
         if self.bounds_lon_lat[2] > 180.0 and not crs.is_geographic and crs != self.elevation.crs:
-            raise InputError("crs", crs.name, "a CRS together with bounds: the level crosses the antimeridian, where this CRS ends")
+            return self._bounds_across(crs, self.bounds_lon_lat)
         try:
             bounds = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*self.bounds_lon_lat, densify_pts=21)
         except ProjError:
@@ -273,6 +273,19 @@ class Scene:
         if not np.isfinite(bounds).all():
             raise InputError("crs", crs.name, "a CRS that covers the level")
         return bounds
+
+    def _bounds_across(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        """Bounds in a CRS of what lies on both sides of the antimeridian. Raises ``InputError`` where the CRS ends there."""
+        lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], PLACES_A_SIDE), np.linspace(bounds[1], bounds[3], PLACES_A_SIDE))
+        places = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
+        with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
+            extent = np.ptp(places, axis=(1, 2))
+            torn = np.abs(np.diff(places, axis=2)).max(axis=(1, 2)) > extent / 2
+        if not np.isfinite(extent).all() or torn.any():
+            allowed = "a CRS that goes on there, as a UTM zone, or bounds: the level crosses the antimeridian, where this CRS ends"
+            raise InputError("crs", crs.name, allowed)
+        (west, south), (east, north) = places.min(axis=(1, 2)), places.max(axis=(1, 2))
+        return float(west), float(south), float(east), float(north)
 
 
 def build_scene(loaded: LoadedLevel) -> Scene:

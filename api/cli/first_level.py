@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from api.cli.outputs import check_targets
 from api.cli.warnings import say_warnings
 from terrain.errors import InputError
 from terrain.level.level import is_level_raster, load_level
@@ -14,6 +15,7 @@ from terrain.level.level_source import LevelSource
 from terrain.level.parts import PerspectiveSpec, SunSpec
 from terrain.scene import Scene, build_scene
 from terrain.viewpoint import good_view
+from terrain.whole_files import write_whole
 
 FIRST_VIEW = "view"
 """Name of the perspective view that is proposed."""
@@ -33,11 +35,12 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
         raise InputError("--output", str(path), "a level file: .yaml or .yml")
     if path.exists() and not force:
         raise InputError("--output", str(path), "a file that is not there yet; --force writes over one")
+    check_targets(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
         say_warnings(scene)
         view = good_view(scene.world, scene.elevation, scene.sun)
-        path.write_text(level_text(scene, source, view, path.resolve().parent), encoding="utf-8")
+        write_whole(path, level_text(scene, source, view, path.resolve().parent))
     finally:
         scene.close()
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,14 +17,17 @@ from api.catalogue import bundled_levels
 from api.cli import doctor as doctor_checks
 from api.cli.level_argument import takes_level
 from api.cli.options import overrides_of, with_shadow_options
+from api.cli.outputs import check_targets
 from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
-from terrain.errors import InputError, SkuggaError
+from terrain.errors import InputError, SkuggaError, printable
+from terrain.level.gdal_guard import forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
+from terrain.whole_files import write_whole
 
 app = typer.Typer(
     help="Terrain with the sun's true cast shadows.",
@@ -85,6 +89,9 @@ def serve(
 
     options = {"host": host, "port": port, "workers": workers}
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
+    if not settings.remote_sources:
+        forbid_remote_reads()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
     run(settings, levels)
 
 
@@ -113,6 +120,7 @@ def render(
     from api.cli.snapshot import snapshot, statistics
 
     check_suffix(layer, output)
+    check_targets(level, [("--output", output), ("--stats", stats)])
     overrides = overrides_of("render", asked)
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
@@ -120,7 +128,7 @@ def render(
         scene, frame = snapshot(level, view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
-        stats.write_text(json.dumps(statistics(scene, frame), indent=2) + "\n", encoding="utf-8")
+        write_whole(stats, json.dumps(statistics(scene, frame), indent=2) + "\n")
 
 
 @app.command("shade")
@@ -156,6 +164,7 @@ def shade_raster(
     cells: Path | RasterCells | None = like
     suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
     if stac is not None:
+        check_targets(level, [("--output", output)], stac)
         suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
     with _progress("Shading") as advance:
         shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, cells, overrides, advance)
@@ -266,6 +275,7 @@ def select(
     from api.cli.planning import pin_plan, plan_level_view, write_descriptor
     from api.report.plan_text import format_plan
 
+    check_targets(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", asked)
     view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting("Measuring" if policy == "measure" else "Choosing"):
@@ -320,6 +330,8 @@ def compare(
 
     sun, shape = parse_sun(time, azimuth, altitude), _size(size)
     check_outputs(output, json_file)
+    pictures = [] if output is None else sorted(output.glob("*.png"))
+    check_targets(level, [("--json", json_file), *(("--output", each) for each in pictures)])
     scene, view_value = scene_and_view(level, view, sun, shape, _bounds(bounds), crs)
     with _progress("Comparing") as advance:
         comparison = measure(scene, view_value, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
@@ -328,7 +340,7 @@ def compare(
         write(scene, comparison, output, view)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
-        json_file.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+        write_whole(json_file, json.dumps(rows, indent=2) + "\n")
 
 
 @app.command()
@@ -342,7 +354,7 @@ def init(
     from api.cli.first_level import write_first_level
 
     path = write_first_level(level, output, force)
-    typer.echo(f"Wrote {path}. To see it: skugga serve {path}")
+    typer.echo(printable(f"Wrote {path}. To see it: skugga serve {path}"))
 
 
 @app.command()
@@ -371,9 +383,9 @@ def validate(level: LevelSource) -> None:
     from api.catalogue import remarks, summary
 
     row, notes = summary(level), remarks(level)
-    typer.echo(f"{level.path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}")
+    typer.echo(printable(f"{level.path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}"))
     for remark in notes:
-        typer.echo(f"  note: {remark}")
+        typer.echo(printable(f"  note: {remark}"))
 
 
 @app.command()
@@ -392,8 +404,10 @@ def doctor(as_json: JsonOption = False) -> None:
 def main() -> None:
     """Entry point of ``skugga``."""
     debug = "--debug" in sys.argv[1:]
+    forbid_code()
     try:
-        status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+        with _ended_in_order():
+            status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)
     except typer.Abort:
@@ -413,10 +427,28 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+@contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """Signals that end a process end it by an exception, so that it leaves no half-written file beside its output."""
+
+    def end(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # once is enough: what follows removes files
+        sys.exit(128 + number)
+
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def _fail(message: str, status: int, several: bool = False) -> int:
     """Say what went wrong: one line, or one for each of ``several`` errors."""
     for line in message.split("\n") if several else [message]:
-        typer.echo(f"skugga: {' '.join(line.split())}", err=True)
+        typer.echo(printable(f"skugga: {' '.join(line.split())}"), err=True)
     return status
 
 

@@ -24,7 +24,7 @@ def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:
         given = found.get(each.name)
         if each.name == "algorithm" and given is not None:
             found[each.name] = parse_algorithm(given, "--algorithm")
-        elif isinstance(given, str) and given.isdecimal() and any(isinstance(word, int) for word in each.words):
+        elif isinstance(given, str) and given.isascii() and given.isdigit() and any(isinstance(word, int) for word in each.words):
             found[each.name] = int(given)
     return found
 

@@ -23,6 +23,7 @@ from terrain.level.level import override
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
+from terrain.whole_files import write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ def pin_plan(choice: PlannedView) -> str:
 def write_descriptor(choice: PlannedView, path: Path) -> None:
     """Write the facts that a choice is made from."""
     descriptor = describe(choice.scene, choice.view, choice.plan.view)
-    path.write_text(descriptor.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    write_whole(path, descriptor.model_dump_json(indent=2) + "\n")
 
 
 def _unpinned(scene: Scene) -> Scene:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from api.cli.outputs import check_targets
 from api.cli.warnings import say_warnings
 from api.point.horizon_formats import directions_for, horizon_file
 from api.point.polar_picture import sky_picture
@@ -35,6 +36,7 @@ from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
+from terrain.whole_files import write_whole
 
 PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
 
@@ -67,6 +69,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         raise InputError("LON,LAT", "nothing", "a point, or --points, or --line")
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
+    check_targets(level, [("--horizon", options.horizon), ("--picture", options.picture)])
     azimuths = directions_for(options.format)
     query, crs = _query(options, *_pair(options.at)), _crs(options.crs)
     scene = build_scene(load_level(level)).with_sun(options.sun)
@@ -77,9 +80,9 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
             around = around_point(scene, query, crs)
             if options.horizon is not None:
                 text = horizon_file(options.format, horizon_round(around, azimuths), around.place)
-                options.horizon.write_text(text, encoding="utf-8", newline="")
+                write_whole(options.horizon, text)
             if options.picture is not None:
-                options.picture.write_bytes(_picture(around, query, options.picture))
+                write_whole(options.picture, _picture(around, query, options.picture))
     finally:
         scene.close()
     typer.echo(report.model_dump_json(indent=2)) if options.as_json else _show(report)
@@ -137,7 +140,7 @@ def _crs(text: str | None) -> CRS | None:
     if text is None:
         return None
     try:
-        return CRS.from_user_input(int(text) if text.isdecimal() else text)
+        return CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
     except CRSError:
         raise InputError("--crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from api.cli.outputs import check_targets
 from api.cli.times import time_in_name
 from api.cli.warnings import say_warnings
 from api.raster_file import RasterCells
@@ -37,6 +38,7 @@ def shade_level(
     if layer not in SHADE_LAYERS:
         raise InputError("--layer", layer, ", ".join(SHADE_LAYERS))
     paths = files_of(output, suns)
+    check_targets(level, [("--output", path) for path in paths], like if isinstance(like, Path) else None)
     scene = build_scene(load_level(level))
     say_warnings(scene)
     try:

@@ -12,12 +12,16 @@ from api.device_calibration import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
+from terrain.errors import InputError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
+
+MOST_SECONDS = 1e9
+"""Of the clock of moving casters, either way, as in level files."""
 
 
 def snapshot(
@@ -49,6 +53,8 @@ def scene_and_view(
     seconds: float | None = None,
 ) -> tuple[Scene, MapView | PerspectiveView]:
     """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
+    if seconds is not None and not abs(seconds) <= MOST_SECONDS:
+        raise InputError("--seconds", seconds, f"seconds of the clock, {-MOST_SECONDS:g} to {MOST_SECONDS:g}")
     scene = build_scene(load_level(level)).with_sun(sun).at_second(seconds)
     say_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
+from api.cli.outputs import check_targets
 from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
 from api.cli.warnings import say_warnings
@@ -38,9 +39,7 @@ def write_sun_level(
     if quantity not in QUANTITIES:
         raise InputError("--quantity", quantity, ", ".join(QUANTITIES))
     lines = None if contours is None else (contours[0], _values(contours))
-    for path in (output, *(contours[:1] if contours is not None else ())):
-        if not path.parent.is_dir():
-            raise FileNotFoundError(2, "folder not found", str(path))
+    check_targets(level, [("--output", output), ("--contours", None if contours is None else contours[0])], where[-1])
     known_clock, readings = clock_named("clock", clock), readings_of(window)
     first = date_of("date", dates[0])
     last = first if dates[1] is None else date_of("to", dates[1])

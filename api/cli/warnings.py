@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import typer
 
+from terrain.errors import printable
 from terrain.scene import Scene
 
 
 def say_warnings(scene: Scene) -> None:
     """One line for each warning."""
     for text in scene.warnings:
-        typer.echo(f"skugga: warning: {scene.elevation.name}: {text}", err=True)
+        typer.echo(printable(f"skugga: warning: {scene.elevation.name}: {text}"), err=True)

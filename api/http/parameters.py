@@ -11,6 +11,7 @@ from typing import Annotated, Any, cast, get_args
 from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 
+from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
 from api.http.served_levels import names_in
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
@@ -47,18 +48,19 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
     return refuse
 
 
-def _whole(value: Any) -> Any:
-    return int(value) if isinstance(value, str) and value.isascii() and value.isdigit() else value
-
-
 TimeQuery = Annotated[str | None, Query(description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00; default: the level's.")]
-AzimuthQuery = Annotated[float | None, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")]
-AltitudeQuery = Annotated[float | None, Query(description="Apparent degrees above the horizon.")]
+AzimuthQuery = Annotated[
+    float | None, PLAIN_DECIMAL, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")
+]
+AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.")]
+
+_NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_WHOLE,), float: (PLAIN_DECIMAL,)}
 
 
 def _parameter(setting: Setting) -> Any:
     """A setting of shadows as a query parameter."""
-    numbers = [BeforeValidator(_whole)] if any(isinstance(word, int) for word in setting.words) else []
+    is_number = any(isinstance(word, int) for word in setting.words)
+    numbers = (WHOLE_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
     asked: Any = setting.type
     return Annotated[(asked | None, *numbers, Query(description=setting.about))]
 
@@ -168,9 +170,11 @@ async def tile_query(
         str | None,
         Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo."),
     ] = None,
-    height: Annotated[float | None, Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.")] = None,
+    height: Annotated[
+        float | None, PLAIN_DECIMAL, Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.")
+    ] = None,
     least_altitude: Annotated[
-        float | None, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
+        float | None, PLAIN_DECIMAL, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
     ] = None,
 ) -> TileQuery:
     """The dependency for tiles. Raises ``InputError``."""

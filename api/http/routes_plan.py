@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import NotServedError
 from api.http.answers import json_answer
 from api.http.matrices import matrix_set_of
+from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
 from api.http.problems import problem_docs
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
@@ -27,7 +28,9 @@ from terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
 
-ZoomQuery = Annotated[int | None, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")]
+ZoomQuery = Annotated[
+    int | None, PLAIN_WHOLE, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")
+]
 MatrixSetQuery = Annotated[str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.")]
 
 VIEW_PARAMETERS = ("view", "zoom", "tms")

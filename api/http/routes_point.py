@@ -11,6 +11,7 @@ from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, is_fresh, tag_of
+from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from api.http.parameters import TimeQuery, allow_only
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService, cancel_on_disconnect
@@ -30,14 +31,22 @@ POINTS_A_JOB = 200
 POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
 
 DayOrNone = date | None
-LonQuery = Annotated[float, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.")]
-LatQuery = Annotated[float, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.")]
+LonQuery = Annotated[
+    float, PLAIN_DECIMAL, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.")
+]
+LatQuery = Annotated[
+    float, PLAIN_DECIMAL, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.")
+]
 DateQuery = Annotated[date | None, Query(description="The day, as 2024-10-21; default: that of the time.")]
-HeightQuery = Annotated[float, Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.")]
+HeightQuery = Annotated[
+    float, PLAIN_DECIMAL, Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.")
+]
 ClockQuery = Annotated[
     str | None, Query(max_length=60, description="solar, utc, +02:00 or Europe/Oslo; default: the offset of the time, else solar.")
 ]
-YearQuery = Annotated[int | None, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.")]
+YearQuery = Annotated[
+    int | None, PLAIN_WHOLE, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.")
+]
 
 
 class PointOfMany(BaseModel):

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
 from api.http.service import TheService, cancel_on_disconnect
@@ -36,7 +37,9 @@ async def snapshot(
         str | None, Query(max_length=100, description=f"The light that {EXACT} show; default: the sun, else the first.")
     ] = None,
     seconds: Annotated[
-        float | None, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.")
+        float | None,
+        PLAIN_DECIMAL,
+        Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's."),
     ] = None,
 ) -> Response:
     """A map or perspective view as the level has it, but for what the query asks."""

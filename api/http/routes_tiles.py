@@ -11,6 +11,7 @@ from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
+from api.http.numbers import WholeNumber
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService, cancel_on_disconnect
@@ -50,9 +51,9 @@ async def double_tile(
     service: TheService,
     level: str,
     tms: str,
-    z: int,
-    x: int,
-    y: int,
+    z: WholeNumber,
+    x: WholeNumber,
+    y: WholeNumber,
     format: FormatPath,
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
@@ -66,9 +67,9 @@ async def tile(
     service: TheService,
     level: str,
     tms: str,
-    z: int,
-    x: int,
-    y: int,
+    z: WholeNumber,
+    x: WholeNumber,
+    y: WholeNumber,
     format: FormatPath,
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:

@@ -20,6 +20,7 @@ from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.level_source import LevelSource
+from terrain.level.linked_files import is_remote
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene, with_own_sun
 
@@ -166,7 +167,7 @@ class ServedLevels:
 
     def _read(self, origin: LevelSource) -> ServedLevel:
         loaded, path = load_level(origin), origin.path
-        remote = [source for source in loaded.sources if not _is_local(source)]
+        remote = [source for source in loaded.linked_sources if is_remote(source)]
         if remote and not self._remote_sources:
             raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
         if not names_in(loaded.level.shadows.algorithm) <= set(served_algorithms()):
@@ -231,7 +232,3 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_mtime_ns, status.st_size
-
-
-def _is_local(source: str) -> bool:
-    return not ("://" in source or source.startswith("/vsi"))

@@ -22,6 +22,7 @@ from terrain.errors import InputError
 from terrain.gl.device import device
 from terrain.level.level import SUN
 from terrain.scene import Scene
+from terrain.whole_files import replaced_whole
 
 
 def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
@@ -78,7 +79,8 @@ def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map")
     title = [f"{scene.loaded.name}, {view}", f"{about['light']}; {about['size']}; {about['device']}"]
     write_scatter(folder / "scatter.svg", comparison, title)
     for row in comparison.rows:
-        Image.fromarray(false_colours(base.mean(axis=2), row)).save(folder / f"{row.figures['name']}.png")
+        with replaced_whole(folder / f"{row.figures['name']}.png") as part:
+            Image.fromarray(false_colours(base.mean(axis=2), row)).save(part)
 
 
 def _about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:

@@ -19,6 +19,7 @@ from api.report.page.table import GLOSSARY, rows_table
 from api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
 from selector.formatting import format_duration, format_percent
 from selector.measure.compare import Comparison
+from terrain.whole_files import write_whole
 
 MAX_PAGE_BYTES = 5_000_000
 """Of a page; what its text leaves of this is for pictures."""
@@ -45,12 +46,12 @@ def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: di
     OSError
         If the file cannot be written.
     """
-    path.write_text(report_html(comparison, base, about), encoding="utf-8")
+    write_whole(path, report_html(comparison, base, about))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     """Write the scatter of error against time, under the lines of a title, as an SVG file. Raises ``OSError``."""
-    path.write_text(still(comparison, title, _part("report.css")), encoding="utf-8")
+    write_whole(path, still(comparison, title, _part("report.css")))
 
 
 def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:

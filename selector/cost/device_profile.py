@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
-import tempfile
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -14,6 +12,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from terrain.user_cache import user_cache
+from terrain.whole_files import write_whole
 
 SCHEMA: Final = 1
 """Changes with what the rates mean: profiles of another one count as none."""
@@ -65,15 +64,7 @@ def save_profile(profile: DeviceProfile) -> Path:
     """Write a profile to its file, whole or not at all. Raises ``OSError`` where the folder cannot be written."""
     path = profile_path(profile.renderer, profile.version)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=path.stem, suffix=".part", dir=path.parent)
-    part = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(profile.model_dump_json(indent=1))
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    write_whole(path, profile.model_dump_json(indent=1))
     return path
 
 

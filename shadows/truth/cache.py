@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.trees.foliage import foliage
 from terrain.user_cache import user_cache
+from terrain.whole_files import replaced_whole
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""
@@ -56,10 +56,9 @@ def cached_truth(
     truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}.npz")
         packed: dict[str, Any] = {name: np.packbits(getattr(truth, name)) for name in _FIELDS}
-        np.savez_compressed(part, **packed)
-        part.replace(path)
+        with replaced_whole(path) as part:
+            np.savez_compressed(part, **packed)
         _trim(folder)
     except OSError:
         pass

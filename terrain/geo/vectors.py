@@ -15,6 +15,8 @@ from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
 from terrain.geo.world import transformer
+from terrain.level.data_files import check_geodata
+from terrain.level.linked_files import is_remote
 
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
 """Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in
@@ -22,6 +24,14 @@ geographic CRS, units in others. What is left of their bend is a few centimetres
 
 FARTHEST = {True: 540.0, False: 1e9}
 """Coordinates beyond this are none: degrees in geographic CRS, units in others."""
+
+MOST_COORDINATES = 50_000_000
+"""Points of a file's lines and outlines when long edges are divided: some gigabytes."""
+
+MOST_CROSSINGS = 200_000
+"""Of the edges of a file's invalid polygons: mending them takes some ten seconds."""
+
+_EDGES_AT_ONCE = 64
 
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
@@ -48,6 +58,7 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
     Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
     coordinates that cannot be transformed.
     """
+    check_geodata(source)
     import pyogrio  # here: where pandas is installed it imports that, half a second of every start
     from pyogrio.errors import DataLayerError, DataSourceError
 
@@ -70,9 +81,9 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
     own = _crs(source, meta["crs"], crs)
     _check_places(source, own, crs, shapely.get_coordinates(geometry))
     # Mended before, since long edges are divided rightly in valid polygons alone, and after, since a projection may fold them.
-    geometry = _mended(geometry)
+    geometry = _mended(source, geometry)
     if not same_coordinates(own, crs):
-        geometry = _mended(_projected(source, geometry, own, crs))
+        geometry = _mended(source, _projected(source, geometry, own, crs))
     kept = np.flatnonzero(~shapely.is_empty(geometry))
     if not len(kept):
         raise SourceError(source, "only polygons without an area", "points or polygons")
@@ -85,7 +96,8 @@ def attribute_names(source: str) -> tuple[str, ...]:
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    if "://" not in source and not source.startswith("/vsi") and not Path(source).exists():
+    check_geodata(source)
+    if not is_remote(source) and not Path(source).exists():
         raise SourceError(source, "no such file", "a vector file that GDAL reads")
     try:
         with _quiet():
@@ -143,6 +155,7 @@ def _crs(source: str, text: str | None, wanted: CRS) -> CRS:
 
 def _projected(source: str, geometry: np.ndarray, own: CRS, crs: CRS) -> np.ndarray:
     edged = shapely.get_dimensions(geometry) > 0
+    check_divided(source, geometry[edged], LONGEST_EDGE[own.is_geographic])
     geometry[edged] = shapely.segmentize(geometry[edged], LONGEST_EDGE[own.is_geographic])
     before = shapely.get_coordinates(geometry)
     after = np.column_stack(between(source, own, crs).transform(before[:, 0], before[:, 1]))
@@ -163,11 +176,36 @@ def _check_places(source: str, own: CRS, crs: CRS, before: np.ndarray, after: np
         )
 
 
-def _mended(geometry: np.ndarray) -> np.ndarray:
-    """Geometries with invalid polygons made valid; empty where no area is left of them."""
+def check_divided(source: str, geometry: np.ndarray, longest: float) -> None:
+    """Raise ``SourceError`` for lines and outlines that are too many points when edges longer than ``longest`` are divided."""
+    count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
+    if count > MOST_COORDINATES:
+        raise SourceError(source, f"lines of {count:.3g} points {longest:g} units apart", f"at most {MOST_COORDINATES:.3g}")
+
+
+def _check_crossings(source: str, polygons: np.ndarray) -> None:
+    """Raise ``SourceError`` for polygons whose edges cross too often: mending takes time for each crossing."""
+    count = 0
+    for polygon in polygons:
+        xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(polygon)), return_index=True)
+        along = ring[1:] == ring[:-1]
+        edges = shapely.linestrings(np.stack([xy[:-1][along], xy[1:][along]], axis=1))
+        tree = shapely.STRtree(edges)
+        for first in range(0, len(edges), _EDGES_AT_ONCE):
+            count += tree.query(edges[first : first + _EDGES_AT_ONCE], predicate="crosses").shape[1] / 2
+            if count > MOST_CROSSINGS:
+                raise SourceError(source, f"polygons that cross themselves more than {MOST_CROSSINGS} times", "valid polygons")
+
+
+def _mended(source: str, geometry: np.ndarray) -> np.ndarray:
+    """Geometries with invalid polygons made valid; empty where no area is left of them. Raises ``SourceError``."""
     with_area = shapely.get_dimensions(geometry) == 2
-    for i in np.flatnonzero(with_area & ~shapely.is_valid(geometry)):
-        parts = shapely.get_parts(shapely.get_parts(shapely.make_valid(geometry[i])))  # of a collection's multi-polygons
+    invalid = np.flatnonzero(with_area & ~shapely.is_valid(geometry))
+    _check_crossings(source, geometry[invalid])
+    for i in invalid:
+        # By its structure: by lines alone it takes a hundred times as long where a polygon crosses itself often.
+        whole = shapely.make_valid(geometry[i], method="structure", keep_collapsed=False)
+        parts = shapely.get_parts(shapely.get_parts(whole))  # of a collection's multi-polygons
         geometry[i] = shapely.union_all(parts[shapely.get_type_id(parts) == _POLYGON])
     return geometry
 

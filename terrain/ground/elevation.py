@@ -44,6 +44,9 @@ PLAUSIBLE_M = (-11500.0, 9500.0)
 OVERVIEW_CELLS = 512
 """Longest side of the overview that reach and relief are read from."""
 
+MOST_CELLS_READ = 4_000_000_000
+"""Cells that are read for that overview where the file has none near it: that takes a minute."""
+
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
 
@@ -362,6 +365,14 @@ class Elevation:
         """
         level = max(int(np.ceil(np.log2(max(self.rows, self.cols) / OVERVIEW_CELLS))), 0)
         rows, cols = self._level_shape(level)
+        ready = max((factor for factor in self._dataset.overviews(1) if factor <= 2**level), default=1)
+        if self.rows * self.cols > MOST_CELLS_READ * ready**2:
+            had = (
+                f"{self.cols} x {self.rows} cells and no overview of them" if ready == 1 else f"overviews of {ready} cells at most"
+            )
+            raise SourceError(
+                self.name, had, f"overviews (gdaladdo makes them) of a raster of more than {MOST_CELLS_READ:.2g} cells"
+            )
         mean = self._read_inside(level, 0, rows, 0, cols)
         if level == 0:
             self._settle_resampling()

@@ -18,7 +18,16 @@ MOST_LONGITUDE_DEG = 540.0
 DEGREES_CELL = 0.02
 """Cells smaller than this, in units of a projected CRS, are no cells of a map of ground if they lie where degrees do."""
 
+MOST_CELL_M = 50_000.0
+"""Side of a cell in a projected CRS: a block of a thousand of them goes round the earth."""
+
 TO_STATE_IT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
+
+
+def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
+    """Raise ``SourceError`` for cells without a place or without a size."""
+    if not np.isfinite(tuple(dataset.transform)).all() or dataset.transform.determinant == 0:
+        raise SourceError(source, f"the geotransform {tuple(dataset.transform)[:6]}", "cells of a size above 0")
 
 
 def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
@@ -47,8 +56,7 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
         raise SourceError(source, crs.name, "a projected, geographic or engineering CRS")
     if gt.is_identity and not crs.is_engineering:
         raise SourceError(source, "not georeferenced", "a raster with a geotransform")
-    if gt.determinant == 0:
-        raise SourceError(source, str(tuple(gt)[:6]), "cells of a size above 0")
+    check_cells(source, dataset)
     if crs.is_geographic and not like_degrees:
         raise SourceError(
             source, f"{where} in {crs.name}",
@@ -60,4 +68,7 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
             source, f"{where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit}), in {crs.name}",
             f"coordinates of that CRS; these look like degrees, as of EPSG:4326 ({TO_STATE_IT})",
         )  # fmt: skip
+    unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
+    if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
+        raise SourceError(source, f"cells of {cell_m / 1000.0:.4g} km", f"at most {MOST_CELL_M / 1000.0:g} km in {crs.name}")
     return crs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import rasterio
 from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
@@ -13,6 +12,8 @@ from rasterio.errors import RasterioError
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.ground.georeference import check_cells
+from terrain.level.rasters import open_raster
 from terrain.srgb import linear_of_srgb
 
 MAX_SIDE = 4096
@@ -25,10 +26,11 @@ class Imagery:
     def __init__(self, source: str) -> None:
         self.name = source
         try:
-            with rasterio.open(source) as dataset:
+            with open_raster(source) as dataset:
                 if dataset.count < 3 or dataset.crs is None:
                     had = f"{dataset.count} bands" if dataset.count < 3 else "no coordinate reference system"
                     raise SourceError(source, had, "a raster with a CRS and red, green and blue as its first bands")
+                check_cells(source, dataset)
                 factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE)), 1)
                 shape = max(dataset.height // factor, 1), max(dataset.width // factor, 1)
                 data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)

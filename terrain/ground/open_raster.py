@@ -11,6 +11,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from terrain.errors import SourceError
+from terrain.level.rasters import open_raster
 
 EXACT_HIGH_CELLS = 32_000_000
 """Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
@@ -43,11 +44,11 @@ def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | Non
 
 
 def _open(source: str) -> rasterio.DatasetReader:
-    dataset = rasterio.open(source)
+    dataset = open_raster(source)
     if dataset.width * dataset.height > EXACT_HIGH_CELLS or not (dataset.count and dataset.overviews(1)):
         return dataset
     dataset.close()
-    return rasterio.open(source, OVERVIEW_LEVEL="NONE")
+    return open_raster(source, OVERVIEW_LEVEL="NONE")
 
 
 def _with_nodata(dataset: rasterio.DatasetReader, nodata: float) -> str:

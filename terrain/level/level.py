@@ -13,13 +13,15 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import Fault, InputError, LevelError
+from terrain.errors import Fault, InputError, LevelError, printable
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
+from terrain.level.data_files import special_kind
 from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
+from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
+from terrain.level.linked_files import linked_files
 from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
@@ -184,6 +186,11 @@ class LoadedLevel(BaseModel):
             named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
         return tuple(self.resolve(name) for name in named if name is not None and name not in BUNDLED)
 
+    @property
+    def linked_sources(self) -> tuple[str, ...]:
+        """``sources``, and all that these lead to: parts of virtual rasters, materials and textures of models, addresses."""
+        return tuple(dict.fromkeys(each for source in self.sources for each in (source, *linked_files(source))))
+
     def resolve(self, source: str) -> str:
         """A path of the level file, relative to the file, as one relative to nothing; GDAL's own paths stay as they are."""
         if "://" in source or source.startswith("/"):
@@ -333,20 +340,27 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
             if (value := getattr(source, file)) is not None and not value.is_file():
                 raise InputError(file, str(value), "a file that is there")
         level = Level.model_validate(source.level_keys)
-        return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=source.digest)
+        return LoadedLevel(name=printable(path.stem), path=path.resolve(), level=level, digest=source.digest)
     for name in source.options:
         raise InputError(
             name,
             str(getattr(source, name)),
             f"a raster's own level; the level file {path} says it itself, as {KEYS_OF_OPTIONS[name]}",
         )
+    if (kind := special_kind(path)) is not None:
+        raise LevelError(str(path), Fault(kind), "a readable YAML file, or a raster that GDAL reads")
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as level_file:
+            text = level_file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
         raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None
+    if len(text) > MOST_CHARACTERS:
+        raise LevelError(
+            str(path), Fault(f"more than {MOST_CHARACTERS} characters"), "a readable YAML file, or a raster that GDAL reads"
+        )
     try:
-        data = YAML(typ="safe", pure=True).load(text)
+        data = parse_level_text(text)
     except (ValueError, RecursionError, YAMLError) as error:  # also of a date that is none, brackets without end
         if path.suffix.lower() not in TEXT_SUFFIXES:
             raise LevelError(str(path), Fault(_NEITHER), _EITHER) from None
@@ -364,4 +378,4 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     except ValidationError as error:
         raise level_error(str(path), data, error.errors()) from None
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return LoadedLevel(name=path.stem, path=path.resolve(), level=level, digest=digest)
+    return LoadedLevel(name=printable(path.stem), path=path.resolve(), level=level, digest=digest)

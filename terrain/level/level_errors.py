@@ -10,6 +10,9 @@ from pydantic_core import ErrorDetails
 
 from terrain.errors import Fault, LevelError, all_at_once
 
+MOST_ERRORS = 1000
+"""Of pydantic's that are looked at, each beside each."""
+
 UNKNOWN_KEY = "unknown_key"
 """Type of the errors of keys that a part of the file does not have."""
 
@@ -28,6 +31,7 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     if [error["loc"] for error in errors] == [()] and (whole := _OF_THE_WHOLE.get(errors[0]["type"])):
         part, key = whole
         errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
+    errors = errors[:MOST_ERRORS]
     of_keys: dict[_Keys, list[ErrorDetails]] = {}
     for error in _of_meant_branches(data, errors):
         of_keys.setdefault(_keys(data, error), []).append(error)

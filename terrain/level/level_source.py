@@ -8,6 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from terrain.errors import printable
+
 KEYS_OF_OPTIONS = {
     "canopy": "forest: [{source: FILE}]",
     "buildings": "meshes: [{source: FILE}]",
@@ -45,7 +47,7 @@ class LevelSource(BaseModel):
         """The level file's keys that say the same of the raster as this does."""
         return {
             "version": 1,
-            "title": self.path.stem,
+            "title": printable(self.path.stem),
             "terrain": {"source": self.path.name, **({} if self.nodata is None else {"nodata": self.nodata})},
             **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
             **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),

@@ -19,6 +19,10 @@ NEUTRAL = (0.6, 0.6, 0.6)
 CREASE_DEG = 30.0
 """Largest angle between two faces that are shaded as one curved surface."""
 
+MOST_SMOOTHED = 512
+"""Corners that meet in a place and are looked at pair by pair. Where more do, in the middle of a large fan or where faces lie on
+one another, each face is shaded by itself: what it differs from its neighbours there cannot be seen."""
+
 MERGE_SHARE = 1e-8
 """Vertices closer than about this share of a body's size are one place."""
 
@@ -147,14 +151,16 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
     # A hair more than asked, so that faces at the very crease angle do not part by rounding.
     least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
-    normals = _smoothed(body.vertices_m[body.triangles], corner_of_place, first, least_cos)
+    normals = _smoothed(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MOST_SMOOTHED)
     normals.flags.writeable = False
     return normals
 
 
 @compiled
-def _smoothed(corners, corner_of_place, first, least_cos):
-    """Angle-weighted means of face normals round each place, within the crease, per corner (m, 3, 3)."""
+def _smoothed(corners, corner_of_place, first, least_cos, most):
+    """Angle-weighted means of face normals round each place, within the crease, per corner (m, 3, 3); the faces' own where more
+    than ``most`` corners meet.
+    """
     count = corners.shape[0]
     normal = np.empty((count, 3))
     angle = np.empty((count, 3))
@@ -168,8 +174,12 @@ def _smoothed(corners, corner_of_place, first, least_cos):
             angle[t, k] = np.arctan2(np.sqrt((n * n).sum()), ((q - p) * (r - p)).sum())
     out = np.empty((count, 3, 3), np.float32)
     for place in range(first.shape[0] - 1):
+        crowded = first[place + 1] - first[place] > most
         for i in range(first[place], first[place + 1]):
             t, k = corner_of_place[i] // 3, corner_of_place[i] % 3
+            if crowded:
+                out[t, k, 0], out[t, k, 1], out[t, k, 2] = normal[t, 0], normal[t, 1], normal[t, 2]
+                continue
             x, y, z = 0.0, 0.0, 0.0
             for j in range(first[place], first[place + 1]):
                 s, w = corner_of_place[j] // 3, angle[corner_of_place[j] // 3, corner_of_place[j] % 3]

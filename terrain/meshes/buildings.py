@@ -9,6 +9,7 @@ surface raster are counted from there too, so that the roof lies where the surfa
 from __future__ import annotations
 
 import zlib
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,9 +19,10 @@ import numpy as np
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
+from scipy.spatial import cKDTree
 
 from terrain.errors import LevelError, SourceError
-from terrain.geo.vectors import Features, attribute_names, numbers, read_features
+from terrain.geo.vectors import Features, attribute_names, check_divided, numbers, read_features
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.level.bundled import BUNDLED
@@ -36,6 +38,12 @@ HIGHEST_M = 1000.0
 
 OUTLINE_TOLERANCE_M = 0.001
 """Corners that the outline passes within this distance without them are left out."""
+
+MOST_CORNERS = 20_000
+"""Of a footprint, its courtyards' among them: its roof takes up to some ten seconds."""
+
+MOST_CORNERS_OF_ALL = 3_000_000
+"""Of the footprints of a file: twelve million triangles."""
 
 DEGREE_M = 111_320.0
 
@@ -153,6 +161,10 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     unit_m = DEGREE_M if world.crs.is_geographic else world.metres_per_unit
     # Normal rings begin at an outermost point, which is a corner: simplifying keeps it.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
+    corners = shapely.get_num_coordinates(parts)
+    for count, most, what in ((corners.max(), MOST_CORNERS, "a footprint"), (corners.sum(), MOST_CORNERS_OF_ALL, "footprints")):
+        if count > most:
+            raise SourceError(features.name, f"{what} of {count} corners", f"at most {most}: simpler outlines")
     solid = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
     if not solid.any():
         raise SourceError(features.name, "only polygons without an area", "footprints")
@@ -220,6 +232,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     """Mean and lowest ground along each polygon's outer ring, metres; the mean is NaN where most of the polygon has no ground."""
     corner, beside = elevation.xy(0, 0), elevation.xy(0, 1)
     cell = float(np.hypot(corner[0] - beside[0], corner[1] - beside[1]))
+    check_divided(elevation.name, polygons, cell)
     outer = shapely.segmentize(shapely.get_exterior_ring(polygons), cell)
     xy, ring = shapely.get_coordinates(outer, return_index=True)
     ground = elevation.filled_ground_m(xy[:, 0], xy[:, 1])
@@ -278,28 +291,38 @@ def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
     clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
     triangles = _facing_up(clipped.astype(np.int32), xy)
     # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
-    while len(triangles) < len(xy) + 2 * (len(ring_ends) - 1) - 2:  # n + 2 h - 2 triangles of n corners and h holes
-        with_corners = _with_skipped(triangles, xy, ring_ends)
-        if len(with_corners) == len(triangles):
-            break
-        triangles = with_corners
-    return triangles
+    missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n + 2 h - 2 triangles of n corners and h holes
+    return triangles if missing <= 0 else _with_skipped(triangles, xy, ring_ends, missing)
 
 
-def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
-    """The triangles with the first one cut in two that has a corner of the polygon between the ends of an edge."""
+def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
+    """The triangles with those cut in two, up to a number, that have a corner of the polygon between the ends of an edge."""
     rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
-    edges = {(a, b): (k, c) for k, (i, j, l) in enumerate(triangles.tolist()) for a, b, c in ((i, j, l), (j, l, i), (l, i, j))}
-    for (a, b), (k, c) in edges.items():
-        if (b, a) in edges or (a, b) in rings:
+    corners, near = triangles.tolist(), cKDTree(xy)
+    edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
+    waiting = deque(edges)
+    while waiting and missing:
+        a, b = waiting.popleft()
+        if (a, b) not in edges or (b, a) in edges or (a, b) in rings:
             continue
-        along, off = xy[b] - xy[a], xy - xy[a]
+        k = edges[a, b]
+        c = next(corner for corner in corners[k] if corner not in (a, b))
+        along = xy[b] - xy[a]
+        around = np.array(sorted(near.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
+        off = xy[around] - xy[a]
         share = off @ along / (along @ along)
         aside = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
-        between = np.flatnonzero((aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9))
-        if len(between):
-            return np.vstack([np.delete(triangles, k, axis=0), [[a, between[0], c], [between[0], b, c]]]).astype(np.int32)
-    return triangles
+        between = around[(aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (around != c)].tolist()
+        if not between:
+            continue
+        middle, new = between[0], len(corners)
+        del edges[a, b]
+        corners[k] = [a, middle, c]
+        corners.append([middle, b, c])
+        edges |= {(a, middle): k, (middle, c): k, (c, a): k, (middle, b): new, (b, c): new, (c, middle): new}
+        waiting += [(a, middle), (middle, b)]
+        missing -= 1
+    return np.array(corners, np.int32)
 
 
 def _following(ring_ends: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from terrain.errors import SourceError
+from terrain.level.data_files import check_file
+from terrain.level.linked_files import gltf_parts
 from terrain.meshes.body import NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
@@ -24,6 +26,8 @@ MODEL_SUFFIXES = (".obj", ".ply", *Y_UP_SUFFIXES)
 """Files that are models; anything else is asked of GDAL."""
 
 MAX_MODEL_TRIANGLES = 5_000_000
+
+MOST_TEXTURE_PIXELS = 8192 * 8192
 
 ALLOWED = "a model with triangles: .obj, .ply, .glb or .gltf"
 
@@ -39,13 +43,16 @@ def read_model(source: str) -> Body:
     Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_MODEL_TRIANGLES`` or has
     coordinates that are no numbers.
     """
+    check_file(source)
     if not Path(source).exists():
         raise SourceError(source, "no such file", ALLOWED)
-    parts = [part for part in _loaded(source).dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
-    if not parts:
-        raise SourceError(source, "no triangle", ALLOWED)
+    parts = _loaded(source)
     if sum(len(part.faces) for part in parts) > MAX_MODEL_TRIANGLES:
         raise SourceError(source, f"{sum(len(part.faces) for part in parts)} triangles", f"at most {MAX_MODEL_TRIANGLES}")
+    for part in parts:
+        if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):
+            raise SourceError(source, "triangles of vertices that are not there", ALLOWED)
+        _check_texture(source, part)
     y_up = source.lower().endswith(Y_UP_SUFFIXES)
     vertices, triangles, albedo, count = [], [], [], 0
     for part in parts:
@@ -66,23 +73,57 @@ def read_model(source: str) -> Body:
     return Body(body.vertices_m - (0.0, 0.0, lowest), body.triangles, body.albedo)
 
 
-def _loaded(source: str) -> trimesh.Scene:
-    """The file as trimesh reads it, its remarks left out: what matters comes as an error."""
+def _loaded(source: str) -> list[trimesh.Trimesh]:
+    """The parts of the file that have triangles, as trimesh reads them, its remarks left out: what matters comes as an error."""
+    _check_counts(source)
     log = logging.getLogger("trimesh")
     disabled, log.disabled = log.disabled, True
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(source, process=False, allow_remote=False)
-            count = sum(len(part.faces) for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh))
+            copies = sum(len(scene.geometry[name].faces) for name in _drawn(scene))
+            if copies > MAX_MODEL_TRIANGLES:
+                raise SourceError(source, f"{copies} triangles", f"at most {MAX_MODEL_TRIANGLES}")
+            parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    except SourceError:
+        raise
     except Exception as error:  # a broken file makes trimesh's readers fail in any way there is
         reason = " ".join(str(error).replace(source, "the file").split()) or type(error).__name__
         raise SourceError(source, f"cannot be read ({reason[:80]})", ALLOWED) from None
     finally:
         log.disabled = disabled
-    if not count:
+    if not parts:
         raise SourceError(source, "no triangle", ALLOWED)
-    return scene
+    return parts
+
+
+def _check_counts(source: str) -> None:
+    """Raise ``SourceError`` for a glTF file that states more numbers than a model may have, or fewer than none."""
+    if not source.lower().endswith(Y_UP_SUFFIXES):
+        return
+    try:
+        accessors = gltf_parts(Path(source), "accessors")
+    except (OSError, ValueError, RecursionError):
+        return  # said where it is loaded
+    for number, each in enumerate(accessors):
+        count = each.get("count")
+        if not isinstance(count, int) or not 0 <= count <= 3 * MAX_MODEL_TRIANGLES:
+            raise SourceError(source, f"accessor {number} of {count} numbers", f"0 to {3 * MAX_MODEL_TRIANGLES}")
+
+
+def _drawn(scene: trimesh.Scene) -> list[str]:
+    """The names of the meshes that a scene shows, once for each time."""
+    names = [str(scene.graph[node][1]) for node in scene.graph.nodes_geometry]
+    return [name for name in names if isinstance(scene.geometry.get(name), trimesh.Trimesh)]
+
+
+def _check_texture(source: str, part: trimesh.Trimesh) -> None:
+    """Raise ``SourceError`` for a picture that takes gigabytes when it is decoded."""
+    material = getattr(part.visual, "material", None)
+    image = material.baseColorTexture if isinstance(material, PBRMaterial) else getattr(material, "image", None)
+    if image is not None and image.width * image.height > MOST_TEXTURE_PIXELS:
+        raise SourceError(source, f"a texture of {image.width} x {image.height} pixels", f"at most {MOST_TEXTURE_PIXELS} pixels")
 
 
 def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import rasterio
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -24,7 +23,9 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.elevation import UNIT_WORDS
+from terrain.ground.georeference import check_cells
 from terrain.level.parts import METRES_PER_UNIT
+from terrain.level.rasters import open_raster
 from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
@@ -87,7 +88,7 @@ class Canopy:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
-                self._dataset = dataset = rasterio.open(source)
+                self._dataset = dataset = open_raster(source)
             crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
@@ -97,8 +98,7 @@ class Canopy:
         if crs is None:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
-        if dataset.transform.determinant == 0:
-            raise SourceError(source, str(tuple(dataset.transform)[:6]), "cells of a size above 0")
+        check_cells(source, dataset)
         unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
         self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
         self.rows, self.cols = dataset.height, dataset.width

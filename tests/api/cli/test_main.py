@@ -302,3 +302,11 @@ def test_truth_needs_no_opengl(tmp_path):
     assert done.returncode == 0, done.stderr
     said = json.loads((tmp_path / "s.json").read_text())
     assert said["device"] is None and said["plan"]["algorithm"] == {"sun": {"relief": "truth"}}
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-inf", "1e10"])
+@pytest.mark.parametrize("command", ["render", "select"])
+def test_a_clock_that_is_no_time_is_refused(run, tmp_path, command, seconds):
+    output = ["-o", str(tmp_path / "x.png")] if command == "render" else []
+    status, out, err = run(command, "jacksboro", f"--seconds={seconds}", *output)
+    assert (status, out, err.count("\n")) == (2, "", 1) and "--seconds" in err and "1e+09" in err

@@ -68,7 +68,7 @@ def test_bundled_levels_load():
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
         (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
-        ("[" * 3000, "my.yaml", "recursion", "well-formed YAML"),
+        ("[" * 3000, "my.yaml", "inside of one another", "well-formed YAML"),
     ],
 )
 def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, key, value, allowed):

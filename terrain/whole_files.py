@@ -1,0 +1,93 @@
+"""Files that are written whole or not at all: beside the place where they shall lie, and moved there when they are complete.
+
+A disk that fills up, an error or an interrupt leaves what lay there before, and nothing beside it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+_NAME_LENGTH = 60
+"""Characters of a file's name that the folder beside it takes over: names have 255 bytes at most."""
+
+
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write bytes, or text as UTF-8 with its line ends as they are. Raises ``OSError`` with the path."""
+    with replaced_whole(path) as part, part.open("wb") as file:
+        file.write(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+@contextmanager
+def replaced_whole(path: Path) -> Iterator[Path]:
+    """Where to write what shall become the file ``path``: a place of the same name in a folder beside it, for this alone.
+
+    When the block has ended the file there is synced to the disk and takes its place, with the rights of the one that it replaces.
+    A link stays, and what it leads to is replaced. What is no regular file (a pipe, ``/dev/stdout``) is written into.
+    Raises ``OSError`` with the path: also where the block raises one, or has written no file.
+    """
+    target = path.resolve()
+    # Named before it is made, so that an interrupt at any moment finds what to remove.
+    beside = f".{target.name[:_NAME_LENGTH]}.{secrets.token_hex(4)}"
+    folder = target.parent / beside
+    try:
+        mode = _writable_mode(target)
+        special = mode is not None and not stat.S_ISREG(mode)
+        if special:
+            folder = Path(tempfile.gettempdir()) / beside
+        folder.mkdir(0o700)
+        part = folder / target.name
+        yield part
+        _sync(part)
+        if special:
+            with part.open("rb") as source, target.open("wb") as sink:
+                shutil.copyfileobj(source, sink)
+            return
+        if mode is not None:
+            part.chmod(stat.S_IMODE(mode))
+        os.replace(part, target)
+        with suppress(OSError):  # a folder that may not be read: the file is there
+            _sync(target.parent)
+    except OSError as error:
+        if error.filename is not None and beside not in str(error.filename) and Path(str(error.filename)) != target:
+            raise  # of another file
+        number = error.errno or errno.EIO
+        raise OSError(number, error.strerror or str(error) or os.strerror(number), str(path)) from error
+    finally:
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+        except BaseException:  # an interrupt just now
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+
+def _writable_mode(target: Path) -> int | None:
+    """The mode of a file that may be written; ``None`` where there is none. Raises ``OSError``."""
+    try:
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return mode
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or a folder's names, are on the disk: some disks tell only then that they are full."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that know no sync
+            raise
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,154 @@
+"""Files that commands write: nothing that is read is written over, and a full disk harms no file."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from api.cli.outputs import check_targets
+from terrain.errors import InputError
+from terrain.level.level_source import LevelSource
+from tests.rasters import write_geotiff
+
+UTM = "EPSG:32633"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch) -> Path:
+    """A folder, the current one, with a level made of many files."""
+    monkeypatch.chdir(tmp_path)
+    row, col = np.mgrid[:90, :120].astype(np.float32)
+    ground = write_geotiff(tmp_path / "dem.tif", 300 * np.sin(col / 9) * np.cos(row / 13), UTM, 500e3, 5200e3, 30.0)
+    write_geotiff(tmp_path / "ortho.tif", np.zeros((3, 30, 40), np.uint8), UTM, 500e3, 5200e3, 90.0)
+    write_geotiff(tmp_path / "canopy.tif", np.zeros((90, 120), np.float32), UTM, 500e3, 5200e3, 30.0)
+    (tmp_path / "parts.vrt").write_text(
+        '<VRTDataset rasterXSize="1" rasterYSize="1"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">canopy.tif</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    (tmp_path / "mill.obj").write_text("mtllib mill.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "mill.mtl").write_text("newmtl wall\nmap_Kd -clamp on wall.png\n")
+    (tmp_path / "coarse.gltf").write_text(json.dumps({"asset": {"version": "2.0"}, "images": [{"uri": "roof.png"}]}))
+    for name in ("wall.png", "roof.png"):
+        (tmp_path / name).write_bytes(b"a picture")
+    level = {
+        "version": 1, "terrain": {"source": ground.name, "imagery": "ortho.tif"}, "forest": [{"source": "parts.vrt"}],
+        "meshes": [{"source": "mill.obj", "at": [500e3, 5200e3], "caster": "coarse.gltf"}],
+    }  # fmt: skip
+    (tmp_path / "level.yaml").write_text(json.dumps(level))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "level.yaml",
+        "dem.tif",
+        "ortho.tif",
+        "canopy.tif",
+        "parts.vrt",
+        "mill.obj",
+        "mill.mtl",
+        "wall.png",
+        "coarse.gltf",
+        "roof.png",
+    ],
+)
+def test_nothing_that_a_level_is_made_of_is_a_target(folder, name):
+    level = LevelSource(path=Path("level.yaml"))
+    (folder / "link").symlink_to(name)
+    os.link(folder / name, folder / "twin")
+    (folder / "sub").mkdir()
+    for spelt in (name, f"./sub/../{name}", str(folder / name), "link", "twin"):
+        with pytest.raises(InputError, match=rf"--output: .*{name}"):
+            check_targets(level, [("--output", Path(spelt))])
+
+
+def test_other_files_are_targets_be_they_there_or_not(folder):
+    (folder / "old.tif").write_bytes(b"old")
+    check_targets(
+        LevelSource(path=Path("level.yaml")), [("--output", Path("old.tif")), ("--stats", Path("new.json")), ("-x", None)]
+    )
+
+
+def test_a_commands_other_inputs_are_no_targets(folder):
+    source = LevelSource(path=Path("dem.tif"), canopy=Path("canopy.tif"))
+    for name in ("dem.tif", "canopy.tif", "ortho.tif"):
+        with pytest.raises(InputError, match=name):
+            check_targets(source, [("--output", Path(name))], Path("ortho.tif"))
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (("shade", "dem.tif", "-o", "dem.tif"), "dem.tif"),
+        (("shade", "dem.tif", "-o", "ortho.tif", "--like", "ortho.tif"), "ortho.tif"),
+        (("render", "dem.tif", "-o", "./dem.tif", "--layer", "mask"), "dem.tif"),
+        (("render", "level.yaml", "-o", "wall.png"), "wall.png"),
+        (("render", "level.yaml", "-o", "new.png", "--stats", "level.yaml"), "level.yaml"),
+        (("sunhours", "dem.tif", "-o", "dem.tif", "--date", "2024-03-21"), "dem.tif"),
+        (("point", "level.yaml", "15,46.9", "--picture", "roof.png"), "roof.png"),
+        (("select", "level.yaml", "--descriptor", "level.yaml"), "level.yaml"),
+        (("compare", "level.yaml", "--json", "level.yaml"), "level.yaml"),
+        (("compare", "level.yaml", "-o", "."), "png"),
+    ],
+)  # fmt: skip
+def test_commands_refuse_before_they_work(run, folder, options, name):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    status, out, err = run(*options)
+    assert (status, out, err.count("\n")) == (2, "", 1) and name in err and "another file" in err
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("output", ["mask.tif", "color.tif", "depth.npy", "color.png"])
+def test_a_full_disk_is_told_and_leaves_the_old_file(run, folder, full_disk, output):
+    layer = output.partition(".")[0]
+    (folder / output).write_bytes(b"old")
+    with full_disk(500):
+        status, _, err = run("render", "dem.tif", "--layer", layer, "--size", "200x200", "-o", output)
+    assert status == 1 and err.count("\n") == 1 and output in err
+    assert (folder / output).read_bytes() == b"old" and not list(folder.glob(".*"))
+
+
+@pytest.mark.parametrize("limit", [0, 700, 8000])
+def test_a_raster_on_a_full_disk_is_never_taken_for_written(run, folder, full_disk, limit):
+    with full_disk(limit):
+        status, _, err = run("shade", "dem.tif", "-o", "cosi.tif", "--layer", "cosi")
+    assert status == 1 and err.count("\n") == 1 and "cosi.tif" in err
+    assert not (folder / "cosi.tif").exists() and not list(folder.glob(".*"))
+
+
+def test_contours_and_hours_on_a_full_disk(run, folder, full_disk):
+    asked = ("sunhours", "dem.tif", "-o", "hours.tif", "--date", "2024-03-21", "--step", "1h", "--contours", "hours.gpkg")
+    assert run(*asked)[0] == 0  # its loops are compiled now, and kept in files of their own
+    (folder / "hours.gpkg").write_bytes(b"old")
+    with full_disk(90_000):  # enough for the raster
+        status, _, err = run(*asked)
+    assert status == 1 and err.count("\n") == 1 and "hours.gpkg" in err
+    assert (folder / "hours.gpkg").read_bytes() == b"old" and not list(folder.glob(".*"))
+    with rasterio.open("hours.tif") as dataset:
+        assert np.isfinite(dataset.read(1)).any()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_run_that_is_ended_leaves_nothing_beside_its_output(folder, number):
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times], stderr=subprocess.PIPE
+    )
+    until = time.monotonic() + 120
+    while not list(folder.glob(".m_*")) and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    process.send_signal(number)
+    process.communicate(timeout=120)
+    assert process.returncode not in (0, -number)
+    assert not list(folder.glob(".m_*")) and not list(folder.glob("m_*"))

@@ -1,0 +1,87 @@
+"""Numbers in addresses and queries: one spelling, that of ASCII digits."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
+from pydantic import BeforeValidator
+
+from api.http import routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles
+from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD, WholeNumber
+from api.http.parameters import AzimuthQuery
+from api.http.problems import install_problem_handlers
+
+ROUTERS = [module.router for module in (routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles)]
+
+
+class Client:
+    """Asks an application of two numbers in this process."""
+
+    def __init__(self) -> None:
+        self.app = FastAPI()
+        install_problem_handlers(self.app)
+
+        @self.app.get("/tiles/{z}")
+        async def tile(z: WholeNumber, azimuth: AzimuthQuery = None) -> list[Any]:
+            return [z, azimuth]
+
+    def get(self, address: str, **params: str) -> httpx.Response:
+        async def ask() -> httpx.Response:
+            async with httpx.AsyncClient(transport=httpx.ASGITransport(self.app), base_url="http://here") as client:
+                return await client.get(address, params=params or None)
+
+        return asyncio.run(ask())
+
+
+@pytest.fixture(scope="module")
+def client() -> Client:
+    return Client()
+
+
+@pytest.mark.parametrize("text", ["12.0", "1_2", "１２", "+12", "%2012", "12%20", "0x12", "1e1", "٣", "12²", "--1", "9" * 30])
+def test_another_spelling_of_a_whole_number_is_refused(client, text):
+    answer = client.get(f"/tiles/{text}")
+    assert answer.status_code == 422 and "integer" in answer.json()["detail"], answer.text
+
+
+@pytest.mark.parametrize(("text", "number"), [("0", 0), ("12", 12), ("-1", -1), ("007", 7)])
+def test_whole_numbers(client, text, number):
+    assert client.get(f"/tiles/{text}").json() == [number, None]
+
+
+@pytest.mark.parametrize("text", ["1_2", "１２", "1٣.5"])
+def test_another_spelling_of_a_number_is_refused(client, text):
+    answer = client.get("/tiles/1", azimuth=text)
+    assert answer.status_code == 422 and "number" in answer.json()["detail"], answer.text
+
+
+@pytest.mark.parametrize(("text", "number"), [("12", 12.0), ("-1.5", -1.5), ("1e2", 100.0), (" 235", 235.0), (".5", 0.5)])
+def test_numbers(client, text, number):
+    assert client.get("/tiles/1", azimuth=text).json() == [1, number]
+
+
+def parameters(dependant: Dependant) -> Iterator[Any]:
+    yield from (*dependant.path_params, *dependant.query_params)
+    for each in dependant.dependencies:
+        yield from parameters(each)
+
+
+def test_every_number_of_every_address_is_read_so():
+    seen = set()
+    for router in ROUTERS:
+        for route in router.routes:
+            for each in parameters(route.dependant) if isinstance(route, APIRoute) else ():
+                asked = str(each.field_info.annotation)
+                if not ("int" in asked or "float" in asked) or "constr" in asked:
+                    continue
+                seen.add(each.name)
+                readers = [read for read in each.field_info.metadata if isinstance(read, BeforeValidator)]
+                assert set(readers) & {PLAIN_WHOLE, PLAIN_DECIMAL, WHOLE_OR_WORD}, (route.path, each.name, asked)
+    assert {"z", "x", "y", "azimuth", "altitude", "lon", "lat", "seconds", "zoom", "year", "map_size"} <= seen

@@ -1,0 +1,132 @@
+"""The text of level files: what is small on paper must not be large in memory, nor reach a terminal as commands."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml.error import YAMLError
+
+from terrain.errors import InputError, LevelError, all_at_once, printable
+from terrain.level.level import load_level
+from terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
+
+HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
+
+LISTS = "a0: &a0 [1,1,1,1,1,1,1,1,1]\n" + "".join(f"a{n}: &a{n} [{','.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
+MERGES = "a0: &a0 {x: 1, y: 2}\n" + "".join(f"a{n}: &a{n} {{<<: [{','.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 12))
+CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, DEEPEST + 2))
+
+
+@pytest.fixture
+def level(tmp_path):
+    def write(text: str, name: str = "my.yaml"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (LISTS, "aliases spelt out"),
+        (MERGES, "aliases spelt out"),
+        (CHAIN, "inside of one another"),
+        ("a: &a [*a]\n", "an alias of what it lies in"),
+        ("a: " + "[" * 100_000, "inside of one another"),
+        ("a:\n  " + "- " * 100_000, "inside of one another"),
+        ("a: [" + "1," * (MOST_VALUES + 1) + "]", f"more than {MOST_VALUES} values"),
+        ('title: "\\e[2J"', "control character '\\x1b'"),
+        ('title: "\\ud800"', "control character '\\ud800'"),
+        ('"\\u009b2J": 1', "control character '\\x9b'"),
+    ],
+    ids=["lists", "merges", "chain", "itself", "brackets", "dashes", "values", "escape", "surrogate", "key"],
+)
+def test_what_would_harm_is_refused_in_one_short_line(level, text, said):
+    with pytest.raises(LevelError) as caught:
+        load_level(level(HEAD + text))
+    message = str(caught.value)
+    assert said in message and "line " in message and len(message) < 500 and message.isprintable()
+
+
+def test_anchors_aliases_and_merges_are_understood():
+    text = "a: &a {x: 1, y: [1, 2]}\nb: {<<: *a, x: 3}\nc: [*a, *a]\n"
+    a = {"x": 1, "y": [1, 2]}
+    assert parse_level_text(text) == {"a": a, "b": {"x": 3, "y": [1, 2]}, "c": [a, a]}
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=5))
+def test_aliases_count_as_what_they_stand_for(widths):
+    lines, count = ["a0: &a0 1"], 1
+    expected = 3  # the whole, the first key and its value
+    for number, width in enumerate(widths, start=1):
+        lines.append(f"a{number}: &a{number} [{','.join([f'*a{number - 1}'] * width)}]")
+        count = 1 + width * count
+        expected += 1 + count
+    if expected <= MOST_VALUES:
+        assert len(parse_level_text("\n".join(lines))) == len(widths) + 1
+    else:
+        with pytest.raises(YAMLError, match="aliases"):
+            parse_level_text("\n".join(lines))
+
+
+def test_a_text_without_end_is_not_read_to_its_end(level):
+    with pytest.raises(LevelError, match="more than 16777216 characters"):
+        load_level(level(HEAD + "title: " + "x" * MOST_CHARACTERS))
+
+
+@pytest.mark.parametrize("kind", ["pipe.yaml", "folder.yaml", "device.yaml"])
+def test_a_level_is_a_regular_file(tmp_path, kind):
+    path = tmp_path / kind
+    if kind == "pipe.yaml":
+        os.mkfifo(path)
+    elif kind == "folder.yaml":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(LevelError, match=f"a {kind.partition('.')[0]};"):
+        load_level(path)
+
+
+def test_a_message_shows_values_and_names_without_what_commands_a_terminal():
+    error = InputError("\x1b[31mname", "a\x9bvalue\u202e\ud800", "no \x07")
+    assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed; allowed: no \\x07"
+
+
+@given(st.text(st.characters(), max_size=30))
+def test_printable_text_can_be_encoded_and_has_one_line(text):
+    shown = printable(text)
+    shown.encode()
+    assert len(shown.splitlines()) <= 1 and "\x1b" not in shown
+    assert printable(shown) == shown
+
+
+def test_ordinary_text_is_printable_as_it_is():
+    for text in ("Großer Ötscher, 1893 m", "伊吹山", "a 'b' \\c", "🌲"):
+        assert printable(text) == text
+
+
+def test_a_file_whose_name_is_no_text_has_a_level_that_can_be_told(level, tmp_path):
+    path = level(HEAD)
+    strange = os.fsencode(tmp_path) + b"/\xff\x1b.yaml"
+    os.rename(path, strange)
+    loaded = load_level(os.fsdecode(strange))
+    assert loaded.name == "\\udcff\\x1b"
+    json.dumps(loaded.name, ensure_ascii=False).encode()
+
+
+def test_of_thousands_of_errors_a_hundred_are_told(level):
+    with pytest.raises(LevelError) as caught:
+        load_level(level(HEAD + "forest: [" + "{source: 1}," * 2_000 + "]"))
+    lines = str(caught.value).split("\n")
+    assert len(lines) == 101 and lines[0].startswith(str(level("", "x").parent)) and lines[-1].endswith("more are wrong")
+
+
+def test_all_of_a_few_errors_are_told():
+    errors = [InputError(f"n{n}", n, "other") for n in range(100)]
+    assert len(str(all_at_once(errors)).split("\n")) == 100

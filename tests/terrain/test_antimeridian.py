@@ -1,0 +1,54 @@
+"""A raster across the antimeridian, with longitudes beyond 180 degrees as many tools write them, is a level like any other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terrain.errors import InputError
+
+CELL = 0.6 / 240
+
+
+def hills(lon: float, lat: float, write_raster, make_scene, **keys):
+    row, col = np.mgrid[:240, :240]
+    heights = (3000 + 2500 * np.sin(col / 4) * np.cos(row / 6)).astype(np.float32)
+    path = write_raster(heights, "EPSG:4326", lon - 0.3, lat + 0.3, CELL, name=f"at{lon:g}.tif")
+    return make_scene(path, sun={"azimuth": 250, "altitude": 12}, **keys)
+
+
+@pytest.mark.parametrize("west", [179.7, -180.3])
+@pytest.mark.parametrize("lat", [-17.0, 66.0])
+def test_its_map_lies_in_its_utm_zone_and_holds_all_of_it(write_raster, make_scene, west, lat):
+    scene = hills(west + 0.3, lat, write_raster, make_scene)
+    view = scene.view()
+    zone = scene.map_crs.to_epsg()
+    assert zone in ((32701, 32760) if lat < 0 else (32601, 32660))
+    bounds = np.array(view.bounds)
+    metres = np.array([111_300 * np.cos(np.radians(lat)), 111_300]) * 0.6
+    np.testing.assert_allclose(bounds[2:] - bounds[:2], metres, rtol=0.15)
+
+
+def test_it_is_shaded_as_the_same_ground_is_elsewhere(write_raster, make_scene):
+    from selector.select import plan_of_view
+    from shadows.render import render_frame
+
+    shares = []
+    for lon in (180.0, 6.0):  # both between two zones
+        scene = hills(lon, -17.0, write_raster, make_scene)
+        frame = render_frame(
+            scene, scene.view(size=(96, 96)), plan_of_view(scene, scene.view(size=(96, 96)), "map", policy="rules")
+        )
+        assert 0.95 < frame.there.mean() < 1.0
+        shares.append((frame.visibility[frame.there] < 0.5).mean())
+    assert 0.05 < shares[1] < 0.95
+    assert shares[0] == pytest.approx(shares[1], abs=0.01)
+
+
+def test_where_a_crs_ends_it_is_told_what_helps(write_raster, make_scene):
+    scene = hills(180.0, -17.0, write_raster, make_scene)
+    with pytest.raises(InputError, match="crs: .*Pseudo-Mercator.*UTM zone, or bounds"):
+        scene.view(crs="EPSG:3857")
+    scene.view(crs="EPSG:4326")
+    scene.view(crs="EPSG:3460")  # Fiji's own
+    scene.view(crs="EPSG:3857", bounds=(20_005_000, -1_920_000, 20_035_000, -1_890_000))

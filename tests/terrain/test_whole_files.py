@@ -1,0 +1,113 @@
+"""Files are written whole or not at all, whatever ends the writing."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from terrain.whole_files import replaced_whole, write_whole
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_text_and_bytes_are_written_as_they_are(tmp_path):
+    write_whole(tmp_path / "a.txt", "Höhe\r\n")
+    write_whole(tmp_path / "b.bin", bytes(range(256)))
+    assert (tmp_path / "a.txt").read_bytes() == "Höhe\r\n".encode()
+    assert (tmp_path / "b.bin").read_bytes() == bytes(range(256))
+    assert names(tmp_path) == ["a.txt", "b.bin"]
+
+
+def test_a_disk_that_fills_up_leaves_the_file_that_was_there(tmp_path, full_disk):
+    path = tmp_path / "a.bin"
+    write_whole(path, b"old")
+    with full_disk(1000), pytest.raises(OSError, match="large") as caught:
+        write_whole(path, bytes(5000))
+    assert caught.value.filename == str(path)
+    assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_what_ends_the_writing_leaves_the_file_that_was_there_and_nothing_beside_it(tmp_path, error):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(error), replaced_whole(path) as part:
+        part.write_bytes(b"half of the new")
+        raise error
+    assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
+
+
+def test_writing_nothing_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError), replaced_whole(tmp_path / "a.bin"):
+        pass
+    assert names(tmp_path) == []
+
+
+def test_what_is_synced_before_it_takes_its_place(tmp_path, monkeypatch):
+    order = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr("terrain.whole_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
+    monkeypatch.setattr("terrain.whole_files.os.replace", lambda a, b: (order.append("replace"), replace(a, b)))
+    write_whole(tmp_path / "a.bin", b"new")
+    assert order == ["sync", "replace", "sync"]
+
+
+def test_a_file_keeps_its_rights_and_a_link_stays_one(tmp_path):
+    (tmp_path / "other").mkdir()
+    target = tmp_path / "other" / "a.bin"
+    target.write_bytes(b"old")
+    target.chmod(0o640)
+    (tmp_path / "link.bin").symlink_to(target)
+    write_whole(tmp_path / "link.bin", b"new")
+    assert target.read_bytes() == b"new" and stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert (tmp_path / "link.bin").is_symlink()
+
+
+def test_a_new_file_has_the_rights_of_new_files(tmp_path):
+    (tmp_path / "usual").write_bytes(b"")
+    write_whole(tmp_path / "a.bin", b"new")
+    assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_a_folder_and_a_file_without_a_folder_are_refused_by_their_own_name(tmp_path):
+    with pytest.raises(IsADirectoryError) as caught:
+        write_whole(tmp_path, b"new")
+    assert caught.value.filename == str(tmp_path)
+    with pytest.raises(FileNotFoundError) as missing:
+        write_whole(tmp_path / "nowhere" / "a.bin", b"new")
+    assert missing.value.filename == str(tmp_path / "nowhere" / "a.bin")
+
+
+def test_a_pipe_is_written_into(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    write_whole(pipe, b"new")
+    reader.join(30)
+    assert read == [b"new"] and names(tmp_path) == ["pipe"]
+
+
+def test_a_long_name_is_no_hindrance(tmp_path):
+    write_whole(tmp_path / ("x" * 251 + ".bin"), b"new")
+    assert names(tmp_path) == ["x" * 251 + ".bin"]
+
+
+def test_an_error_of_another_file_keeps_its_name(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught, replaced_whole(tmp_path / "a.bin"):
+        (tmp_path / "missing.txt").read_bytes()
+    assert caught.value.filename == str(tmp_path / "missing.txt")
+
+
+def test_this_module_needs_nothing_but_the_standard_library():
+    code = "import sys, terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
