@@ -109,7 +109,7 @@ def test_other_methods(client: Client):
 
 def test_a_level_that_breaks_while_it_is_served_is_not_the_clients_fault(hills_level: Path, tmp_path: Path):
     path = write_level(tmp_path, "soon_broken")
-    with running(create_app(Settings(workers=1), [hills_level, path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [hills_level, path], fake_workers.obedient)) as client:
         path.write_text("version: 7", encoding="utf-8")
         problem = check_problem(client.get("levels/soon_broken"), 500, "level", None)
         assert str(tmp_path) not in problem["detail"]

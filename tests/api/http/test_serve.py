@@ -19,7 +19,7 @@ SOON_S = 60
 SERVE = """
 import sys
 from pathlib import Path
-from api.http.app import serve
+from api.http.server import serve
 from api.settings import Settings
 
 if __name__ == "__main__":
