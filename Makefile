@@ -14,7 +14,7 @@ NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --n
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser hunt check notebook viewer viewer-if-possible chromium clean
+.PHONY: help setup run test test-long test-browser test-soak hunt check notebook viewer viewer-if-possible chromium clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
 	@echo "make test-browser  the viewer in Chromium, which is installed where it is missing"
+	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff and mypy"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
@@ -36,7 +37,7 @@ run: setup viewer-if-possible
 # Two processes (OpenGL has one thread in each), whole files to each: fixtures of a file are made once.
 # On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
 test: setup $(if $(CI),viewer,viewer-if-possible)
-	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser" $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser and not soak" $(ARGS)
 
 # The same two processes; files in the order of their names, but for the mutants, which go last.
 test-long: setup
@@ -45,6 +46,10 @@ test-long: setup
 # Without the viewer there is nothing to test: here it has to build.
 test-browser: setup viewer chromium
 	$(PYTEST) -m browser $(or $(ARGS),tests/browser)
+
+# One process: what is measured is the service's time, not that of other tests.
+test-soak: setup
+	$(PYTEST) -m soak $(or $(ARGS),tests/soak)
 
 # Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
 hunt: setup

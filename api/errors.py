@@ -44,6 +44,30 @@ class NotReadyError(BusyError):
     """No render process has warmed up yet."""
 
 
+class LaterError(BusyError):
+    """The service is busy; ``retry_after_s`` says when it expects to be less so."""
+
+    def __init__(self, message: str, retry_after_s: int | None = None) -> None:
+        self.retry_after_s = retry_after_s
+        super().__init__(message)
+
+
+class SetAsideError(LaterError):
+    """Pictures of this kind keep failing, and are not tried again for a while."""
+
+
+class TooManySunsError(LaterError):
+    """A client asks for more new suns than the settings allow."""
+
+
+class TooCostlyError(InputError):
+    """What is asked for is expected to take longer than a picture may."""
+
+
+class UnhealthyError(SkuggaError):
+    """A part of the service has ended that should not: it is to be started anew."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What an error means outside: HTTP status, exit status and a stable code.
@@ -67,13 +91,18 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
     TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
+    TooCostlyError: Outcome(422, WRONG_INPUT, "too_costly"),
     NotFoundError: Outcome(404, WRONG_INPUT, "not_found"),
     NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
     BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
+    LaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
+    SetAsideError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
+    TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
+    UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended; its log says which.", retry_after_s=30),
     RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn; the service's log says why."),
     WorkerCrashError: Outcome(
-        500, FAILED, "worker_crash", "The render process ended in the middle of this picture; another takes its place."
+        503, FAILED, "worker_crash", "Two render processes ended in the middle of this picture; others take their places.", 2
     ),
     GraphicsError: Outcome(
         503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30

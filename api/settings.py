@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from terrain.errors import InputError
+from terrain.errors import Fault, InputError
 
 MAX_DEFAULT_WORKERS = 4
 """Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
@@ -40,11 +40,20 @@ class Settings(BaseSettings):
         description="Where clients reach the service, for the addresses in TileJSON; default: as the request has it.",
     )
     access_log: bool = Field(default=False, description="Log every request.")
+    log_format: Literal["text", "json"] = Field(default="text", description="Lines of the log: words, or an object of JSON each.")
+    api_token: SecretStr | None = Field(
+        default=None, min_length=8, description="What clients have to show as `Authorization: Bearer ...`; default: nothing."
+    )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
         default=("*",), description="Origins whose pages may read the answers, separated by commas."
     )
+    max_connections: int = Field(default=1000, ge=1, description="Connections at a time, if there are file descriptors for them.")
+    client_timeout_s: float = Field(
+        default=20.0, gt=0, description="Seconds that a client may take to send a request's headers or body, or to read on."
+    )
     workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
     queue_length: int = Field(default=32, ge=1, description="Pictures that may wait to be drawn; more are refused.")
+    queue_timeout_s: float = Field(default=20.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
@@ -52,6 +61,23 @@ class Settings(BaseSettings):
     tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
     max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
+    level_check_s: float = Field(
+        default=1.0,
+        ge=0,
+        description="Seconds for which it is taken that a level's files have not changed since they were looked at.",
+    )
+    level_timeout_s: float = Field(
+        default=5.0, gt=0, description="Seconds that requests wait for a changed level to be read; then it is served as it was."
+    )
+    time_grain_s: int = Field(
+        default=60,
+        ge=0,
+        le=86400,
+        description="Seconds to whose multiples `time` is rounded, so that more requests share pictures.",
+    )
+    new_suns_per_minute: int = Field(
+        default=600, ge=0, description="Suns new to it that one address may ask to be drawn in a minute; 0: no limit."
+    )
     empty_tile: Literal["transparent", "204", "404"] = Field(
         default="transparent", description="Answer for a tile inside the zooms but off the data."
     )
@@ -66,6 +92,10 @@ class Settings(BaseSettings):
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
 
 
+_SECRETS = {"api_token"}
+"""Settings whose values are told to nobody."""
+
+
 def load_settings(**overrides: Any) -> Settings:
     """Settings of the environment, with the ones given (as from a command line) going before them.
 
@@ -78,4 +108,5 @@ def load_settings(**overrides: Any) -> Settings:
         field = str(detail["loc"][0])
         name = field if field in overrides else f"SKUGGA_{field.upper()}"
         allowed = detail["msg"].removeprefix("Input should be ")
-        raise InputError(name, detail["input"], allowed[:1].lower() + allowed[1:]) from None
+        value = Fault("not a value that it may have") if field in _SECRETS else detail["input"]
+        raise InputError(name, value, allowed[:1].lower() + allowed[1:]) from None

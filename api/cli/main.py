@@ -84,7 +84,7 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
     """Serve levels as map tiles over HTTP, with a viewer on /."""
-    from api.http.app import serve as run
+    from api.http.server import serve as run
     from api.settings import load_settings
 
     options = {"host": host, "port": port, "workers": workers}

@@ -23,7 +23,9 @@ asking again costs no rendering."""
 FACTS_S = 60
 """How long what is said of levels is fresh."""
 
-EXPOSED_HEADERS = ("ETag", "Retry-After", "Server-Timing", "X-Skugga-Algorithm", "X-Skugga-Caster-Reach")
+EXPOSED_HEADERS = (
+    "ETag", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm", "X-Skugga-Caster-Reach", "X-Skugga-Time",
+)  # fmt: skip
 """What pages of other origins may read."""
 
 
@@ -43,10 +45,10 @@ def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}"}
 
 
-def json_answer(request: Request, value: object) -> Response:
-    """A JSON answer, or 304 where the client has it."""
+def json_answer(request: Request, value: object, more: dict[str, str] | None = None) -> Response:
+    """A JSON answer with ``more`` headers, or 304 where the client has it."""
     answer = JSONResponse(value)
-    headers = cache_headers(tag_of(bytes(answer.body)), FACTS_S)
+    headers = cache_headers(tag_of(bytes(answer.body)), FACTS_S) | (more or {})
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     answer.headers.update(headers)

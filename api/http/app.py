@@ -1,14 +1,11 @@
-"""The HTTP service: an application of its routes, and the server that runs it."""
+"""The HTTP service: an application of its routes."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
-import uvicorn
 from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
@@ -17,35 +14,19 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import TooLargeError
 from api.http import problems, routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles, routes_viewer
 from api.http.answers import EXPOSED_HEADERS, VERSION
+from api.http.bearer_token import BearerToken
 from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.first_pictures import served_pictures
+from api.http.metrics import ServiceMetrics
+from api.http.new_suns import NewSuns
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
+from api.http.watching import CLIENT_GONE, KEPT, REQUEST_ID, Watched
 from api.settings import Settings
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
 from api.workers.worker_process import WorkerTarget
 from terrain.level.level_source import LevelSource
-
-CLIENT_GONE = 499
-"""Status in the access log of a request whose client has gone, as nginx has it; nobody reads it."""
-
-LAST_ANSWERS_S = 3
-"""How long a stopping server waits for clients to read their answers."""
-
-LOG_CONFIG: dict[str, Any] = {
-    "version": 1,
-    "disable_existing_loggers": False,
-    "formatters": {"line": {"format": "%(asctime)s %(levelname)s %(message)s"}},
-    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
-    "loggers": {
-        "skugga": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
-        "uvicorn.error": {"handlers": ["stderr"], "level": "WARNING", "propagate": False},
-        "uvicorn.access": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
-    },
-}
-
-log = logging.getLogger("skugga")
 
 
 def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_target: WorkerTarget = worker_main) -> FastAPI:
@@ -53,13 +34,10 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
     """
-    served = ServedLevels(levels, settings.remote_sources)
-    service = Service(
-        settings,
-        served,
-        Pool(settings, worker_target, lambda: served_pictures(served)),
-        EncodedTiles(settings.tile_cache_bytes),
-    )
+    served = ServedLevels(levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s)
+    pool, tiles = Pool(settings, worker_target, lambda: served_pictures(served)), EncodedTiles(settings.tile_cache_bytes)
+    metrics = ServiceMetrics(pool, tiles)
+    service = Service(settings, served, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -77,11 +55,14 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     app.add_middleware(SentBefore, service=service)
     app.add_middleware(
         CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"],
-        allow_headers=["Content-Type"],
+        allow_headers=["Content-Type", "Authorization", REQUEST_ID],
         expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(HeadAsGet)
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
+    if settings.api_token is not None:
+        app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
+    app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (routes_levels, routes_plan, routes_point, routes_tiles, routes_snapshot, routes_health):
@@ -105,7 +86,9 @@ class HeadAsGet:
         async def send_head(message: Message) -> None:
             await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
 
-        await self.app({**scope, "method": "GET"}, receive, send_head)
+        as_get = {**scope, "method": "GET"}
+        await self.app(as_get, receive, send_head)
+        scope.update({key: as_get[key] for key in (KEPT, "route") if key in as_get})
 
 
 class BoundedBody:
@@ -137,39 +120,6 @@ class BoundedBody:
             return message
 
         await self.app(scope, receive_some, send)
-
-
-class Server(uvicorn.Server):
-    """Says where it listens, and stops without waiting for pictures that are still to be drawn."""
-
-    def __init__(self, config: uvicorn.Config, service: Service) -> None:
-        super().__init__(config)
-        self._service = service
-
-    async def startup(self, sockets: Any = None) -> None:
-        """Listen."""
-        names = ", ".join(level.name for level in self._service.levels.all())
-        await super().startup(sockets)
-        if self.started:
-            host, port = self.servers[0].sockets[0].getsockname()[:2]
-            log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
-
-    async def shutdown(self, sockets: Any = None) -> None:
-        """End the render processes, answer what waits for them, and stop."""
-        await self._service.pool.close()
-        await super().shutdown(sockets)
-        log.info("Skugga has stopped")
-
-
-def serve(settings: Settings, levels: Sequence[Path | LevelSource]) -> None:
-    """Serve levels until SIGINT or SIGTERM. Raises as ``create_app`` does."""
-    app = create_app(settings, levels)
-    config = uvicorn.Config(
-        app, host=settings.host, port=settings.port, access_log=settings.access_log, log_config=LOG_CONFIG,
-        server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
-    )  # fmt: skip
-    with suppress(KeyboardInterrupt):
-        Server(config, app.state.service).run()
 
 
 async def _nobody_reads(request: Request, error: Exception) -> Response:

@@ -10,10 +10,15 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.http.answers import is_fresh
+from api.http.moments import TIME_HEADER, is_of_now
+from api.http.watching import KEPT
 from terrain.cache import MIB, Cache, Missing
 
 if TYPE_CHECKING:
     from api.http.service import Service
+
+KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
+"""The route in metrics and logs of tiles that are answered before one is looked for."""
 
 OVERHEAD_BYTES = 1024
 """What a kept tile, or its address, takes besides a body: headers, tags, and the cache's own."""
@@ -30,7 +35,8 @@ class EncodedTile:
     def answer(self, request: Request) -> Response:
         """The answer to a request; 304 where the client has it."""
         if is_fresh(request, self.headers["ETag"]):
-            return Response(status_code=304, headers={name: self.headers[name] for name in ("ETag", "Cache-Control")})
+            unchanged = {name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)}
+            return Response(status_code=304, headers=unchanged)
         return Response(self.body, headers=self.headers, media_type=self.media_type)
 
 
@@ -55,16 +61,32 @@ class EncodedTiles:
             "api.http.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
         )
         self._sent: Cache[_Sent] = Cache("api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES)
+        self.hits, self.misses = 0, 0
+
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes of all that is kept."""
+        return self._kept.nbytes
 
     def get(self, tag: str) -> EncodedTile | None:
-        """A tile that is kept."""
+        """A tile that is kept; counted, found or not."""
+        tile = self._found(tag)
+        self.hits, self.misses = self.hits + (tile is not None), self.misses + (tile is None)
+        return tile
+
+    def _found(self, tag: str) -> EncodedTile | None:
         tile = self._kept.get(tag)
         return None if isinstance(tile, Missing) else tile
 
     def put(self, request: Request, tile: EncodedTile, level: str, drawn: tuple[str | None, ...]) -> None:
-        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on (``drawn_by``)."""
+        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on (``drawn_by``).
+
+        An address that means now is not remembered: soon it means another tile.
+        """
         tag = tile.headers["ETag"]
         self._kept.put(tag, value=tile)
+        if is_of_now(request):
+            return
         self._sent.put(_address(request.scope), value=_Sent(tag, level, drawn))
 
     def sent_before(self, scope: Scope, service: Service) -> EncodedTile | None:
@@ -72,7 +94,9 @@ class EncodedTiles:
         sent = self._sent.get(_address(scope))
         if isinstance(sent, Missing) or sent.drawn != drawn_by(service, sent.level):
             return None
-        return self.get(sent.tag)
+        tile = self._found(sent.tag)
+        self.hits += tile is not None  # where it is not found, it is looked for again
+        return tile
 
 
 def drawn_by(service: Service, level: str) -> tuple[str | None, ...]:
@@ -96,4 +120,5 @@ class SentBefore:
         if tile is None:
             await self.app(scope, receive, send)
         else:
+            scope[KEPT] = KEPT_TILE
             await tile.answer(Request(scope))(scope, receive, send)

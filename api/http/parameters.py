@@ -11,15 +11,16 @@ from typing import Annotated, Any, cast, get_args
 from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 
+from api.http.moments import asked_sun
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
 from api.http.served_levels import names_in
+from api.http.service import service_of
 from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import Fault, InputError
-from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
 from terrain.level.setting import Setting
 from terrain.scene import MAX_PERSPECTIVE_PX
@@ -48,7 +49,13 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
     return refuse
 
 
-TimeQuery = Annotated[str | None, Query(description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00; default: the level's.")]
+TimeQuery = Annotated[
+    str | None,
+    Query(
+        description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00, or `current`; default: the level's. It is rounded "
+        "to the minute (a setting); `X-Skugga-Time` says to which."
+    ),
+]
 AzimuthQuery = Annotated[
     float | None, PLAIN_DECIMAL, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")
 ]
@@ -67,18 +74,22 @@ def _parameter(setting: Setting) -> Any:
 
 @takes_settings("pictures", _parameter)
 async def picture_query(
+    request: Request,
     time: TimeQuery = None,
     azimuth: AzimuthQuery = None,
     altitude: AltitudeQuery = None,
     **asked: Any,
 ) -> PictureRequest:
     """The dependency for pictures. Raises ``InputError``."""
-    return PictureRequest(sun=parse_sun(time, azimuth, altitude), overrides=_served(asked))
+    sun = asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
+    return PictureRequest(sun=sun, overrides=_served(asked))
 
 
-async def sun_query(time: TimeQuery = None, azimuth: AzimuthQuery = None, altitude: AltitudeQuery = None) -> SunSpec | None:
+async def sun_query(
+    request: Request, time: TimeQuery = None, azimuth: AzimuthQuery = None, altitude: AltitudeQuery = None
+) -> SunSpec | None:
     """The dependency for a sun alone; ``None``: the level's own. Raises ``InputError``."""
-    return parse_sun(time, azimuth, altitude)
+    return asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
 
 
 @takes_settings("plans", _parameter)
@@ -109,8 +120,8 @@ def _served(asked: dict[str, Any]) -> RequestedSettings:
     return overrides
 
 
-SUN_PARAMETERS = tuple(signature(sun_query).parameters)
-PICTURE_PARAMETERS = tuple(signature(picture_query).parameters)
+SUN_PARAMETERS = tuple(name for name in signature(sun_query).parameters if name != "request")
+PICTURE_PARAMETERS = tuple(name for name in signature(picture_query).parameters if name != "request")
 """What may be asked of any picture."""
 
 PLAN_PARAMETERS = tuple(signature(plan_query).parameters)

@@ -52,7 +52,8 @@ def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
     outcome = outcome_of(error)
     if outcome.public is not None:
         log.error("%s %s: %s: %s", request.method, request.url.path, outcome.code, error)
-    headers = None if outcome.retry_after_s is None else {"Retry-After": str(outcome.retry_after_s)}
+    retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
+    headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     # An error that is not the client's blames none of his parameters: its name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
     return problem_response(outcome.status, outcome.code, outcome.public or str(error), parameter, headers)

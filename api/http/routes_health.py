@@ -1,13 +1,14 @@
-"""Is it alive, and can it draw?"""
+"""Is it alive, can it draw, and how does it do?"""
 
 from __future__ import annotations
 
 from typing import Any
 
 from fastapi import APIRouter, Depends
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
-from api.errors import NotReadyError
+from api.errors import NotReadyError, UnhealthyError
+from api.http.metrics import MEDIA_TYPE_OF_METRICS
 from api.http.parameters import allow_only
 from api.http.problems import problem_docs
 from api.http.service import TheService
@@ -17,9 +18,11 @@ router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
 _UNCACHED = {"Cache-Control": "no-store"}
 
 
-@router.get("/healthz", summary="Whether the service is alive", response_model=dict[str, str])
-async def healthz() -> JSONResponse:
-    """Answers while the service runs, whether or not it can draw."""
+@router.get("/healthz", summary="Whether the service is alive", responses=problem_docs(503), response_model=dict[str, str])
+async def healthz(service: TheService) -> JSONResponse:
+    """Answers while the service runs, whether or not it can draw; 503 where it is to be started anew."""
+    if not service.pool.whole:
+        raise UnhealthyError("what keeps a render process running has ended")
     return JSONResponse({"status": "ok"}, headers=_UNCACHED)
 
 
@@ -33,3 +36,9 @@ async def readyz(service: TheService) -> JSONResponse:
         {"status": "ready", "renderer": pool.renderer, "workers": len(pool.pids), "queued": pool.queued},
         headers=_UNCACHED,
     )
+
+
+@router.get("/metrics", summary="Metrics", response_class=PlainTextResponse)
+async def metrics(service: TheService) -> Response:
+    """For Prometheus, in its text format."""
+    return Response(service.metrics.text(), headers=_UNCACHED, media_type=MEDIA_TYPE_OF_METRICS)

@@ -29,7 +29,7 @@ async def levels(request: Request, service: TheService) -> Response:
     `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
     `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.
     """
-    served = await run_in_threadpool(service.levels.all)
+    served = await service.all_levels()
     return json_answer(request, [level.summary() for level in served])
 
 

@@ -5,25 +5,22 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Query, Request
-from fastapi.responses import JSONResponse
-from starlette.concurrency import run_in_threadpool
+from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
 from api.errors import NotServedError
 from api.http.answers import json_answer
 from api.http.matrices import matrix_set_of
+from api.http.moments import time_headers
 from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
 from api.http.problems import problem_docs
+from api.http.sent_descriptor import SentDescriptor
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.service import TheService, cancel_on_disconnect
-from api.workers.jobs import DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
-from selector.choices import StandaloneRequest
-from selector.select import select
+from api.http.service import TheService
+from api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
 from shadows.plan import Plan
 from terrain.errors import InputError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN, Shadows
 from terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
@@ -58,9 +55,9 @@ async def plan(
     job = PlanJob(
         level=served.key, view=view_or_tiles, policy=wanted.policy, request=PictureRequest(sun=sun, overrides=wanted.overrides)
     )
-    answer = await cancel_on_disconnect(request, service.pool.run(job))
+    answer = await service.done(request, job)
     assert isinstance(answer, PlanAnswer)
-    return json_answer(request, json.loads(answer.plan_json))
+    return json_answer(request, json.loads(answer.plan_json), time_headers(request))
 
 
 @router.get(
@@ -81,9 +78,9 @@ async def descriptor(
     """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
     served = await service.level(level)
     job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
-    answer = await cancel_on_disconnect(request, service.pool.run(job))
+    answer = await service.done(request, job)
     assert isinstance(answer, DescriptorAnswer)
-    return json_answer(request, json.loads(answer.descriptor_json))
+    return json_answer(request, json.loads(answer.descriptor_json), time_headers(request))
 
 
 @router.post(
@@ -97,7 +94,7 @@ async def plan_of_descriptor(
     request: Request,
     service: TheService,
     described: Annotated[
-        Descriptor, Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.")
+        SentDescriptor, Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.")
     ],
     wanted: Annotated[PlanQuery, Depends(plan_query)],
 ) -> Any:
@@ -106,12 +103,12 @@ async def plan_of_descriptor(
     What levels ask of shadows and effects is not part of the facts: here all of it is automatic but for what the query asks.
     Predictions are for the service's own device.
     """
-    if wanted.policy == "predict":
-        await cancel_on_disconnect(request, service.pool.settled())
-    plan_request = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
-    overrides = wanted.overrides.for_selector()
-    plan = await run_in_threadpool(select, described, plan_request, overrides, wanted.policy, service.pool.device)
-    return JSONResponse(plan.model_dump(mode="json"), headers={"Cache-Control": "no-store"})
+    job = DescribedPlanJob(
+        descriptor_json=described.as_descriptor_json(), policy=wanted.policy, request=PictureRequest(overrides=wanted.overrides)
+    )
+    answer = await service.done(request, job)
+    assert isinstance(answer, PlanAnswer)
+    return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 
 
 def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:

@@ -11,10 +11,11 @@ from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, is_fresh, tag_of
+from api.http.moments import asked_sun, fresh_for, time_headers
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from api.http.parameters import TimeQuery, allow_only
 from api.http.problems import problem_docs
-from api.http.service import Service, TheService, cancel_on_disconnect
+from api.http.service import Service, TheService
 from api.point.horizon_formats import HORIZON_FORMATS
 from api.point.report import PointQuery, PointReport
 from api.point.track import MAX_POINTS, TrackPoint
@@ -176,10 +177,11 @@ async def _answer(
     media_type: str,
 ) -> Response:
     served = await service.level(level)
-    sun = parse_sun(time, None, None)
+    sun = asked_sun(request, time, None, None, service.settings.time_grain_s)
     job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
     tag = tag_of(served.version, level, "point", job.model_dump(exclude={"level"}, exclude_none=True))
-    headers = cache_headers(tag, OWN_SUN_S if sun is None and point.date is None else GIVEN_SUN_S)
+    fresh_s = fresh_for(request, OWN_SUN_S if sun is None and point.date is None else GIVEN_SUN_S)
+    headers = cache_headers(tag, fresh_s) | time_headers(request)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     return Response(await _run(request, service, job), headers=headers, media_type=media_type)
@@ -190,6 +192,6 @@ def _request(time: datetime | None) -> PictureRequest:
 
 
 async def _run(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
-    answer = await cancel_on_disconnect(request, service.pool.run(job))
+    answer = await service.done(request, job)
     assert isinstance(answer, PointAnswer)
     return answer.body

@@ -7,10 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.http.moments import fresh_for, time_headers
 from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
-from api.http.service import TheService, cancel_on_disconnect
+from api.http.service import TheService
 from api.layers import LAYERS, MEDIA_TYPES, PictureFormat
 from api.workers.block_tiles import check_format
 from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
@@ -59,13 +60,14 @@ async def snapshot(
     )  # fmt: skip
 
     tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s)
+    fresh_s = fresh_for(request, OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S)
+    of_time = time_headers(request)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
-    drawn = await cancel_on_disconnect(request, service.pool.run(job))
+    drawn = await service.done(request, job)
     assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *tag_parts), fresh_s)
+    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *tag_parts), fresh_s) | of_time
     headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
     return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
@@ -11,10 +12,11 @@ from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
+from api.http.moments import fresh_for, time_headers
 from api.http.numbers import WholeNumber
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
-from api.http.service import Service, TheService, cancel_on_disconnect
+from api.http.service import Service, TheService
 from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
 from api.workers.block_tiles import check_format, empty_tile, place_in_block
 from api.workers.jobs import BlockJob, BlockTiles, SunHoursJob
@@ -97,9 +99,10 @@ async def _answer(
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    fresh_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
+    fresh_s = fresh_for(request, OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S)
     tag_parts = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s)
+    of_time = time_headers(request)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -110,6 +113,7 @@ async def _answer(
 
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
+        tile = replace(tile, headers=tile.headers | headers)
         service.tiles.put(request, tile, name, (level.version, service.pool.renderer, service.pool.calibration))
         return tile.answer(request)
     (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
@@ -123,11 +127,11 @@ async def _answer(
     else:
         job = SunHoursJob(**where, query=wanted.sun_hours)
     kept = service.pool.finished(job) is not None
-    block = await cancel_on_disconnect(request, service.pool.run(job))
+    block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
     tag = tag_of(block.renderer, block.calibration, *tag_parts)
     made, again = (
-        cache_headers(tag, fresh_s) | drawn_headers(block, "block", kept, block.encode_ms)
+        cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])

@@ -34,7 +34,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
             return FileResponse(page, headers={"Cache-Control": "no-cache"})
-        levels = await run_in_threadpool(service.levels.all)
+        levels = await service.all_levels()
         items = "".join(
             f'<li>{escape(level.loaded.level.title or level.name)}: '
             f'<a href="levels/{quote(level.name)}/{DEFAULT_MATRIX_SET}/tilejson.json">TileJSON</a></li>'

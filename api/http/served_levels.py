@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from api.errors import NotServedError
+from api.http.file_stamps import Stamp, file_stamps, watched_files
+from api.http.level_checks import LevelCheck
 from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.layers import PICTURE_LAYERS
 from api.workers.jobs import LevelKey
@@ -36,7 +38,7 @@ class ServedLevel:
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
     a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
     whether the level names it or not), ``None`` for a view that cannot be drawn. ``warnings`` are sentences on what may be wrong
-    with it.
+    with it. ``files`` are those that it hangs on, its own first, each with its stamp when it was read.
     """
 
     loaded: LoadedLevel
@@ -48,6 +50,8 @@ class ServedLevel:
     zooms: dict[str, ZoomRange]
     view_sizes: dict[str, tuple[int, int] | None]
     warnings: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+    stamps: tuple[Stamp, ...] = ()
 
     @property
     def name(self) -> str:
@@ -123,47 +127,75 @@ class ServedLevels:
     ``InputError`` for a level that cannot be served, naming it.
     """
 
-    def __init__(self, sources: Sequence[Path | LevelSource], remote_sources: bool = False) -> None:
+    def __init__(
+        self,
+        sources: Sequence[Path | LevelSource],
+        remote_sources: bool = False,
+        fresh_s: float = 0.0,
+        wait_s: float = 60.0,
+    ) -> None:
         self._remote_sources = remote_sources
-        self._lock = threading.Lock()
-        self._levels: dict[str, tuple[tuple[Any, ...], ServedLevel]] = {}
+        self._checks: dict[str, LevelCheck[ServedLevel]] = {}
         for source in map(LevelSource.of, sources):
             level = self._read(source)
-            if level.name in self._levels:
+            if level.name in self._checks:
                 raise InputError("LEVEL", str(source.path), f"files of different names: a level '{level.name}' is served already")
-            self._levels[level.name] = _stamps(level.loaded), level
+            look = partial(self._look, level.name)
+            self._checks[level.name] = LevelCheck(level.name, level, look, fresh_s, wait_s)
+
+    async def current(self, name: str) -> ServedLevel:
+        """A level as it is now, or as it was last if reading it takes too long; no file is looked at in the event loop.
+
+        Raises ``NotServedError``, or what reading raises if it was broken since.
+        """
+        return await self._check(name).current()
 
     def get(self, name: str) -> ServedLevel:
-        """A level as it is now. Raises ``NotServedError``, or what reading raises if it was broken since."""
-        if name not in self._levels:
-            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(self._levels)}.")
-        with self._lock:
-            stamps, level = self._levels[name]
-            current_stamps = _stamps(level.loaded)
-            if current_stamps != stamps:
-                level = self._read(level.origin)
-                self._levels[name] = _stamps(level.loaded), level
-                log.info("level %s has changed and was read anew", name)
-            return level
+        """A level as it is now, however long that takes. Raises as ``current`` does."""
+        return self._check(name).now()
 
     def version_now(self, name: str) -> str | None:
-        """The version of a level whose files have not changed since it was read; ``None`` where they have, or there is none."""
-        stamps, level = self._levels.get(name, (None, None))
-        return level.version if level is not None and _stamps(level.loaded) == stamps else None
+        """The version of a level of which it is known that its files have not changed lately; no file is looked at."""
+        level = self._checks[name].known() if name in self._checks else None
+        return None if level is None else level.version
 
     def known(self) -> list[ServedLevel]:
         """All levels as they were last read: no file is looked at."""
-        return [level for _, level in self._levels.values()]
+        return [check.value for check in self._checks.values()]
+
+    def names(self) -> list[str]:
+        """The levels' names."""
+        return list(self._checks)
+
+    def look_again(self) -> None:
+        """Look at the files of every level when it is next asked for."""
+        for check in self._checks.values():
+            check.expire()
 
     def all(self) -> list[ServedLevel]:
         """All levels as they are now; one that was broken since is left out."""
         levels = []
-        for name in self._levels:
+        for name in self._checks:
             try:
                 levels.append(self.get(name))
             except SkuggaError as error:
                 log.error("level %s: %s", name, error)
         return levels
+
+    def _check(self, name: str) -> LevelCheck[ServedLevel]:
+        if name not in self._checks:
+            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(self._checks)}.")
+        return self._checks[name]
+
+    def _look(self, name: str) -> ServedLevel:
+        """A level, read anew if a file of its has changed, or if it could not be read last time."""
+        check = self._checks[name]
+        level = check.value
+        if check.error is None and file_stamps(level.files) == level.stamps:
+            return level
+        read = self._read(level.origin)
+        log.info("level %s has changed and was read anew", name)
+        return read
 
     def _read(self, origin: LevelSource) -> ServedLevel:
         loaded, path = load_level(origin), origin.path
@@ -180,9 +212,11 @@ class ServedLevels:
                 f"{path}: shadows.fit", "tight", "auto or stable in a served level: tiles with a tight fit do not join"
             )
         # Without its sun: a time needs the sun's library, which the service may never need.
+        files = watched_files(loaded)
+        stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look
         scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
         try:
-            return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene)
+            return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene, files, stamps)
         finally:
             scene.close()
 
@@ -194,7 +228,9 @@ def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
     return {name for kinds in expand_override(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
 
 
-def _served(loaded: LoadedLevel, origin: LevelSource, scene: Scene) -> ServedLevel:
+def _served(
+    loaded: LoadedLevel, origin: LevelSource, scene: Scene, files: tuple[Path, ...], stamps: tuple[Stamp, ...]
+) -> ServedLevel:
     world, bounds, data_bounds, zooms = scene.world, scene.bounds_lon_lat, None, {}
     if bounds is not None:
         west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
@@ -204,12 +240,12 @@ def _served(loaded: LoadedLevel, origin: LevelSource, scene: Scene) -> ServedLev
         cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
         zooms_by_set = {name: zoom_range(matrix_set, world, bounds, cell_m) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
-    text = repr((loaded.digest, *(_stamp(Path(source)) for source in loaded.sources)))
+    text = repr((loaded.digest, stamps[1:]))  # the level's own text is in the digest
     version = hashlib.sha256(text.encode()).hexdigest()[:16]
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
     for text in scene.warnings:
         log.warning("level %s: %s", loaded.name, text)
-    return ServedLevel(loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.warnings)
+    return ServedLevel(loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.warnings, files, stamps)
 
 
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
@@ -219,16 +255,3 @@ def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
         log.warning("level %s: view %s cannot be drawn: %s", scene.loaded.name, name, error)
         return None
     return view.cols, view.rows
-
-
-def _stamps(loaded: LoadedLevel) -> tuple[Any, ...]:
-    return _stamp(loaded.path), *(_stamp(Path(source)) for source in loaded.sources)
-
-
-def _stamp(path: Path) -> tuple[int, int] | None:
-    """Time of the last change and size of a file; ``None`` where there is no such file, as for bundled data."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Coroutine
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
-from starlette.concurrency import run_in_threadpool
 
 from api.http.encoded_tiles import EncodedTiles
+from api.http.metrics import ServiceMetrics
+from api.http.new_suns import NewSuns
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
+from api.workers.jobs import DescribedPlanJob, Job, Result
 from api.workers.pool import Pool
+from terrain.errors import SkuggaError
 
 T = TypeVar("T")
+
+log = logging.getLogger("skugga")
 
 
 @dataclass(frozen=True)
@@ -26,10 +32,33 @@ class Service:
     levels: ServedLevels
     pool: Pool
     tiles: EncodedTiles
+    new_suns: NewSuns
+    metrics: ServiceMetrics
 
     async def level(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
-        return await run_in_threadpool(self.levels.get, name)
+        return await self.levels.current(name)
+
+    async def all_levels(self) -> list[ServedLevel]:
+        """All levels as they are now; one that was broken since is left out."""
+        names = self.levels.names()
+        found = await asyncio.gather(*(self.levels.current(name) for name in names), return_exceptions=True)
+        for name, level in zip(names, found, strict=True):
+            if isinstance(level, BaseException) and not isinstance(level, SkuggaError):
+                raise level
+            if isinstance(level, SkuggaError):
+                log.error("level %s: %s", name, level)
+        return [level for level in found if isinstance(level, ServedLevel)]
+
+    async def done(self, request: Request, job: Job) -> Result:
+        """A job's answer, for as long as the client waits for it.
+
+        Raises ``TooManySunsError`` for a client that asks for too many suns, ``ClientGoneError``, and what ``Pool.run`` raises.
+        """
+        if job.request.sun is not None and self.pool.finished(job) is None:
+            level = None if isinstance(job, DescribedPlanJob) else job.level
+            self.new_suns.take(request.client.host if request.client else "", (level, job.request.sun))
+        return await cancel_on_disconnect(request, self.pool.run(job))
 
 
 class ClientGoneError(Exception):

@@ -128,6 +128,14 @@ class DescriptorJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
+class DescribedPlanJob(_Value):
+    """Make the plan of a descriptor, as JSON: of a scene that is known by its facts alone."""
+
+    descriptor_json: str
+    policy: ServedPolicy = "predict"
+    request: PictureRequest = PictureRequest()
+
+
 class SnapshotJob(_Value):
     """Draw a level's view and encode one layer of it.
 
@@ -181,7 +189,17 @@ class PointsJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
-Job = BlockJob | SunHoursJob | PlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+Job = BlockJob | SunHoursJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+
+
+@dataclass(frozen=True)
+class Ping:
+    """Asks an idle render process whether it still answers."""
+
+
+@dataclass(frozen=True)
+class Pong:
+    """It does."""
 
 
 @dataclass(frozen=True)

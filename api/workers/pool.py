@@ -1,21 +1,24 @@
 """The render processes of a service: a bounded queue before them, one render for all who want the same, finished pictures
-kept, and a service that goes on when a process hangs or dies."""
+kept, and a service that goes on when a process hangs, is stopped or dies."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections import OrderedDict
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from api.device_calibration import digest_of
-from api.errors import WorkerCrashError
+from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.settings import Settings, cores
-from api.workers.jobs import Answer, BlockTiles, Failure, Job, Result, ServedPictures, Snapshot
+from api.workers.job_queue import JobQueue, PendingJob
+from api.workers.jobs import Answer, BlockTiles, DescribedPlanJob, Failure, Job, Ping, Result, ServedPictures, Snapshot
+from api.workers.process_life import is_stopped
 from api.workers.render_worker import WorkerConfig, worker_main
+from api.workers.set_aside import SetAside
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
@@ -26,26 +29,34 @@ if TYPE_CHECKING:
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
 
+PING_EVERY_S, PONG_S = 5.0, 5.0
+"""How long a process may be idle before it is asked whether it still answers, and how long it may take to."""
+
+LONGEST_RETRY_S = 120
+"""The latest that a refused client is told to come back."""
+
+TRIES = 2
+"""How often a job is begun whose process dies in the middle of it."""
+
 log = logging.getLogger("skugga")
-
-
-@dataclass(eq=False)
-class _PendingJob:
-    """A job on its way, and how many wait for it."""
-
-    job: Job
-    answer: asyncio.Future[Answer]
-    waiting: int = 0
 
 
 @dataclass
 class PoolCounters:
-    """What the pool has done since it was started."""
+    """What the pool has done since it was started.
+
+    ``refused`` found no place or a kind that is set aside, ``expired`` waited for too long, ``timed_out`` took too long,
+    ``retried`` lost their process and were begun again.
+    """
 
     answered: int = 0
     failed: int = 0
     abandoned: int = 0
     started: int = 0
+    refused: int = 0
+    expired: int = 0
+    timed_out: int = 0
+    retried: int = 0
 
 
 class Pool:
@@ -63,13 +74,19 @@ class Pool:
     ) -> None:
         self._settings = settings
         self._target, self._served = target, served
-        self._config = WorkerConfig(gl_threads=max(cores() // settings.workers, 1), expect_renderer=settings.expect_renderer)
-        self._threads = ThreadPoolExecutor(settings.workers, "skugga-pipe")
+        self._config = WorkerConfig(
+            gl_threads=max(cores() // settings.workers, 1),
+            expect_renderer=settings.expect_renderer,
+            most_ms=settings.render_timeout_s * 1000.0,
+        )
+        # Twice as many: a process that cannot be killed keeps its thread, and another one takes its place.
+        self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
             "api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
         )
-        self._flights: dict[Job, _PendingJob] = {}
-        self._queue: OrderedDict[Job, _PendingJob] = OrderedDict()
+        self._flights: dict[Job, PendingJob] = {}
+        self._queue = JobQueue(settings.workers)
+        self._set_aside = SetAside()
         self._news = asyncio.Event()
         self._slots: list[asyncio.Task[None]] = []
         self._start_error: SkuggaError | None = None
@@ -79,11 +96,17 @@ class Pool:
         self.device: DeviceProfile | None = None
         self.pids: set[int] = set()
         self.tally = PoolCounters()
+        self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda drawn: None
 
     @property
     def ready(self) -> bool:
-        """Whether a render process has warmed up."""
-        return bool(self.pids)
+        """Whether a render process has warmed up, and was not stopped since."""
+        return any(not is_stopped(pid) for pid in self.pids)
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything that keeps render processes running still does."""
+        return self._closed or not any(slot.done() for slot in self._slots)
 
     @property
     def calibration(self) -> str:
@@ -98,6 +121,16 @@ class Pool:
     def queued(self) -> int:
         """Jobs that wait for a process."""
         return len(self._queue)
+
+    @property
+    def running(self) -> int:
+        """Jobs that processes work on."""
+        return len(self._queue.running)
+
+    @property
+    def kept_bytes(self) -> int:
+        """Bytes of the finished blocks and snapshots that are kept."""
+        return self._finished.nbytes
 
     def finished(self, job: Job) -> BlockTiles | Snapshot | None:
         """A block or a snapshot that is kept."""
@@ -121,9 +154,9 @@ class Pool:
     async def run(self, job: Job) -> Result:
         """The answer to a job, from memory where it is kept.
 
-        Raises ``BusyError`` where the queue is full, ``GraphicsError`` where no process can be started,
-        ``RenderTimeoutError``, ``WorkerCrashError``, and what the work itself raises. A job that nobody waits for any
-        more is dropped unless it has begun.
+        Raises ``LaterError`` where the queue is full or its turn does not come in time, ``SetAsideError`` where such jobs keep
+        failing, ``GraphicsError`` where no process can be started, ``RenderTimeoutError``, ``WorkerCrashError``, and what the work
+        itself raises. A job that nobody waits for any more is dropped unless it has begun.
         """
         kept = self.finished(job)
         if kept is not None:
@@ -134,27 +167,52 @@ class Pool:
             answer = await asyncio.shield(flight.answer)
         finally:
             flight.waiting -= 1
-            if not flight.waiting and self._queue.get(job) is flight:
-                del self._queue[job], self._flights[job]
+            if not flight.waiting and self._queue.waiting.get(job) is flight:
+                self._forget(flight)
                 flight.answer.cancel()
                 self.tally.abandoned += 1
         if isinstance(answer, Failure):
             raise answer.error()
         return answer
 
-    def _enqueue(self, job: Job) -> _PendingJob:
+    def _enqueue(self, job: Job) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
-        if self._start_error is not None and not self.ready:
+        if self._start_error is not None and not self.pids:
             raise GraphicsError(str(self._start_error))
+        loop = asyncio.get_running_loop()
+        left_s = self._set_aside.seconds_left(job)
+        if left_s > 0.0:
+            self.tally.refused += 1
+            raise _set_aside(job, left_s)
         if len(self._queue) >= self._settings.queue_length:
-            raise BusyError(f"The service is busy: {len(self._queue)} pictures are waiting to be drawn.")
-        flight = _PendingJob(job, asyncio.get_running_loop().create_future())
+            self.tally.refused += 1
+            message = f"The service is busy: {len(self._queue)} pictures are waiting to be drawn."
+            raise LaterError(message, _retry_s(self._queue.drained_s()))
+        wait_s = self._queue.wait_s(job, loop.time())
+        # Before the first process is ready there is no telling how long anything takes.
+        if self.pids and wait_s > self._queue.longest_wait_s(job, loop.time(), self._settings.queue_timeout_s):
+            self.tally.refused += 1
+            raise LaterError(f"The service is busy: the wait is expected to be {wait_s:.1f} s.", _retry_s(wait_s))
+        flight = PendingJob(job, loop.create_future(), loop.time())
         # An error that nobody waits for any more is no news.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
-        self._flights[job] = self._queue[job] = flight
+        flight.expires = loop.call_later(self._settings.queue_timeout_s, self._expire, flight)
+        self._flights[job] = flight
+        self._queue.put(flight)
         self._news.set()
         return flight
+
+    def _expire(self, flight: PendingJob) -> None:
+        """Its turn has not come in time. Before the first process is ready, or while none is, waiting is limited by their start."""
+        if self._queue.waiting.get(flight.job) is not flight:
+            return
+        if not self._settled.is_set():
+            flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
+            return
+        self.tally.expired += 1
+        waited = f"The service is busy: this picture's turn did not come within {self._settings.queue_timeout_s:g} s."
+        self._land(flight, LaterError(waited, _retry_s(self._queue.drained_s())))
 
     async def _slot(self, first: bool) -> None:
         """Keep one process running, whatever happens to it. The first to start compiles what the others then find compiled."""
@@ -164,26 +222,33 @@ class Pool:
         while True:
             if failures > 1:
                 await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
-            config = replace(self._config, served=self._served())
-            worker = WorkerProcess(self._target, config, self._threads, self._news.set)
             try:
-                healthy = await self._start_and_serve(worker)
-            finally:
-                self.pids.discard(worker.pid or 0)
-                await worker.end()
+                healthy = await self._one_process()
+            except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
+                log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
+                self._could_not_start(GraphicsError(f"a render process cannot be started: {error}"))
+                healthy = False
             failures = 0 if healthy else failures + 1
 
+    async def _one_process(self) -> bool:
+        """Whether a process was started, and ended in good order or at least after having taken a job."""
+        served = await asyncio.get_running_loop().run_in_executor(self._threads, self._served)
+        config = replace(self._config, served=served)
+        worker = WorkerProcess(self._target, config, self._threads, self._news.set)
+        try:
+            return await self._start_and_serve(worker)
+        finally:
+            self.pids.discard(worker.pid or 0)
+            await worker.end()
+
     async def _start_and_serve(self, worker: WorkerProcess) -> bool:
-        """Whether the process ended in good order or at least after good work."""
         try:
             began = asyncio.get_running_loop().time()
             ready = await worker.start(self._settings.start_timeout_s)
             self.renderer, self.device = ready.renderer, ready.device
         except SkuggaError as error:
             log.error("a render process could not be started: %s", error)
-            self._start_error = error
-            if not self.ready:
-                self._fail_all(GraphicsError(str(error)), list(self._queue.values()))
+            self._could_not_start(error)
             return False
         finally:
             self._settled.set()
@@ -194,36 +259,93 @@ class Pool:
         log.info("render process %s ready after %.1f s: %s", worker.pid, took, self.renderer)
         return await self._serve(worker)
 
+    def _could_not_start(self, error: SkuggaError) -> None:
+        self._start_error = error
+        self._settled.set()
+        if not self.pids:
+            self._fail_all(GraphicsError(str(error)), list(self._queue.waiting.values()))
+
     async def _serve(self, worker: WorkerProcess) -> bool:
+        """Whether the process took any job: what ends it after that is the job's doing, and no failed start."""
         for count in range(self._settings.recycle_blocks):
             flight = await self._next(worker)
             if flight is None:
-                log.error("render process %s died while it was idle", worker.pid)
                 return count > 0
             try:
                 answer = await worker.ask(flight.job, self._settings.render_timeout_s)
-            except (RenderTimeoutError, WorkerCrashError) as error:
+            except WorkerCrashError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
+                self._try_again(flight, error)
+                return True
+            except RenderTimeoutError as error:
+                log.error("render process %s is replaced: %s", worker.pid, error)
+                self.tally.timed_out += 1
+                self._queue.expected.learn(flight.job, self._settings.render_timeout_s)
                 self._land(flight, error)
-                return count > 0
-            self._land(flight, answer)
+                self._fails(flight.job)
+                return True
+            except Exception as error:  # this place's own fault: whoever waits must not wait for ever
+                self._land(flight, WorkerCrashError(f"the render process's place failed: {error!r}"))
+                raise
             if isinstance(answer, Failure) and answer.fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
-                return count > 0
+                self._try_again(flight, answer)
+                return True
+            self._land(flight, answer)
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
-    async def _next(self, worker: WorkerProcess) -> _PendingJob | None:
-        """The next job of the queue; ``None`` where the process dies while it waits for one."""
+    async def _next(self, worker: WorkerProcess) -> PendingJob | None:
+        """The next job of the queue; ``None`` where the process dies, or does not answer any more, while it waits for one."""
+        loop = asyncio.get_running_loop()
         while not worker.dead:
-            if self._queue:
-                return self._queue.popitem(last=False)[1]
+            flight = self._queue.take(loop.time())
+            if flight is not None:
+                if flight.expires is not None:
+                    flight.expires.cancel()
+                return flight
             self._news.clear()
-            await self._news.wait()
+            try:
+                await asyncio.wait_for(self._news.wait(), PING_EVERY_S)
+            except TimeoutError:
+                try:
+                    await worker.ask(Ping(), PONG_S)
+                except (RenderTimeoutError, WorkerCrashError):
+                    log.error("render process %s is replaced: it does not answer any more", worker.pid)
+                    return None
+        log.error("render process %s died while it was idle", worker.pid)
         return None
 
-    def _land(self, flight: _PendingJob, answer: Answer | SkuggaError) -> None:
-        self._flights.pop(flight.job, None)
+    def _try_again(self, flight: PendingJob, outcome: Failure | SkuggaError) -> None:
+        """Begin a job again whose process ended in the middle of it, once, if anybody still waits; else tell how it ended."""
+        if flight.begun < TRIES and flight.waiting and not self._closed:
+            self._queue.discard(flight)
+            self._queue.put(flight)
+            self._news.set()
+            self.tally.retried += 1
+            flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
+            return
+        self._land(flight, outcome)
+        self._fails(flight.job)
+
+    def _fails(self, job: Job) -> None:
+        """Note that a job ended its process, and refuse those of its kind that wait where that was once too often."""
+        self._set_aside.failed(job)
+        left_s = self._set_aside.seconds_left(job)
+        if left_s <= 0.0:
+            return
+        log.error("%s is set aside for %.0f s", _named(job), left_s)
+        for flight in list(self._queue.waiting.values()):
+            if self._set_aside.seconds_left(flight.job) > 0.0:
+                self._land(flight, _set_aside(flight.job, left_s))
+
+    def _land(self, flight: PendingJob, answer: Answer | SkuggaError) -> None:
+        if flight.began_s is not None and not isinstance(answer, SkuggaError | Failure):
+            self._queue.expected.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
+            self._set_aside.succeeded(flight.job)
+        self._forget(flight)
+        if flight.answer.done():
+            return
         if isinstance(answer, SkuggaError):
             self.tally.failed += 1
             flight.answer.set_exception(answer)
@@ -231,9 +353,33 @@ class Pool:
             self.tally.answered += 1
             if isinstance(answer, BlockTiles | Snapshot):
                 self._finished.put(flight.job, value=answer)
+                self.on_drawn(answer)
             flight.answer.set_result(answer)
 
-    def _fail_all(self, error: SkuggaError, flights: list[_PendingJob]) -> None:
+    def _forget(self, flight: PendingJob) -> None:
+        if flight.expires is not None:
+            flight.expires.cancel()
+        if self._flights.get(flight.job) is flight:
+            del self._flights[flight.job]
+        self._queue.discard(flight)
+        self._news.set()  # whoever waits for a place of its kind may have it now
+
+    def _fail_all(self, error: SkuggaError, flights: list[PendingJob]) -> None:
         for flight in flights:
-            self._queue.pop(flight.job, None)
             self._land(flight, error)
+
+
+def _named(job: Job) -> str:
+    if isinstance(job, DescribedPlanJob):
+        return "A plan of such a descriptor"
+    asked = " with these settings" if job.request.overrides.asked else ""
+    return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{asked}"
+
+
+def _set_aside(job: Job, left_s: float) -> SetAsideError:
+    message = f"{_named(job)} took too long, or ended its process, several times: it is tried again later."
+    return SetAsideError(message, _retry_s(left_s))
+
+
+def _retry_s(seconds: float) -> int:
+    return min(max(math.ceil(seconds), 1), LONGEST_RETRY_S)

@@ -12,12 +12,12 @@ import time as clock
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration, digest_of
+from api.errors import TooCostlyError
 from api.layers import LAYERS, encode_picture, picture_layer
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import NOT_ASKED, PicturedBlock, cut_tiles, encoded_tiles
@@ -25,15 +25,18 @@ from api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
+    DescribedPlanJob,
     DescriptorAnswer,
     DescriptorJob,
     Failure,
     Job,
     LevelKey,
+    Ping,
     PlanAnswer,
     PlanJob,
     PointJob,
     PointsJob,
+    Pong,
     Preparing,
     Ready,
     Result,
@@ -44,17 +47,20 @@ from api.workers.jobs import (
     Tiles,
 )
 from api.workers.point_jobs import point_answer, points_answer
-from selector.select import plan_of_view
+from api.workers.process_life import end_with_parent, resident_bytes, stand_back
+from selector.choices import StandaloneRequest
+from selector.select import plan_of_view, select
 from shadows.ground_pictures import ShownMap, shown_map
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
 from terrain.describe import describe
-from terrain.errors import GraphicsError, RenderError, SkuggaError
+from terrain.errors import Fault, GraphicsError, RenderError, SkuggaError
+from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
-from terrain.level.level import load_level
+from terrain.level.level import SUN, Shadows, load_level
 from terrain.scene import Scene, build_scene
 
 if TYPE_CHECKING:
@@ -84,20 +90,13 @@ log = logging.getLogger("skugga.worker")
 @dataclass(frozen=True)
 class WorkerConfig:
     """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
-    ``served``.
+    ``served``, and refuses pictures that are expected to take more than ``most_ms``.
     """
 
     gl_threads: int
     expect_renderer: str | None = None
     served: tuple[ServedPictures, ...] = ()
-
-
-def resident_bytes() -> int:
-    """Memory that this process takes now; 0 where the system has no ``/proc`` to say."""
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return 0
+    most_ms: float | None = None
 
 
 class SceneCache:
@@ -155,6 +154,7 @@ class WorkerState:
 
     renderer: str
     device: DeviceProfile | None = None
+    most_ms: float | None = None
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
     blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
@@ -183,6 +183,8 @@ def _block(grid: Grid, x: int, y: int) -> MapView:
 
 def run_job(job: Job, state: WorkerState) -> Result:
     """Do a job. Raises ``SkuggaError``."""
+    if isinstance(job, DescribedPlanJob):
+        return _plan_of_facts(job, state)
     scene = job.request.seen(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
     match job:
@@ -202,10 +204,27 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
-            frame = render_frame(scene, view, plan_of_view(scene, view, job.view, overrides, device=state.device))
+            plan = plan_of_view(scene, view, job.view, overrides, device=state.device)
+            _check_cost(plan, f"{view.cols}x{view.rows}", state)
+            frame = render_frame(scene, view, plan)
             start = clock.perf_counter()
             body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
             return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state))
+
+
+def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
+    described = Descriptor.model_validate_json(job.descriptor_json)
+    asked = StandaloneRequest(Shadows(), (SUN, *(lamp for lamp in described.light_kinds if lamp != SUN)))
+    plan = select(described, asked, job.request.overrides.for_selector(), job.policy, state.device)
+    return PlanAnswer(plan.model_dump_json())
+
+
+def _check_cost(plan: Plan, size: str, state: WorkerState) -> None:
+    """Raise ``TooCostlyError`` where a calibrated device is expected to take longer than a picture may."""
+    expected_ms = None if plan.predicted is None else plan.predicted.ms
+    if state.most_ms is not None and expected_ms is not None and expected_ms > state.most_ms:
+        reason = Fault(f"{size} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s")
+        raise TooCostlyError("size", reason, f"pictures of at most {state.most_ms / 1000.0:g} s (SKUGGA_RENDER_TIMEOUT_S)")
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
@@ -214,6 +233,7 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     kept = state.blocks.get(*key)
     if isinstance(kept, Missing):
         plan = plan_of_tiles(job, scene, state)
+        _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
         shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
         block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
         kept = block, _facts(plan, shown, state)
@@ -266,18 +286,26 @@ def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState) -> dict[str,
 def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     """Warm up, say so, then answer jobs until the pipe is closed or an error leaves OpenGL in doubt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
+    end_with_parent()
+    if pipe.poll(0):  # nothing is sent before this process is ready: the service has ended before that could be noted
+        return
+    stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     from api.workers.preparation import prepare
     from api.workers.warm_up import read_the_suns_library, warm_up
 
     try:
-        state = WorkerState(warm_up(config.expect_renderer), calibration())
+        state = WorkerState(warm_up(config.expect_renderer), calibration(), config.most_ms)
         prepare(config.served, state, lambda text: pipe.send(Preparing(text)))
         pipe.send(Ready(state.renderer, state.device))
         if not pipe.poll(IDLE_S):
             read_the_suns_library()
         while True:
-            answer = _answer(pipe.recv(), state)
+            job = pipe.recv()
+            if isinstance(job, Ping):
+                pipe.send(Pong())
+                continue
+            answer = _answer(job, state)
             pipe.send(answer)
             if isinstance(answer, Failure) and answer.fatal:
                 return
@@ -294,4 +322,5 @@ def _answer(job: Job, state: WorkerState) -> Answer:
         return Failure.of(error, fatal=isinstance(error, GraphicsError))
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it
         log.exception("a job failed unexpectedly")
-        return Failure.of(RenderError(f"{type(error).__name__}: {error}"), fatal=True)
+        fatal = not isinstance(job, DescribedPlanJob)  # arithmetic on what a client sent leaves nothing behind in OpenGL
+        return Failure.of(RenderError(f"{type(error).__name__}: {error}"), fatal=fatal)

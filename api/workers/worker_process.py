@@ -11,12 +11,16 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from api.errors import WorkerCrashError
-from api.workers.jobs import Answer, Failure, Job, Preparing, Ready
+from api.workers.jobs import Answer, Failure, Job, Ping, Preparing, Ready
+from api.workers.process_life import is_stopped
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
 
 JOIN_S = 5.0
 """How long a killed process may take to be gone."""
+
+LOOK_EVERY_S = 1.0
+"""How often it is looked whether a process that works was stopped."""
 
 T = TypeVar("T")
 
@@ -51,14 +55,14 @@ class WorkerProcess:
         Raises ``GraphicsError`` or the process's own error where it does not, and where nothing is heard of it for so long.
         """
         try:
-            await self._thread(self._process.start)
+            await asyncio.shield(self._in_new_thread(self._process.start))
         except OSError as error:
             raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
         self._theirs.close()  # else its end would not be noticed
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
-            while isinstance(answer := await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s), Preparing):
+            while isinstance(answer := await self._heard(self._pipe.recv, timeout_s), Preparing):
                 log.info("render process %s: %s", self.pid, answer.text)
         except TimeoutError:
             raise GraphicsError(f"a render process did not warm up within {timeout_s:g} s") from None
@@ -68,11 +72,15 @@ class WorkerProcess:
             raise answer.error()
         return answer
 
-    async def ask(self, job: Job, timeout_s: float) -> Answer:
+    async def ask(self, job: Job | Ping, timeout_s: float) -> Answer:
         """The answer to a job. After a ``WorkerCrashError`` or ``RenderTimeoutError`` the process is of no more use."""
+
+        def send_and_receive() -> Answer:
+            self._pipe.send(job)  # not in the event loop: a process that does not read lets it wait where the job is long
+            return self._pipe.recv()
+
         try:
-            self._pipe.send(job)
-            return await asyncio.wait_for(self._thread(self._pipe.recv), timeout_s)
+            return await self._heard(send_and_receive, timeout_s)
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
         except Exception as error:  # the pipe broke, or brought what cannot be read
@@ -87,15 +95,32 @@ class WorkerProcess:
             self._process.kill()
             await asyncio.get_running_loop().run_in_executor(None, self._process.join, JOIN_S)
         if self._in_thread is not None:
-            await asyncio.wait({self._in_thread})  # a closed pipe's number could be another file's before it is read
+            done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
+            if not done:  # a closed pipe's number could be another file's before it is read
+                log.error("render process %s cannot be killed; its pipe stays open", self.pid)
+                return
         self._pipe.close()
         self._theirs.close()
 
-    async def _thread(self, function: Callable[[], T]) -> T:
+    async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
+        """What a function brings from the pipe. Raises ``TimeoutError``, and ``EOFError`` for a process that was stopped."""
+        loop = asyncio.get_running_loop()
+        until, answer = loop.time() + timeout_s, self._in_new_thread(function)
+        while True:
+            done, _ = await asyncio.wait({answer}, timeout=max(min(LOOK_EVERY_S, until - loop.time()), 0.0))
+            if done:
+                return answer.result()
+            if self.pid is not None and is_stopped(self.pid):
+                raise EOFError("it was stopped")
+            if loop.time() >= until:
+                raise TimeoutError
+
+    def _in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run in a thread, which goes on where the waiting is given up: it ends with the process."""
-        self._in_thread = asyncio.get_running_loop().run_in_executor(self._threads, function)
-        self._in_thread.add_done_callback(lambda done: done.cancelled() or done.exception())
-        return await asyncio.shield(self._in_thread)
+        running = asyncio.get_running_loop().run_in_executor(self._threads, function)
+        running.add_done_callback(lambda done: done.cancelled() or done.exception())
+        self._in_thread = running
+        return running
 
     def _note_death(self) -> None:
         self._unwatch()

@@ -18,7 +18,8 @@ from affine import Affine
 from fastapi import FastAPI
 from morecantile import tms as matrix_sets
 
-from api.http.app import LOG_CONFIG, Server, create_app
+from api.http.app import create_app
+from api.http.server import Server, log_config
 from api.http.service import Service
 from api.settings import Settings
 from api.workers.worker_process import WorkerTarget
@@ -68,9 +69,10 @@ def hills_level(folder: Path) -> Path:
 
 
 class Client(httpx.Client):
-    """An HTTP client of a service, which is at hand too."""
+    """An HTTP client of a service, which is at hand too, with its server."""
 
     service: Service
+    server: Server
 
 
 @contextmanager
@@ -78,14 +80,17 @@ def running(app: FastAPI) -> Iterator[Client]:
     """A real server of an application on a free port, and a client of it."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
-        server = Server(uvicorn.Config(app, log_config=LOG_CONFIG, timeout_graceful_shutdown=3), app.state.service)
+        server = Server(
+            uvicorn.Config(app, log_config=log_config(Settings()), http="httptools", access_log=False, timeout_graceful_shutdown=3),
+            app.state.service,
+        )
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
             # The socket listens already, so that a request waits until the server takes it. Tests that patch the service
             # find one whose start is over: a start that fails would leave its render processes running.
             with Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
-                client.service = app.state.service
+                client.service, client.server = app.state.service, server
                 client.get("/healthz")
                 yield client
         finally:

@@ -55,3 +55,12 @@ def test_wrong_argument_is_named():
 def test_settings_do_not_change():
     with pytest.raises(ValidationError):
         Settings().workers = 2
+
+
+def test_a_secret_that_is_wrong_is_not_told(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SKUGGA_API_TOKEN", "hunter2")
+    with pytest.raises(InputError) as caught:
+        load_settings()
+    assert caught.value.name == "SKUGGA_API_TOKEN" and "hunter2" not in str(caught.value)
+    monkeypatch.setenv("SKUGGA_API_TOKEN", "hunter2hunter2")
+    assert "hunter2" not in repr(load_settings())

@@ -19,7 +19,8 @@ from api.http.served_levels import ServedLevels
 from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.jobs import LevelKey
-from api.workers.render_worker import MAX_PROCESS_BYTES, SceneCache, resident_bytes
+from api.workers.process_life import resident_bytes
+from api.workers.render_worker import MAX_PROCESS_BYTES, SceneCache
 from terrain.level.parts import SunSpec
 from tests.api.conftest import Client, running
 from tests.api.http.test_problems import check_problem

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 from datetime import UTC, datetime
+from typing import get_args
 
 import httpx
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from api.device_calibration import digest_of
+from api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from api.settings import Settings
-from api.workers.jobs import Tiles
-from api.workers.render_worker import TilePlanCache, WorkerState, block_view, tiles_view
+from api.workers.jobs import DescribedPlanJob, Tiles
+from api.workers.render_worker import TilePlanCache, WorkerState, block_view, run_job, tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
 from shadows.plan import Plan
@@ -24,6 +30,13 @@ from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
 
 PLAN, FACTS = "/levels/hills/plan", "/levels/hills/descriptor"
+
+
+def _fields(field) -> dict[str, type]:
+    """The names of an effect's facts, and of what kind each is: a number, a truth value or a text."""
+    (model,) = (part for part in get_args(field.annotation) if part is not type(None))
+    kinds = {name: str(part.annotation) for name, part in model.model_fields.items()}
+    return {name: bool if "bool" in kind else str if "str" in kind else float for name, kind in kinds.items()}
 
 
 def profile(**changes) -> DeviceProfile:
@@ -112,13 +125,65 @@ def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, quer
         ({"sun_altitude_deg": 91}, "sun_altitude_deg"),
         ({"view_kind": "fisheye"}, "view_kind"),
         ({"weather": {"cloud_cover": 2}}, "weather.cloud_cover"),
-        ({"facts": {"cast_shadows": {"least_slope": "steep"}}}, "facts"),
+        ({"facts": {"cast_shadows": {"least_slope": "steep"}}}, "facts.cast_shadows.least_slope"),
+        ({"facts": {"cast_shadows": {"least_slope": True}}}, "facts.cast_shadows.least_slope"),
+        ({"facts": {"clouds": {"cover": None, "taken": 0}}}, "facts.clouds.cover"),
+        ({"facts": {"clouds": {"cover": 0.5}}}, "facts.clouds.taken"),
+        ({"facts": {"snow": {"lies": 1, "on": True, "why": None}}}, "facts.snow.lies"),
+        ({"facts": {"snow": None}}, "facts"),
+        ({"facts": {"haze": {"visibility_m": 0}}}, "facts.haze.visibility_m"),
+        ({"facts": {"refraction": {"lift_deg": 0.1}}}, "body"),
+        ({"facts": {"rain": {}}}, "facts.rain"),
+        ({"facts": []}, "facts"),
         ({"level": "hills"}, "level"),
     ],
 )
 def test_impossible_facts_are_refused_by_name(client: Client, facts: dict, changes: dict, parameter: str):
     problem = check_problem(client.post("/plan", json={**facts, **changes}), 422, "invalid_parameter", parameter)
     assert parameter in problem["detail"] and "allowed: " in problem["detail"]
+
+
+LAMP = {"kind": "omni", "cutoff_deg": 180, "reference_m": 10}
+
+
+def test_lamps_are_bounded_and_planned_by_a_render_process(client: Client, facts: dict):
+    lamps = [{"name": f"lamp {n}", **LAMP} for n in range(5000)]
+    check_problem(client.post("/plan", json={**facts, "lamps": lamps}), 422, "invalid_parameter", "lamps")
+    before = client.service.pool.tally.answered
+    answer = client.post("/plan", json={**facts, "lamps": lamps[:MAX_LAMPS]})
+    assert answer.status_code == 200, answer.text
+    assert client.service.pool.tally.answered == before + 1
+
+
+MADE_UP = {
+    float: st.none() | st.floats(allow_nan=False) | st.sampled_from(["Infinity", "-Infinity", 0, 0.0, 1, 0.5, -3]),
+    bool: st.booleans(),
+    str: st.none() | st.text(max_size=5),
+}
+RIGHT_KIND = st.fixed_dictionaries(
+    {},
+    optional={
+        effect: st.fixed_dictionaries({}, optional={name: MADE_UP[kind] for name, kind in _fields(field).items()})
+        for effect, field in FactsByEffect.model_fields.items()
+    },
+)
+WRONG_KIND = st.dictionaries(
+    st.sampled_from(sorted(FactsByEffect.model_fields)),
+    st.dictionaries(st.sampled_from(["cover", "lies", "hidden", "x"]), MADE_UP[float] | st.booleans() | st.text(max_size=3)),
+)
+
+
+@given(made_up=RIGHT_KIND | WRONG_KIND, view_kind=st.sampled_from(["map", "perspective"]))
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_facts_are_accepted_can_be_planned(facts: dict, made_up: dict, view_kind: str):
+    """As a render process does it, without the process: effects' predicates may not fail on what the model lets through."""
+    kept = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in made_up.items()}
+    try:
+        sent = SentDescriptor.model_validate({**facts, "view_kind": view_kind, "facts": {**facts["facts"], **kept}})
+    except ValidationError:
+        return
+    with np.errstate(all="ignore"):
+        run_job(DescribedPlanJob(descriptor_json=sent.as_descriptor_json(), policy="rules"), WorkerState("a renderer"))
 
 
 @pytest.mark.parametrize(

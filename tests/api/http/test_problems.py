@@ -4,9 +4,13 @@ from pathlib import Path
 
 import httpx
 import pytest
+from starlette.requests import Request
 
+from api.errors import OUTCOMES
 from api.http.app import create_app
+from api.http.problems import domain_problem
 from api.settings import Settings
+from terrain.errors import BusyError, InputError, RenderTimeoutError, SkuggaError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
 
@@ -109,8 +113,28 @@ def test_other_methods(client: Client):
 
 def test_a_level_that_breaks_while_it_is_served_is_not_the_clients_fault(hills_level: Path, tmp_path: Path):
     path = write_level(tmp_path, "soon_broken")
-    with running(create_app(Settings(workers=1), [hills_level, path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [hills_level, path], fake_workers.obedient)) as client:
         path.write_text("version: 7", encoding="utf-8")
         problem = check_problem(client.get("levels/soon_broken"), 500, "level", None)
         assert str(tmp_path) not in problem["detail"]
         assert [level["name"] for level in client.get("levels").json()] == ["hills"]
+
+
+SECRETS = "/srv/levels/hills.tif", "libEGL.so.1: cannot open", "Traceback (most recent call last)", "hunter2"
+
+
+@pytest.mark.parametrize("kind", sorted(OUTCOMES, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
+def test_no_error_tells_what_is_the_operators_own(kind: type[SkuggaError]):
+    """Of errors that are not the client's, messages have paths and drivers' words in them: the answer has none of that."""
+    outcome = OUTCOMES[kind]
+    if outcome.public is None:
+        assert outcome.status < 500 or issubclass(kind, BusyError | RenderTimeoutError), "its message is made for clients"
+        return
+    text = " ".join(SECRETS)
+    error = kind(text, text, text) if issubclass(kind, InputError) else kind(text)
+    request = Request({"type": "http", "method": "GET", "path": "/levels", "headers": [], "query_string": b""})
+    answer = domain_problem(request, error)
+    assert answer.status_code == outcome.status
+    said = answer.body.decode() + str(answer.headers)
+    assert not [secret for secret in SECRETS if secret in said]
+    assert "/" not in outcome.public

@@ -19,7 +19,7 @@ SOON_S = 60
 SERVE = """
 import sys
 from pathlib import Path
-from api.http.app import serve
+from api.http.server import serve
 from api.settings import Settings
 
 if __name__ == "__main__":
@@ -83,10 +83,14 @@ def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number
 def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
     with serving(hills_level, r"on (http://\S+)") as (process, address):
         assert httpx.get(f"{address}/healthz").status_code == 200
+        for number in (signal.SIGUSR1, signal.SIGHUP):
+            process.send_signal(number)
+            assert httpx.get(f"{address}/levels").status_code == 200, "it is no signal to end"
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=SOON_S)
         assert process.returncode == 0
         assert "Traceback" not in said
+        assert "SIGUSR1" in said and "SIGHUP" in said
 
 
 def test_render_processes_end_with_a_service_that_is_killed(hills_level: Path):

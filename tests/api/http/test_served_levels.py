@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 
 from api.catalogue import bundled_levels
 from api.errors import exit_status
@@ -44,6 +45,39 @@ def test_a_changed_raster_is_another_version(path: Path):
     assert levels.get("hills") is before
     raise_ground(path, 100)
     assert levels.get("hills").version != before.version
+
+
+def test_a_changed_raster_under_mosaics_is_another_version(path: Path):
+    """The level names a VRT of a VRT: only GDAL knows what that reads."""
+    raster, inner, outer = path.with_suffix(".tif"), path.with_name("inner.vrt"), path.with_name("outer.vrt")
+    rasterio.shutil.copy(raster, inner, driver="VRT")
+    rasterio.shutil.copy(inner, outer, driver="VRT")
+    level = json.loads(path.read_text())
+    path.write_text(json.dumps({**level, "terrain": {"source": outer.name}}), encoding="utf-8")
+    levels = ServedLevels([path])
+    before = levels.get("hills")
+    raise_ground(path, 100)
+    assert levels.get("hills").version != before.version
+
+
+@pytest.mark.parametrize("ending", [".tif.aux.xml", ".tif.ovr", ".tfw", ".tif.msk"])
+def test_a_file_that_appears_beside_a_raster_is_another_version(path: Path, ending: str):
+    levels = ServedLevels([path])
+    before = levels.get("hills").version
+    beside = path.with_name(f"hills{ending}")
+    beside.write_text("<PAMDataset/>" if ending.endswith("xml") else "", encoding="utf-8")
+    assert levels.get("hills").version != before
+
+
+def test_a_raster_that_is_replaced_by_one_of_the_same_time_and_size_is_another_version(path: Path):
+    levels, raster = ServedLevels([path]), path.with_suffix(".tif")
+    before, status = levels.get("hills").version, raster.stat()
+    other = raster.with_suffix(".new")
+    other.write_bytes(raster.read_bytes())
+    os.utime(other, ns=(status.st_mtime_ns, status.st_mtime_ns))
+    other.replace(raster)
+    assert (raster.stat().st_mtime_ns, raster.stat().st_size) == (status.st_mtime_ns, status.st_size)
+    assert levels.get("hills").version != before
 
 
 def test_a_changed_level_is_another_version_and_read_anew(path: Path):

@@ -6,11 +6,13 @@ import asyncio
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from api.cli import main as cli
 from api.http.parameters import picture_query
+from api.settings import Settings
 from api.workers.jobs import RequestedSettings
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
@@ -72,7 +74,9 @@ def test_other_values_are_refused_with_those_that_are_right(settings_of, key: st
 def test_a_request_s_wishes_hold_them():
     given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
     given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
-    asked = asyncio.run(picture_query(**given))
+    service = SimpleNamespace(settings=Settings())
+    request = SimpleNamespace(app=SimpleNamespace(state=SimpleNamespace(service=service)))
+    asked = asyncio.run(picture_query(request, **given))
     assert asked.overrides == RequestedSettings.of(given)
     assert given == asked.overrides.for_selector()
     assert asked.query() == "&".join(f"{key}={value}" for key, value in given.items())

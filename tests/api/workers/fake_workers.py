@@ -8,17 +8,24 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
 
 from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import BlockJob, BlockTiles, Failure, PlanAnswer, Preparing, Ready
+from api.workers.jobs import BlockJob, BlockTiles, Failure, Ping, PlanAnswer, Pong, Preparing, Ready
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
 
 RENDERER = "fake"
 
 
-def obedient(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
+def obedient(
+    pipe: Connection,
+    config: WorkerConfig,
+    begun: Semaphore | None = None,
+    go: Semaphore | None = None,
+    always: str | None = None,
+) -> None:
     """Answers at once, or where ``go`` is given says that a job has ``begun`` and waits to be let ``go``.
 
-    A plan's view is an order: ``crash``, ``hang``, ``refuse`` (wrong input), ``fail``, ``doubt`` (broken OpenGL).
+    A plan's view is an order, unless the same is ordered ``always``: ``crash``, ``hang``, ``refuse`` (wrong input), ``fail``,
+    ``doubt`` (broken OpenGL).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(Ready(RENDERER))
@@ -27,11 +34,14 @@ def obedient(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = N
             job = pipe.recv()
         except EOFError:
             return
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
         if begun is not None:
             begun.release()
         if go is not None:
             go.acquire()
-        order = "draw" if isinstance(job, BlockJob) else job.view
+        order = always or "draw" if isinstance(job, BlockJob) else getattr(job, "view", "described")
         if order == "crash":
             os._exit(9)
         if order == "hang":

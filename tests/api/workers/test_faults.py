@@ -86,11 +86,22 @@ def test_a_process_killed_in_the_middle_of_a_block(gated):
         drawing = thread.submit(client.get, tile())
         wait_begun()
         os.kill(*client.service.pool.pids, signal.SIGKILL)
-        check_problem(drawing.result(), 500, "worker_crash", None)
-        again = thread.submit(client.get, tile())
         wait_begun()
         let_go()
-        assert again.result().status_code == 200
+        assert drawing.result().status_code == 200, "another process has begun it again"
+
+
+def test_a_picture_that_ends_every_process_is_503_and_then_set_aside(serve_with):
+    client = serve_with(functools.partial(fake_workers.obedient, always="crash"))
+    for _ in range(2):
+        answer = client.get(tile())
+        check_problem(answer, 503, "worker_crash", None)
+        assert int(answer.headers["retry-after"]) >= 1
+    answer = client.get(tile())
+    problem = check_problem(answer, 503, "set_aside", None)
+    assert "hills" in problem["detail"]
+    assert int(answer.headers["retry-after"]) >= 1
+    assert client.service.pool.tally.started <= 5
 
 
 def test_a_block_that_takes_too_long(serve_with):
@@ -157,7 +168,7 @@ def test_the_tag_knows_the_renderer(serve_with, client: Client):
 
 def test_an_unforeseen_error_is_a_problem_too(serve_with, monkeypatch: pytest.MonkeyPatch):
     client = serve_with(fake_workers.obedient)
-    monkeypatch.setattr(client.service.levels, "all", lambda: 1 / 0)
+    monkeypatch.setattr(client.service.levels, "names", lambda: 1 / 0)
     problem = check_problem(client.get("/levels"), 500, "internal", None)
     assert "division" not in problem["detail"]
 

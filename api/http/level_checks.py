@@ -1,0 +1,124 @@
+"""Looking whether levels have changed, without keeping anybody waiting: one look a level at a time, in a thread of its own, with a
+time limit; whoever asks meanwhile gets the level as it was."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from terrain.errors import SkuggaError
+
+LookedAt = TypeVar("LookedAt")
+
+LOOK_AGAIN_S = 30.0
+"""After how long a look that has not come back is left to itself, and another one is begun."""
+
+MOST_LOST = 4
+"""Looks that have not come back, of one level, after which no more are begun: each keeps a thread."""
+
+log = logging.getLogger("skugga")
+
+
+@dataclass
+class _Look(Generic[LookedAt]):
+    began_s: float
+    future: Future[LookedAt]
+    told: bool = False
+
+
+@dataclass
+class LevelCheck(Generic[LookedAt]):
+    """A value that ``look()`` brings up to date or raises a ``SkuggaError`` for, and what came of it last.
+
+    What came is fresh for ``fresh_s`` seconds; a look is waited for ``wait_s`` seconds at most.
+    """
+
+    name: str
+    value: LookedAt
+    look: Callable[[], LookedAt]
+    fresh_s: float
+    wait_s: float
+    error: SkuggaError | None = None
+    _looked_s: float = float("-inf")
+    _looking: _Look[LookedAt] | None = None
+    _lost: list[_Look[LookedAt]] = field(default_factory=list)
+
+    def known(self) -> LookedAt | None:
+        """The value, if it is known without a look, or if the look hangs; ``None`` where it is not, or is wrong."""
+        return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
+
+    def expire(self) -> None:
+        """Look when it is next asked for."""
+        self._looked_s = float("-inf")
+
+    def now(self) -> LookedAt:
+        """The value as it is now, waited for. Raises what the look raises."""
+        return self._note(self._outcome(self.look))
+
+    async def current(self) -> LookedAt:
+        """The value as it is now, or as it was last if that takes too long. Raises what the look raises."""
+        if not self._is_fresh():
+            looking = self._look_now()
+            left_s = looking.began_s + self.wait_s - time.monotonic()
+            if left_s > 0.0:
+                await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
+            if not looking.future.done() and not looking.told:
+                looking.told = True
+                log.error("level %s: its files have not been read within %g s; it is served as it was", self.name, self.wait_s)
+        if self.error is not None:
+            raise self.error
+        return self.value
+
+    def _look_now(self) -> _Look[LookedAt]:
+        """The look that is under way, or one that is begun now."""
+        now_s = time.monotonic()
+        looking = self._looking
+        if looking is not None and not looking.future.done():
+            self._lost = [lost for lost in self._lost if not lost.future.done()]
+            if now_s - looking.began_s < LOOK_AGAIN_S or len(self._lost) >= MOST_LOST:
+                return looking
+            self._lost.append(looking)
+        begun: _Look[LookedAt] = _Look(now_s, Future())
+        self._looking = begun
+
+        def run() -> None:
+            outcome = self._outcome(self.look)
+            if self._looking is begun:  # another look has begun since, which knows better
+                try:
+                    self._note(outcome)
+                except SkuggaError:
+                    pass
+            begun.future.set_result(self.value)
+
+        threading.Thread(target=run, name=f"look at {self.name}", daemon=True).start()
+        return begun
+
+    def _outcome(self, look: Callable[[], LookedAt]) -> LookedAt | SkuggaError:
+        try:
+            return look()
+        except SkuggaError as error:
+            return error
+        except Exception as error:  # a bug, or what a library raises: the level is wrong, the service goes on
+            log.exception("level %s cannot be read", self.name)
+            return SkuggaError(f"level {self.name} cannot be read: {error!r}")
+
+    def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
+        self._looked_s = time.monotonic()
+        if isinstance(outcome, SkuggaError):
+            self.error = outcome
+            raise outcome
+        self.value, self.error = outcome, None
+        return outcome
+
+    def _is_fresh(self) -> bool:
+        return time.monotonic() - self._looked_s < self.fresh_s
+
+    def _hangs(self) -> bool:
+        looking = self._looking
+        return looking is not None and not looking.future.done() and time.monotonic() - looking.began_s > self.wait_s

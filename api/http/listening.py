@@ -1,0 +1,187 @@
+"""Taking connections, as many as there are descriptors for, and ending those whose clients keep them waiting.
+
+Accepting pauses while no connection can be had. A connection that waits for its request makes way for a new one; so clients who
+send nothing, or too slowly, keep nobody out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+log = logging.getLogger("skugga")
+
+ACCEPTED_AT_ONCE = 64
+"""Connections that are accepted before others have their turn in the event loop."""
+
+LOOK_S = 0.25
+"""How often it is looked which connections have waited for too long."""
+
+PAUSE_S = 0.5
+"""How long accepting pauses where the system has no more descriptors."""
+
+TOLD_EVERY_S = 60.0
+"""How often that is told."""
+
+OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+
+
+class HttpConnection(Protocol):
+    """What is used of a connection of the server's: its transport, and its present request and response."""
+
+    transport: asyncio.Transport
+    cycle: Any
+
+
+@dataclass
+class _Waiting:
+    """What a connection was last seen to wait for, and since when (the event loop's clock)."""
+
+    what: tuple[object, ...]
+    since_s: float
+
+
+class BoundedListener:
+    """Accepts connections of a socket while there are fewer than ``limit``; stands where the server has an ``asyncio.Server``.
+
+    ``connections`` are the server's. A client has ``client_s`` seconds to send its request, headers and body each, or to read some
+    of its answer.
+    """
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        make_protocol: Callable[[], asyncio.Protocol],
+        connections: set[Any],
+        limit: int,
+        client_s: float,
+    ) -> None:
+        self.sockets = (listening,)
+        self.refused = 0
+        self._listening, self._make_protocol = listening, make_protocol
+        self._connections, self._limit, self._client_s = connections, limit, client_s
+        self._being_made: set[asyncio.Task[Any]] = set()
+        self._waiting: dict[HttpConnection, _Waiting] = {}
+        self._loop = asyncio.get_running_loop()
+        self._told_s = -TOLD_EVERY_S
+        self._paused_until_s = 0.0
+        self._accepts = False
+        self._closed = False
+        listening.setblocking(False)
+        self._look: asyncio.TimerHandle = self._loop.call_soon(self._look_round)  # type: ignore[assignment]
+        self._resume()
+
+    def close(self) -> None:
+        """Accept no more."""
+        self._closed = True
+        self._pause()
+        self._look.cancel()
+        self._listening.close()
+
+    async def wait_closed(self) -> None:
+        """Wait until connections that were just being made are."""
+        if self._being_made:
+            await asyncio.wait(self._being_made)
+
+    def _resume(self) -> None:
+        if not self._accepts and not self._closed:
+            self._accepts = True
+            self._loop.add_reader(self._listening, self._accept)
+
+    def _pause(self) -> None:
+        if self._accepts:
+            self._accepts = False
+            self._loop.remove_reader(self._listening)
+
+    def _accept(self) -> None:
+        for _ in range(ACCEPTED_AT_ONCE):
+            if len(self._connections) + len(self._being_made) >= self._limit and not self._make_way():
+                self._pause()
+                return
+            try:
+                client, _ = self._listening.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                self._pause()
+                self._paused_until_s = self._loop.time() + PAUSE_S
+                if error.errno not in OUT_OF_RESOURCES or self._loop.time() - self._told_s >= TOLD_EVERY_S:
+                    self._told_s = self._loop.time()
+                    log.error("connections cannot be accepted: %s; trying again every %g s", error.strerror, PAUSE_S)
+                return
+            client.setblocking(False)
+            task = self._loop.create_task(self._connect(client))
+            self._being_made.add(task)
+            task.add_done_callback(self._is_made)
+
+    def _is_made(self, task: asyncio.Task[Any]) -> None:
+        self._being_made.discard(task)
+        if self._loop.time() >= self._paused_until_s:
+            self._resume()
+
+    async def _connect(self, client: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(self._make_protocol, client)
+        except OSError:  # it has gone already
+            client.close()
+
+    def _make_way(self) -> bool:
+        """End the connection that has waited longest for a request to come; whether there was any."""
+        self._note_what_waits()
+        idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
+        if not idle:
+            return False
+        _, longest = min(idle, key=lambda each: each[0])
+        self._end(longest)
+        return True
+
+    def _look_round(self) -> None:
+        """End what has waited for too long, and go on accepting where there is room."""
+        self._note_what_waits()
+        now_s = self._loop.time()
+        for connection, state in list(self._waiting.items()):
+            if now_s - state.since_s > self._client_s and _waits_for_client(connection):
+                self._end(connection)
+        if now_s >= self._paused_until_s:
+            self._resume()
+        self._look = self._loop.call_later(LOOK_S, self._look_round)
+
+    def _note_what_waits(self) -> None:
+        now_s = self._loop.time()
+        for connection in list(self._waiting):
+            if connection not in self._connections:
+                del self._waiting[connection]
+        for connection in self._connections:
+            what, state = _state_of(connection), self._waiting.get(connection)
+            if state is None or state.what != what:
+                self._waiting[connection] = _Waiting(what, now_s)
+
+    def _end(self, connection: HttpConnection) -> None:
+        self.refused += 1
+        self._connections.discard(connection)
+        self._waiting.pop(connection, None)
+        connection.transport.abort()
+
+
+def _state_of(connection: HttpConnection) -> tuple[object, ...]:
+    """What changes as a client sends the parts of its request, and reads its answer: a byte more of a part changes nothing."""
+    cycle = connection.cycle
+    if cycle is None:
+        return ("headers",)
+    return id(cycle), cycle.response_complete, cycle.more_body, connection.transport.get_write_buffer_size()
+
+
+def _awaits_request(connection: HttpConnection) -> bool:
+    """Whether nothing is done for a connection, as its request has not come as a whole."""
+    cycle = connection.cycle
+    return cycle is None or (cycle.more_body and not cycle.response_started) or cycle.response_complete
+
+
+def _waits_for_client(connection: HttpConnection) -> bool:
+    """Whether it is the client that a connection waits for, to send or to read."""
+    return _awaits_request(connection) or connection.transport.get_write_buffer_size() > 0

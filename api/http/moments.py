@@ -1,0 +1,86 @@
+"""The times that requests name: rounded, so that clients whose clocks run on ask for the same pictures; ``current`` is now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from fastapi import Request
+
+from api.http.answers import GIVEN_SUN_S
+from terrain.errors import InputError
+from terrain.level.level import parse_sun
+from terrain.level.parts import SunSpec
+
+CURRENT = "current"
+"""The word for now."""
+
+TIME_HEADER = "X-Skugga-Time"
+"""Says which time an answer is of, where a time was asked for."""
+
+CURRENT_S = 60
+"""How long an answer of now is fresh, at most."""
+
+_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class AskedTime:
+    """The time that an answer is of, and for how many seconds it is fresh; ``current``: what was asked for was now."""
+
+    time: datetime
+    fresh_s: int
+    current: bool = False
+
+
+def rounded_time(moment: datetime, grain_s: int) -> datetime:
+    """The nearest multiple of so many seconds since the year 2000, UTC; 0 leaves it. A time in the middle goes up."""
+    if grain_s == 0:
+        return moment
+    grain = timedelta(seconds=grain_s)
+    try:
+        return (_EPOCH + (moment - _EPOCH + grain / 2) // grain * grain).astimezone(moment.tzinfo)
+    except OverflowError:  # at the end of all times: refused by whoever takes it
+        return moment
+
+
+def asked_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
+    """The sun of a request, with its time rounded; the request remembers that. Raises ``InputError``."""
+    if time is not None and time.strip() == CURRENT:
+        if azimuth is not None or altitude is not None:
+            raise InputError("time", time, "either time, or azimuth and altitude")
+        now = datetime.now(UTC)
+        grain = timedelta(seconds=grain_s or 1)
+        moment = _EPOCH + (now - _EPOCH) // grain * grain  # down: what has not been yet is not now
+        left_s = int((moment + grain - now).total_seconds())
+        request.state.asked_time = AskedTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
+        return SunSpec(time=moment)
+    sun = parse_sun(time, azimuth, altitude)
+    if sun is None or sun.time is None:
+        return sun
+    moment = rounded_time(sun.time, grain_s)
+    request.state.asked_time = AskedTime(moment, GIVEN_SUN_S)
+    return SunSpec(time=moment)
+
+
+def asked_time(request: Request) -> AskedTime | None:
+    """The time that a request has named."""
+    return getattr(request.state, "asked_time", None)
+
+
+def is_of_now(request: Request) -> bool:
+    """Whether the same address means another picture soon."""
+    asked = asked_time(request)
+    return asked is not None and asked.current
+
+
+def fresh_for(request: Request, otherwise_s: int) -> int:
+    """How many seconds an answer is fresh: of now less than the grain of time."""
+    asked = asked_time(request)
+    return asked.fresh_s if asked is not None and asked.current else otherwise_s
+
+
+def time_headers(request: Request) -> dict[str, str]:
+    """What an answer says of the time that it is of."""
+    asked = asked_time(request)
+    return {} if asked is None else {TIME_HEADER: asked.time.isoformat()}

@@ -1,0 +1,66 @@
+"""How long a job is expected to take, learnt from those of its kind that were done: what waits is ordered by it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+from api.workers.jobs import (
+    BlockJob,
+    DescribedPlanJob,
+    DescriptorJob,
+    Job,
+    PlanJob,
+    PointJob,
+    PointsJob,
+    SnapshotJob,
+    SunHoursJob,
+)
+from terrain.cache import MIB, Cache, Missing
+
+FIRST_GUESS_S: dict[type, float] = {
+    BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, PointJob: 0.1,
+    PointsJob: 1.0,
+}  # fmt: skip
+"""Seconds of a job of which nothing is known yet, of a snapshot of ``USUAL_PX``: with a software rasteriser on two cores."""
+
+USUAL_PX = 1280 * 1024
+
+NEWEST_SHARE = 0.3
+"""Share of the newest time in the mean."""
+
+LIGHT_S = 3.0
+"""Jobs that are known to take no longer are light."""
+
+
+class ExpectedTimes:
+    """Means of how long jobs took, by kind of job: of snapshots per pixel."""
+
+    def __init__(self) -> None:
+        self._seconds: Cache[float] = Cache("api.workers.expected_times", "process", MIB, lambda _: 512)
+
+    def of(self, job: Job) -> float:
+        """Seconds that a job is expected to take."""
+        known = self._seconds.get(kind_of_job(job))
+        return (FIRST_GUESS_S[type(job)] if isinstance(known, Missing) else known) * _size_of(job)
+
+    def is_light(self, job: Job) -> bool:
+        """Whether jobs of its kind were done before, and took little."""
+        known = self._seconds.get(kind_of_job(job))
+        return not isinstance(known, Missing) and known * _size_of(job) <= LIGHT_S
+
+    def learn(self, job: Job, seconds: float) -> None:
+        """A job took so long."""
+        kind, took = kind_of_job(job), seconds / _size_of(job)
+        known = self._seconds.get(kind)
+        self._seconds.put(kind, value=took if isinstance(known, Missing) else known + NEWEST_SHARE * (took - known))
+
+
+def kind_of_job(job: Job) -> Hashable:
+    """Jobs of one kind take about as long: those of a version of a level for which the same is asked of the shadows."""
+    level = None if isinstance(job, DescribedPlanJob) else (str(job.level.path), job.level.version)
+    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None)
+
+
+def _size_of(job: Job) -> float:
+    """How much of what is known of its kind a job is."""
+    return 1.0 if not isinstance(job, SnapshotJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)

@@ -1,0 +1,61 @@
+"""What the service knows of its render processes from outside, and how they end with it. Where the system has no ``/proc`` and no
+``prctl`` (that is, not on Linux), nothing is known, and their pipe alone ends them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+PR_SET_PDEATHSIG = 1
+"""See prctl(2): the signal that a process gets when the one that started it ends."""
+
+NICENESS = 2
+"""How far render processes stand back behind the service, which answers from its caches while they draw: see nice(2)."""
+
+STOPPED_STATES = "Tt"
+"""Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""
+
+
+def end_with_parent() -> None:
+    """Let the system kill this process as soon as its parent ends, however that ends, and whatever this one is doing then."""
+    if sys.platform != "linux":
+        return
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+def stand_back() -> None:
+    """Let the service go before this process where both want the same core."""
+    with suppress(OSError, AttributeError):
+        os.nice(NICENESS)
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether a process was stopped (SIGSTOP, a debugger) and not continued: it will answer nothing."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return False
+    return state in STOPPED_STATES
+
+
+def resident_bytes(pid: int | None = None) -> int:
+    """Memory that a process takes now, this one by default; 0 where there is no way to know."""
+    try:
+        pages = Path(f"/proc/{pid or 'self'}/statm").read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def open_descriptors() -> int:
+    """File descriptors that this process has open; a usual number where there is no way to count them."""
+    try:
+        return len(os.listdir("/proc/self/fd"))
+    except OSError:
+        return 32

@@ -1,0 +1,72 @@
+"""Kinds of jobs that keep failing are set aside for a while: nobody else waits for the render processes that they would cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+
+from api.workers.expected_times import kind_of_job
+from api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, Job, PlanJob
+from terrain.cache import MIB, Cache, Missing
+
+FAILURES = 2
+"""Failures in a row after which a kind is set aside."""
+
+FIRST_ABSENCE_S, LONGEST_ABSENCE_S = 30.0, 600.0
+"""How long, first; it doubles with each failure that follows."""
+
+
+@dataclass(frozen=True)
+class _Record:
+    failures: int = 0
+    until: float = 0.0
+    next_pause_s: float = FIRST_ABSENCE_S
+
+
+class SetAside:
+    """Which kinds of jobs are set aside, and until when.
+
+    A level as a whole is set aside where its plain pictures fail, those that ask nothing of the shadows; what a request asks for
+    can set aside only what asks for the same.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._records: Cache[_Record] = Cache("api.workers.set_aside", "process", MIB, lambda _: 512)
+
+    def seconds_left(self, job: Job) -> float:
+        """How long a job is set aside yet; 0: it is not."""
+        return max(max((self._record(key).until - self._clock() for key in _keys(job)), default=0.0), 0.0)
+
+    def failed(self, job: Job) -> None:
+        """A job was given up, or ended its process."""
+        for key in _counted(job):
+            record = self._record(key)
+            record = replace(record, failures=record.failures + 1)
+            if record.failures >= FAILURES:
+                # One failure more is enough after the pause.
+                record = _Record(
+                    FAILURES - 1, self._clock() + record.next_pause_s, min(record.next_pause_s * 2.0, LONGEST_ABSENCE_S)
+                )
+            self._records.put(key, value=record)
+
+    def succeeded(self, job: Job) -> None:
+        """A job was done."""
+        for key in _counted(job):
+            self._records.drop(key)
+
+    def _record(self, key: Hashable) -> _Record:
+        record = self._records.get(key)
+        return _Record() if isinstance(record, Missing) else record
+
+
+def _keys(job: Job) -> list[Hashable]:
+    own = [kind_of_job(job)]
+    return own if isinstance(job, DescribedPlanJob) else [*own, ("level", str(job.level.path), job.level.version)]
+
+
+def _counted(job: Job) -> list[Hashable]:
+    """The kinds for which it counts how a job went."""
+    plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
+    return _keys(job) if plain else _keys(job)[:1]

@@ -1,0 +1,134 @@
+"""Clients who send nothing, or too slowly, and more of them than there are file descriptors for: others are served all the same."""
+
+import contextlib
+import resource
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from api.http.server import connection_limit
+from api.settings import Settings
+from tests.api.conftest import Client
+from tests.api.workers import fake_workers
+
+SOON_S = 20.0
+
+
+@pytest.fixture
+def open_sockets() -> Iterator[Callable[[Client, bytes], socket.socket]]:
+    with ExitStack() as stack:
+
+        def connect(client: Client, said: bytes = b"") -> socket.socket:
+            one = stack.enter_context(socket.create_connection((client.base_url.host, client.base_url.port), timeout=SOON_S))
+            one.sendall(said)
+            return one
+
+        yield connect
+
+
+def is_ended(one: socket.socket) -> bool:
+    """Whether the server ends a connection, waited for."""
+    one.settimeout(SOON_S)
+    try:
+        while one.recv(65536):
+            pass
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"",
+        b"GET /healthz HT",
+        b"GET /healthz HTTP/1.1\r\nHost: x\r\n",
+        b"POST /plan HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n{",
+        b"POST /plan HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n{\r\n",
+    ],
+)
+def test_a_request_that_does_not_come_ends_its_connection(serve_with, open_sockets, said: bytes):
+    client = serve_with(fake_workers.obedient, client_timeout_s=0.3)
+    assert is_ended(open_sockets(client, said))
+
+
+def test_a_request_that_comes_by_the_byte_ends_too(serve_with, open_sockets):
+    client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
+    one = open_sockets(client, b"GET /healthz HTTP/1.1\r\nX: ")
+    until_s = time.monotonic() + SOON_S
+    with pytest.raises(OSError):
+        while time.monotonic() < until_s:
+            one.sendall(b"x")
+            time.sleep(0.05)
+
+
+def test_an_answer_that_nobody_reads_ends_its_connection(serve_with, open_sockets):
+    client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
+    whole, asked = len(client.get("/openapi.json").content), 500
+    one = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * asked)
+    while client.get("/healthz").status_code == 200 and _connections(client) > 1:
+        time.sleep(0.05)
+    assert 0 < _received(one) < whole * asked, "what the system's buffers held, and no more"
+
+
+def _connections(client: Client) -> int:
+    return len(client.server.server_state.connections)
+
+
+def _received(one: socket.socket) -> int:
+    one.settimeout(SOON_S)
+    count = 0
+    with contextlib.suppress(ConnectionResetError):
+        while part := one.recv(1 << 20):
+            count += len(part)
+    return count
+
+
+def test_silent_connections_make_way(serve_with, open_sockets):
+    client = serve_with(fake_workers.obedient, max_connections=8)
+    silent = [open_sockets(client) for _ in range(40)]
+    for _ in range(5):
+        with socket.create_connection((client.base_url.host, client.base_url.port), timeout=SOON_S) as one:
+            one.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+            assert one.recv(100).startswith(b"HTTP/1.1 200")
+    assert is_ended(silent[0])
+
+
+def test_more_connections_than_descriptors(serve_with, open_sockets, caplog: pytest.LogCaptureFixture):
+    """The server's process has so few descriptors left that it runs out: it pauses, tells so once, and goes on."""
+    client = serve_with(fake_workers.obedient)
+    assert client.get("/readyz").status_code in (200, 503)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    sockets = [socket.socket() for _ in range(60)]
+    try:
+        for one in sockets[30:]:
+            one.settimeout(SOON_S)
+        used = max(one.fileno() for one in sockets) + 1
+        resource.setrlimit(resource.RLIMIT_NOFILE, (used + 5, hard))
+        for one in sockets:
+            one.connect((client.base_url.host, client.base_url.port))
+        time.sleep(1.5)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        sockets[-1].sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert sockets[-1].recv(100).startswith(b"HTTP/1.1 200")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for one in sockets:
+            one.close()
+    told = [record for record in caplog.records if "cannot be accepted" in record.getMessage()]
+    assert len(told) <= 1
+
+
+def test_the_limit_of_connections_leaves_descriptors_for_the_rest():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    assert connection_limit(Settings(workers=1, max_connections=5)) == 5
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(300, 0), hard))
+        assert 8 <= connection_limit(Settings(workers=2, max_connections=1000)) < 280
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

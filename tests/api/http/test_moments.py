@@ -1,0 +1,141 @@
+"""Time has a grain, ``current`` is now and is soon stale, and one client may not ask for any number of suns."""
+
+import re
+from datetime import UTC, datetime, timedelta, timezone
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from api.errors import TooManySunsError
+from api.http.moments import rounded_time
+from api.http.new_suns import NewSuns, network_of
+from tests.api.conftest import CORNER, ZOOM
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
+
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+DAY = "2024-06-21T"
+
+
+@pytest.mark.parametrize(
+    ("given", "grain_s", "expected"),
+    [("12:00:29", 60, "12:00:00"), ("12:00:30", 60, "12:01:00"), ("12:07:29", 900, "12:00:00"), ("12:00:29", 0, "12:00:29")],
+)
+def test_rounding(given: str, grain_s: int, expected: str):
+    for offset in (UTC, timezone(timedelta(hours=-4))):
+        moment = datetime.fromisoformat(DAY + given).replace(tzinfo=offset)
+        rounded = rounded_time(moment, grain_s)
+        assert rounded == datetime.fromisoformat(DAY + expected).replace(tzinfo=offset)
+        assert rounded.utcoffset() == moment.utcoffset()
+
+
+@given(st.datetimes(timezones=st.just(UTC)), st.integers(1, 86400))
+def test_rounding_moves_by_half_a_grain_at_most_and_once(moment: datetime, grain_s: int):
+    rounded = rounded_time(moment, grain_s)
+    assert rounded == moment or abs((rounded - moment).total_seconds()) <= grain_s / 2
+    if rounded.year not in (1, 9999):
+        assert rounded_time(rounded, grain_s) == rounded
+
+
+def test_times_within_a_grain_are_one_picture_that_names_its_time(serve_with):
+    client = serve_with(fake_workers.obedient)
+    first, second = (client.get(TILE, params={"time": f"{DAY}12:00:{s}+02:00"}) for s in ("05", "20"))
+    assert first.status_code == 200
+    assert first.headers["etag"] == second.headers["etag"]
+    assert client.service.pool.tally.answered == 1
+    for answer in (first, second, client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"})):
+        assert answer.headers["x-skugga-time"] == f"{DAY}12:00:00+02:00"
+        assert "x-skugga-time" in answer.headers["access-control-expose-headers"].lower() if "origin" in answer.headers else True
+    unchanged = client.get(TILE, params={"time": f"{DAY}12:00:10+02:00"}, headers={"If-None-Match": first.headers["etag"]})
+    assert (unchanged.status_code, unchanged.headers["x-skugga-time"]) == (304, f"{DAY}12:00:00+02:00")
+    other = client.get(TILE, params={"time": f"{DAY}12:01:00+02:00"})
+    assert other.headers["etag"] != first.headers["etag"]
+    assert "x-skugga-time" not in client.get(TILE).headers
+
+
+def test_the_grain_is_a_setting(serve_with):
+    client = serve_with(fake_workers.obedient, time_grain_s=0)
+    assert client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"}).headers["x-skugga-time"] == f"{DAY}12:00:05+02:00"
+
+
+def test_current_is_now_and_soon_stale(serve_with):
+    client = serve_with(fake_workers.obedient)
+    before = datetime.now(UTC)
+    for _ in range(2):
+        answer = client.get(TILE, params={"time": "current"})
+        assert answer.status_code == 200, answer.text
+        time = datetime.fromisoformat(answer.headers["x-skugga-time"])
+        assert before - timedelta(seconds=60) <= time <= datetime.now(UTC)
+        (fresh_s,) = re.findall(r"max-age=(\d+)", answer.headers["cache-control"])
+        assert 1 <= int(fresh_s) <= 60 and "immutable" not in answer.headers["cache-control"]
+    explicit = client.get(TILE, params={"time": answer.headers["x-skugga-time"]})
+    assert explicit.headers["etag"] == answer.headers["etag"]
+    assert "max-age=86400" in explicit.headers["cache-control"], "a time of its own stays fresh"
+    check_problem(client.get(TILE, params={"time": "current", "azimuth": 1, "altitude": 2}), 422, "invalid_parameter", "time")
+
+
+def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: pytest.MonkeyPatch):
+    from api.http import moments
+
+    class Clock(datetime):
+        at = datetime(2024, 6, 21, 12, 0, 30, tzinfo=UTC)
+
+        @classmethod
+        def now(cls, tz=None):
+            return cls.at
+
+    client = serve_with(fake_workers.obedient)
+    monkeypatch.setattr(moments, "datetime", Clock)
+    one = client.get(TILE, params={"time": "current"})
+    monkeypatch.setattr(Clock, "at", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
+    other = client.get(TILE, params={"time": "current"})
+    assert one.headers["etag"] != other.headers["etag"]
+    assert (one.headers["x-skugga-time"], other.headers["x-skugga-time"]) == (f"{DAY}12:00:00+00:00", f"{DAY}12:02:00+00:00")
+
+
+def test_new_suns_of_a_client_are_bounded_and_known_ones_are_not():
+    now = [0.0]
+    suns = NewSuns(3, lambda: now[0])
+    for sun in ("a", "b", "c", "a", "b"):
+        suns.take("10.0.0.1", sun)
+    with pytest.raises(TooManySunsError) as caught:
+        suns.take("10.0.0.1", "d")
+    assert caught.value.retry_after_s == 21
+    suns.take("10.0.0.1", "a")
+    suns.take("10.0.0.2", "d")
+    now[0] = 20.5
+    suns.take("10.0.0.1", "d")
+    with pytest.raises(TooManySunsError):
+        suns.take("10.0.0.1", "e")
+
+
+def test_no_limit_of_suns():
+    suns = NewSuns(0)
+    for sun in range(10_000):
+        suns.take("10.0.0.1", sun)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("2001:db8:1:2::1", "2001:db8:1:2:ffff::9", True),
+        ("2001:db8:1:2::1", "2001:db8:1:3::1", False),
+        ("::ffff:10.0.0.1", "10.0.0.1", True),
+        ("10.0.0.1", "10.0.0.2", False),
+        ("a socket", "a socket", True),
+    ],
+)
+def test_a_customers_network_is_one_client(one: str, other: str, same: bool):
+    assert (network_of(one) == network_of(other)) == same
+
+
+def test_too_many_suns_are_429(serve_with):
+    client = serve_with(fake_workers.obedient, new_suns_per_minute=2)
+    for azimuth in (10, 20):
+        assert client.get(TILE, params={"azimuth": azimuth, "altitude": 30}).status_code == 200
+    answer = client.get(TILE, params={"azimuth": 30, "altitude": 30})
+    check_problem(answer, 429, "too_many_suns", None)
+    assert int(answer.headers["retry-after"]) >= 1
+    assert client.get(TILE, params={"azimuth": 10, "altitude": 30}).status_code == 200, "it is kept"
+    assert client.get(TILE).status_code == 200, "the level's own sun is not new"

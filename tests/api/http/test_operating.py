@@ -1,0 +1,90 @@
+"""The page for operators says what there is: its tables are made from the settings' model and from the metrics."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client.metrics_core import Metric
+from pydantic_core import PydanticUndefined
+
+from api.http.encoded_tiles import EncodedTiles
+from api.http.metrics import ServiceMetrics
+from api.http.sent_descriptor import MAX_BANDS, MAX_LAMPS
+from api.settings import Settings
+from api.workers.pool import Pool
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "operating.md"
+
+
+def settings_table() -> str:
+    """The table of all settings."""
+    rows = ["| variable | default | what |", "| --- | --- | --- |"]
+    for name, field in Settings.model_fields.items():
+        default: Any = field.default
+        if default is PydanticUndefined:
+            default = "cores, at most 4"
+        elif isinstance(default, tuple):
+            default = f"`{','.join(default)}`"
+        elif default is None:
+            default = "-"
+        else:
+            default = f"`{str(default).lower() if isinstance(default, bool) else default}`"
+        rows.append(f"| `SKUGGA_{name.upper()}` | {default} | {field.description} |")
+    return "\n".join(rows)
+
+
+def metrics_table(families: list[Metric]) -> str:
+    """The table of all metrics."""
+    rows = ["| metric | kind | what |", "| --- | --- | --- |"]
+    for family in sorted(families, key=lambda each: each.name):
+        name = family.name + ("_total" if family.type == "counter" else "")
+        rows.append(f"| `{name}` | {family.type} | {family.documentation} |")
+    return "\n".join(rows)
+
+
+def families() -> list[Metric]:
+    settings = Settings(workers=1)
+    return list(ServiceMetrics(Pool(settings), EncodedTiles(1)).registry.collect())
+
+
+@pytest.mark.parametrize(("name", "table"), [("settings", settings_table), ("metrics", lambda: metrics_table(families()))])
+def test_tables_are_what_there_is(name: str, table, request: pytest.FixtureRequest):
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
+    assert found is not None
+    if request.config.getoption("--regenerate-goldens"):
+        PAGE.write_text(text[: found.start(1)] + table() + "\n" + text[found.end(1) :], encoding="utf-8")
+        return
+    assert found[1].strip() == table(), "pytest --regenerate-goldens writes it anew"
+
+
+def test_every_setting_is_described():
+    assert all(field.description for field in Settings.model_fields.values())
+
+
+def test_settings_that_the_page_names_exist():
+    named = set(re.findall(r"SKUGGA_([A-Z_]+)", PAGE.read_text(encoding="utf-8")))
+    assert named == {name.upper() for name in Settings.model_fields}
+
+
+def test_limits_of_a_descriptor_are_those_of_its_model():
+    assert f"up to {MAX_LAMPS} lamps and {MAX_BANDS} bands" in PAGE.read_text(encoding="utf-8")
+
+
+def attacks() -> list[tuple[str, str]]:
+    """File and name of every test that ``SECURITY.md`` names."""
+    return re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "SECURITY.md").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("file", "name"), attacks())
+def test_every_attack_has_its_test(file: str, name: str):
+    assert re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), f"{file} has no {name}"
+
+
+def test_every_attack_names_a_test():
+    rows = [row for row in (ROOT / "SECURITY.md").read_text(encoding="utf-8").splitlines() if row.startswith("| ")][2:]
+    assert len(rows) == len(attacks()) >= 25

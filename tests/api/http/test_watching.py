@@ -1,0 +1,186 @@
+"""Every answer has its number, its time and its headers; metrics count it; logs tell of it and nothing that a client made up."""
+
+import json
+import logging
+import re
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from api.http.watching import LogLine, request_id
+from tests.api.conftest import CORNER, ZOOM, Client
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
+
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+TILE_ROUTE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}"
+DASHBOARD = Path(__file__).resolve().parents[3] / "examples" / "grafana-dashboard.json"
+
+
+def series(client: Client) -> dict[tuple, float]:
+    """All series of the metrics: name and sorted labels -> value."""
+    answer = client.get("/metrics")
+    assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    families = text_string_to_metric_families(answer.text)
+    return {(each.name, *sorted(each.labels.items())): each.value for family in families for each in family.samples}
+
+
+def requests(client: Client, route: str, status: int) -> float:
+    labels = {"route": route, "method": "GET", "status": str(status)}
+    return series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
+
+
+def test_metrics_tell_what_was_done(serve_with):
+    client = serve_with(fake_workers.obedient, level_check_s=600)
+    assert client.get(TILE).status_code == 200
+    assert client.get(TILE).status_code == 200
+    assert client.get(TILE.replace("hills", "nowhere")).status_code == 404
+    assert client.get("/some/where").status_code == 404
+    found = series(client)
+    assert requests(client, TILE_ROUTE, 200) == 1
+    assert requests(client, "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)", 200) == 1
+    assert requests(client, TILE_ROUTE, 404) == 1
+    assert requests(client, "other", 404) == 1
+    assert found["skugga_jobs_total", ("outcome", "answered")] == 1
+    assert found["skugga_cache_requests_total", ("cache", "tiles"), ("result", "hit")] == 1
+    assert found["skugga_cache_bytes", ("cache", "blocks")] > 0
+    assert found["skugga_render_processes",] == found["skugga_render_process_starts_total",] == 1
+    assert found["skugga_process_memory_bytes", ("process", "render 0")] > 1e6
+    assert found["skugga_pass_seconds_count", ("algorithm", "none"), ("stage", "geometry")] == 1
+    assert found["skugga_request_seconds_count", ("route", TILE_ROUTE)] == 2
+
+
+def test_clients_cannot_make_up_series(serve_with):
+    client = serve_with(fake_workers.obedient)
+
+    def make_up(number: int) -> int:
+        client.get(f"/nothing/{number}")
+        client.request(f"M{number}", "/levels")
+        client.get(f"/levels/nowhere{number}")
+        return len(series(client))
+
+    make_up(1)
+    assert make_up(2) == make_up(3) == make_up(4)
+
+
+def test_passes_by_algorithm_are_bounded(serve_with):
+    metrics = serve_with(fake_workers.obedient).service.metrics
+    from api.workers.jobs import Snapshot
+
+    for number in range(1000):
+        metrics.drawn(Snapshot(b"", 1.0, f"mix {number}", (("geometry", 1.0),), 0.0, 0.0, True, "fake"))
+    told = [line for line in metrics.text().decode().splitlines() if line.startswith("skugga_pass_seconds_count")]
+    assert 200 <= len(told) <= 201
+    assert "skugga_reach_clipped_total 1000.0" in metrics.text().decode()
+
+
+def test_the_dashboard_names_only_what_there_is(serve_with):
+    metrics = serve_with(fake_workers.obedient).service.metrics
+    board = json.loads(DASHBOARD.read_text(encoding="utf-8"))
+    queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    assert len(queries) >= 10
+    named = {name for query in queries for name in re.findall(r"skugga_[a-z_]+", query)}
+    assert named <= metrics.names(), named - metrics.names()
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"), [("abc-123_x.Y", True), ("x" * 64, True), ("x" * 65, False), ("a b", False), ('"<b>', False), ("", False)]
+)
+def test_a_sane_number_is_kept_and_another_is_not(serve_with, given: str, kept: bool):
+    client = serve_with(fake_workers.obedient)
+    answer = client.get("/healthz", headers={"X-Request-ID": given})
+    number = answer.headers["x-request-id"]
+    assert (number == given) == kept
+    assert re.fullmatch(r"[A-Za-z0-9._-]{1,64}", number)
+
+
+def test_all_answers_have_their_headers(serve_with):
+    client = serve_with(fake_workers.obedient)
+    tile = client.get(TILE)
+    answers = [
+        tile, client.get(TILE), client.get(TILE, headers={"If-None-Match": tile.headers["etag"]}), client.get("/nothing"),
+        client.head("/levels"), client.post("/plan", content=b"x" * (2**20 + 1)), client.get("/"), client.options("/levels"),
+    ]  # fmt: skip
+    assert [answer.status_code for answer in answers] == [200, 200, 304, 404, 200, 413, 200, 405]
+    for answer in answers:
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["x-request-id"]
+        assert re.search(r"total;dur=[\d.]+$", answer.headers["server-timing"])
+    assert "geometry;dur=" in tile.headers["server-timing"]
+
+
+def test_pages_load_nothing_from_elsewhere(serve_with):
+    client = serve_with(fake_workers.obedient)
+    policy = client.get("/").headers["content-security-policy"]
+    assert "default-src 'self'" in policy and "http" not in policy and "object-src 'none'" in policy
+    assert "unsafe-eval" not in policy
+    assert "cdn.jsdelivr.net" in client.get("/docs").headers["content-security-policy"]
+    assert "content-security-policy" not in client.get("/levels").headers
+
+
+def test_an_unforeseen_error_has_a_number_that_the_log_has_too(
+    serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    client = serve_with(fake_workers.obedient)
+    monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
+    monkeypatch.setattr(client.service.levels, "names", lambda: 1 / 0)
+    answer = client.get("/levels", headers={"X-Request-ID": "number-7", "Origin": "https://a.example"})
+    problem = check_problem(answer, 500, "internal", None)
+    assert answer.headers["x-request-id"] == "number-7"
+    assert "division" not in problem["detail"]
+    assert any("failed unexpectedly" in record.getMessage() for record in caplog.records)
+
+
+def test_the_access_log_is_a_setting_and_its_lines_are_lines(
+    serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    quiet, told = serve_with(fake_workers.obedient), serve_with(fake_workers.obedient, access_log=True)
+    monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
+    with caplog.at_level("INFO", "skugga.access"):
+        quiet.get("/levels")
+        assert not [record for record in caplog.records if record.name == "skugga.access"]
+        told.get("/levels?x=%0Aforged%20line")
+        told.get("/healthz")  # the line before is written by now
+    (record,) = [each for each in caplog.records if each.name == "skugga.access" and each.fields["path"] == "/levels"]
+    assert record.fields["route"] == "/levels" and record.fields["status"] == 422
+    for as_json in (False, True):
+        assert "\n" not in LogLine(as_json).format(record)
+
+
+def test_lines_of_json():
+    record = logging.makeLogRecord({"msg": "said %s", "args": ("it",), "levelname": "INFO", "fields": {"ms": 1.5}})
+    token = request_id.set("number-1")
+    try:
+        line = json.loads(LogLine(True).format(record))
+        assert LogLine().format(record).endswith("said it ms=1.5 [number-1]")
+    finally:
+        request_id.reset(token)
+    assert (line["message"], line["request_id"], line["ms"], line["level"]) == ("said it", "number-1", 1.5, "INFO")
+
+
+def test_a_token_is_asked_for_where_there_is_one(serve_with):
+    client = serve_with(fake_workers.obedient, api_token="a secret token")
+    for headers in ({}, {"Authorization": "Bearer another token"}, {"Authorization": "Basic a secret token"}):
+        for path in ("/levels", TILE, "/", "/metrics", "/docs", "/nothing"):
+            answer = client.get(path, headers=headers)
+            check_problem(answer, 401, "unauthorized", None)
+            assert answer.headers["www-authenticate"] == "Bearer"
+    right = {"Authorization": "Bearer a secret token"}
+    assert client.get("/levels", headers=right).status_code == 200
+    assert client.get(TILE, headers=right).status_code == 200
+    check_problem(client.get(TILE), 401, "unauthorized", None)
+    assert client.get("/healthz").status_code == 200
+    preflight = {
+        "Origin": "https://a.example",
+        "Access-Control-Request-Method": "GET",
+        "Access-Control-Request-Headers": "authorization",
+    }
+    assert client.options("/levels", headers=preflight).status_code == 200
+
+
+def test_pages_of_other_origins_send_no_cookies(serve_with):
+    client = serve_with(fake_workers.obedient)
+    answer = client.get("/levels", headers={"Origin": "https://a.example"})
+    assert answer.headers["access-control-allow-origin"] == "*"
+    assert "access-control-allow-credentials" not in answer.headers

@@ -1,0 +1,316 @@
+"""Render processes that stop, fail or keep others waiting: everything has an end, and the pool goes on."""
+
+import asyncio
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from api.errors import LaterError, SetAsideError, WorkerCrashError
+from api.workers import pool as pool_module
+from api.workers import worker_process
+from api.workers.expected_times import ExpectedTimes
+from api.workers.job_queue import JobQueue, PendingJob
+from api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
+from api.workers.pool import Pool
+from api.workers.process_life import is_stopped
+from api.workers.set_aside import SetAside
+from terrain.errors import RenderTimeoutError
+from tests.api.workers import fake_workers
+from tests.api.workers.test_pool import LEVEL, Gate, block, order, until, with_pool
+
+OTHER_LEVEL = LevelKey(path=LEVEL.path.with_name("other.yaml"), version="1")
+
+
+def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
+    request = PictureRequest(overrides=RequestedSettings.of(asked))
+    return SnapshotJob(level=LEVEL, view="map", layer="color", format="png", size=size, request=request)
+
+
+def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):
+    """The pipe of the next process cannot be made, twice; then descriptors are free again."""
+    real, left = worker_process.get_context, [2]
+
+    class NoPipes:
+        def __getattr__(self, name):
+            return getattr(real("forkserver"), name)
+
+        def Pipe(self):
+            raise OSError(errno.EMFILE, "Too many open files")
+
+    def context(method: str):
+        if left[0] and started:
+            left[0] -= 1
+            return NoPipes()
+        return real(method)
+
+    started: list[int] = []
+    monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 0.01)
+    monkeypatch.setattr(worker_process, "get_context", context)
+
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        started.extend(pool.pids)
+        os.kill(*pool.pids, signal.SIGKILL)
+        await until(lambda: not left[0] and pool.ready and set(started) != pool.pids)
+        assert pool.whole
+        assert isinstance(await pool.run(order("map")), PlanAnswer)
+
+    with_pool(scenario)
+
+
+def test_a_place_that_has_ended_is_told():
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        assert pool.whole
+        pool._slots[0].cancel()
+        await until(lambda: not pool.whole)
+
+    with_pool(scenario)
+
+
+def test_an_idle_process_that_is_stopped_is_not_ready_and_is_replaced(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pool_module, "PING_EVERY_S", 0.2)
+    monkeypatch.setattr(pool_module, "PONG_S", 0.2)
+
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        (pid,) = pool.pids
+        os.kill(pid, signal.SIGSTOP)
+        await until(lambda: is_stopped(pid) or pid not in pool.pids)
+        assert not pool.ready or pid not in pool.pids
+        await until(lambda: pool.ready and pid not in pool.pids)
+        assert isinstance(await pool.run(order("map")), PlanAnswer)
+
+    with_pool(scenario)
+
+
+def test_a_process_that_is_stopped_in_the_middle_of_a_job(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(worker_process, "LOOK_EVERY_S", 0.1)
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        begun = asyncio.create_task(pool.run(order("map")))
+        await gate.begun()
+        os.kill(*pool.pids, signal.SIGSTOP)
+        await gate.begun()
+        gate.open(2)
+        assert isinstance(await begun, PlanAnswer)
+        assert pool.tally.retried == 1
+
+    with_pool(scenario, gate.target)
+
+
+def test_waiting_has_an_end():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        pool._queue.expected.learn(order("first"), 0.01)
+        begun = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        with pytest.raises(LaterError, match=r"within 0.3 s") as caught:
+            await pool.run(order("waits"))
+        assert caught.value.retry_after_s >= 1
+        assert pool.queued == 0 and pool.tally.expired == 1
+        gate.open()
+        await begun
+
+    with_pool(scenario, gate.target, queue_timeout_s=0.3)
+
+
+def test_who_would_wait_too_long_is_refused_at_once():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        pool._queue.expected.learn(block(0), 30.0)
+        await until(lambda: pool.ready)
+        begun = asyncio.create_task(pool.run(block(0)))
+        await gate.begun()
+        with pytest.raises(LaterError, match="expected to be") as caught:
+            await pool.run(block(1))
+        assert 20 <= caught.value.retry_after_s <= 30
+        gate.open()
+        await begun
+
+    with_pool(scenario, gate.target, queue_timeout_s=20.0)
+
+
+def test_what_keeps_timing_out_is_set_aside_and_nothing_else():
+    async def scenario(pool: Pool) -> None:
+        hang = order("hang")
+        for _ in range(2):
+            with pytest.raises(RenderTimeoutError):
+                await pool.run(hang)
+        with pytest.raises(SetAsideError, match="level level") as caught:
+            await pool.run(hang)
+        assert 1 <= caught.value.retry_after_s <= 30
+        started = pool.tally.started
+        other = order("map").model_copy(update={"level": OTHER_LEVEL})
+        assert isinstance(await pool.run(other), PlanAnswer)
+        assert pool.tally.started <= started + 1
+
+    with_pool(scenario, render_timeout_s=0.3)
+
+
+def test_a_timeout_is_no_failed_start(monkeypatch: pytest.MonkeyPatch):
+    """Else the next process would come only after pauses that double."""
+    monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 1000.0)
+
+    async def scenario(pool: Pool) -> None:
+        for number in range(3):
+            hang = order("hang").model_copy(update={"level": LevelKey(path=LEVEL.path, version=str(number))})
+            with pytest.raises(RenderTimeoutError):
+                await pool.run(hang)
+        assert isinstance(await pool.run(order("map")), PlanAnswer)
+
+    with_pool(scenario, render_timeout_s=0.2)
+
+
+def test_a_job_whose_processes_die_is_tried_twice():
+    async def scenario(pool: Pool) -> None:
+        with pytest.raises(WorkerCrashError):
+            await pool.run(order("crash"))
+        assert pool.tally.retried == 1
+
+    with_pool(scenario)
+
+
+def pending(job, came_s: float) -> PendingJob:
+    return PendingJob(job, None, came_s)  # type: ignore[arg-type]
+
+
+def test_light_jobs_pass_heavy_ones_but_not_for_ever():
+    queue = JobQueue(1, ExpectedTimes())
+    queue.expected.learn(view(), 30.0)
+    queue.expected.learn(block(0), 0.1)
+    heavy, light, later = pending(view(), 0.0), pending(block(1), 10.0), pending(block(2), 31.0)
+    for each in (heavy, light, later):
+        queue.put(each)
+    assert [queue.take(40.0) for _ in range(1)] == [light]
+    queue.discard(light)
+    assert queue.take(40.0) is heavy
+
+
+def test_while_more_comes_than_can_be_done_only_short_waits_are_let_in():
+    queue = JobQueue(1, ExpectedTimes())
+    queue.expected.learn(block(0), 0.2)
+    for number in range(10):
+        queue.put(pending(block(number), 0.0))
+    burst_s, standing_s = (queue.longest_wait_s(block(99), now_s, 20.0) for now_s in (4.0, 6.0))
+    assert (burst_s, standing_s) == (20.0, 0.5)
+    assert queue.wait_s(block(99), 6.0) == pytest.approx(2.0)
+    queue.expected.learn(view(), 5.0 * 640 * 480 / (1280 * 1024))
+    assert queue.longest_wait_s(view((1280, 1024)), 6.0, 20.0) == pytest.approx(10.0), "what takes long may wait long"
+    for each in list(queue.waiting.values()):
+        queue.discard(each)
+    assert queue.longest_wait_s(block(99), 60.0, 20.0) == 20.0, "once the queue was empty, bursts are let in again"
+
+
+def test_one_process_is_left_to_light_jobs():
+    queue = JobQueue(3, ExpectedTimes())
+    queue.expected.learn(block(0), 0.1)
+    slow = [view((640 + n, 480)) for n in range(4)]
+    for job in slow:
+        queue.put(pending(job, 0.0))
+    taken = [queue.take(0.0) for _ in range(3)]
+    assert [each is not None for each in taken] == [True, True, False]
+    queue.put(pending(block(1), 5.0))
+    light = queue.take(5.0)
+    assert light is not None and isinstance(light.job, BlockJob)
+    assert queue.take(5.0) is None
+    queue.discard(taken[0])  # type: ignore[arg-type]
+    assert queue.take(5.0) is not None
+
+
+def test_a_single_process_does_heavy_jobs_too():
+    queue = JobQueue(1, ExpectedTimes())
+    queue.put(pending(view(), 0.0))
+    assert queue.take(0.0) is not None
+
+
+def test_expected_times_follow_what_was_measured():
+    expected = ExpectedTimes()
+    assert not expected.is_light(block(0))
+    expected.learn(block(0), 1.0)
+    assert expected.is_light(block(1)) and expected.of(block(1)) == 1.0
+    expected.learn(block(1), 2.0)
+    assert expected.of(block(2)) == pytest.approx(1.3)
+    assert expected.of(block(2).model_copy(update={"level": OTHER_LEVEL})) == 0.5, "another level is another matter"
+    expected.learn(view((1280, 1024)), 4.0)
+    assert expected.of(view((2560, 2048))) == pytest.approx(16.0), "a snapshot takes as long as it has pixels"
+
+
+def test_set_aside_levels_come_back_and_stay_away_longer_each_time():
+    now = [0.0]
+    aside = SetAside(lambda: now[0])
+    aside.failed(block(0))
+    assert aside.seconds_left(block(0)) == 0.0
+    aside.failed(block(1))
+    assert aside.seconds_left(block(2)) == 30.0
+    assert aside.seconds_left(order("map")) == 30.0, "plain tiles fail, so the level does"
+    now[0] = 31.0
+    assert aside.seconds_left(block(0)) == 0.0
+    aside.failed(block(0))
+    assert aside.seconds_left(block(0)) == 60.0
+    now[0] = 100.0
+    aside.succeeded(block(0))
+    aside.failed(block(0))
+    assert aside.seconds_left(block(0)) == 0.0
+
+
+def test_what_a_request_asks_for_sets_aside_only_what_asks_the_same():
+    aside = SetAside(lambda: 0.0)
+    for _ in range(2):
+        aside.failed(view(algorithm="shadow_volume"))
+    assert aside.seconds_left(view((100, 100), algorithm="shadow_volume")) > 0.0
+    assert aside.seconds_left(view()) == 0.0
+    assert aside.seconds_left(block(0)) == 0.0
+
+
+PARENT = """
+import subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE, text=True)
+print(child.pid, child.stdout.readline().strip(), flush=True)
+sys.stdin.read()
+"""
+CHILD = "from api.workers.process_life import end_with_parent; end_with_parent(); print('busy', flush=True)\nwhile True: pass"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_process_ends_with_a_parent_that_is_killed_whatever_it_does(stopped: bool):
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline().split()[0])
+    if stopped:
+        os.kill(pid, signal.SIGSTOP)
+    parent.kill()
+    parent.communicate()
+    until_s = time.monotonic() + 10.0
+    while _lives(pid):
+        assert time.monotonic() < until_s, "it outlived its parent"
+        time.sleep(0.01)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_fake_process_answers_pings():
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        (pid,) = pool.pids
+        await asyncio.sleep(0.3)
+        assert pool.pids == {pid}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool_module, "PING_EVERY_S", 0.05)
+        with_pool(scenario, fake_workers.obedient)

@@ -1,0 +1,109 @@
+"""Clients that ask a service a lot, over connections that stay open, and note how long each answer took."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class Answers:
+    """What came back: statuses, seconds, and how often a refusal said when to come back."""
+
+    statuses: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    told_when: int = 0
+
+    def ms(self, share: float, status: int | None = None) -> float:
+        """The time within which a share of the answers came, milliseconds."""
+        chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if status in (None, got)]
+        return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
+
+    def count(self, status: int) -> int:
+        return self.statuses.count(status)
+
+    def line(self, name: str) -> str:
+        counts = ", ".join(f"{status}: {self.count(status)}" for status in sorted(set(self.statuses)))
+        return (
+            f"{name}: {len(self.statuses)} answers ({counts}); of 200 and 304 half within {self.good_ms(0.5):.1f} ms, "
+            f"99 of 100 within {self.good_ms(0.99):.1f} ms"
+        )
+
+    def good_ms(self, share: float) -> float:
+        chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if got in (200, 304)]
+        return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
+
+
+class Connection:
+    """One connection, opened anew where the service has ended it."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+
+    async def get(self, path: str, answers: Answers, headers: str = "") -> dict[str, str]:
+        """Ask once; what goes wrong counts as status 0."""
+        began = time.perf_counter()
+        found: dict[str, str] = {}
+        try:
+            if self._streams is None:
+                self._streams = await asyncio.open_connection("127.0.0.1", self._port)
+            reader, writer = self._streams
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode())
+            status = int((await reader.readline()).split()[1])
+            while (line := (await reader.readline()).decode("latin-1").strip()) != "":
+                name, _, value = line.partition(":")
+                found[name.lower()] = value.strip()
+            if status != 304:
+                await reader.readexactly(int(found.get("content-length", 0)))
+        except (OSError, EOFError, IndexError, ValueError, asyncio.IncompleteReadError):
+            status = 0
+            self.close()
+        answers.statuses.append(status)
+        answers.seconds.append(time.perf_counter() - began)
+        answers.told_when += status in (503, 429) and "retry-after" in found
+        return found
+
+    def close(self) -> None:
+        if self._streams is not None:
+            self._streams[1].close()
+            self._streams = None
+
+
+async def closed_loop(port: int, path: Callable[[], str], clients: int, seconds: float) -> Answers:
+    """Clients that each ask again as soon as they have their answer."""
+    answers = Answers()
+
+    async def one() -> None:
+        connection, until = Connection(port), time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            await connection.get(path(), answers)
+        connection.close()
+
+    await asyncio.gather(*(one() for _ in range(clients)))
+    return answers
+
+
+async def open_loop(port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "") -> Answers:
+    """Requests at a steady rate, whether or not those before have been answered."""
+    answers, free, running = Answers(), list[Connection](), set[asyncio.Task[None]]()
+
+    async def one() -> None:
+        connection = free.pop() if free else Connection(port)
+        await connection.get(path(), answers, headers)
+        free.append(connection)
+
+    began = time.perf_counter()
+    for number in range(int(per_second * seconds)):
+        await asyncio.sleep(max(began + number / per_second - time.perf_counter(), 0.0))
+        task = asyncio.create_task(one())
+        running.add(task)
+        task.add_done_callback(running.discard)
+    await asyncio.gather(*running)
+    for connection in free:
+        connection.close()
+    return answers

@@ -1,0 +1,199 @@
+"""A service as operators run it, under more load than it can bear, and while its render processes are killed and stopped.
+
+Each test prints what it measured (``make test-soak``). What is held: every answer is one that the interface knows, what cannot be
+done is refused with a time to come back, and the service is whole afterwards.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import random
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.api.conftest import CORNER, ZOOM, write_level
+from tests.api.http.test_serve import alive
+from tests.soak.clients import Answers, Connection, closed_loop, open_loop
+
+pytestmark = pytest.mark.soak
+
+ROOT = Path(__file__).resolve().parents[2]
+SECONDS = float(os.environ.get("SOAK_SECONDS", "20"))
+WORKERS = 2
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+KNOWN = {200, 304, 429, 503, 504}
+
+
+@contextmanager
+def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.Popen[str], Path]]:
+    """A service of hills in a process of its own, ready: its port, its process and its log."""
+    level, log = write_level(folder, "hills"), folder / "log"
+    command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(level), "--port", "0"]
+    settings = {"SKUGGA_WORKERS": str(WORKERS), "SKUGGA_NEW_SUNS_PER_MINUTE": "0", **environment}
+    with log.open("w") as said:
+        process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=said, text=True)
+    try:
+        until = time.monotonic() + 300
+        while (port := re.search(r"on http://[\d.]+:(\d+)", log.read_text())) is None or not _ready(int(port[1])):
+            assert process.poll() is None and time.monotonic() < until, log.read_text()[-2000:]
+            time.sleep(0.2)
+        yield int(port[1]), process, log
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _ready(port: int) -> bool:
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
+            return len(json.load(answer)) > 0 and answer.status == 200 and _workers(port) == WORKERS
+    except OSError:
+        return False
+
+
+def _workers(port: int) -> int:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
+        return int(json.load(answer)["workers"])
+
+
+def new_suns() -> Iterator[str]:
+    """Addresses of one tile under suns that nobody has asked for."""
+    return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
+
+
+def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """Accepted requests keep their latency, others are refused with a time to come back, and what is kept is answered at once."""
+    suns = new_suns()
+    with service(tmp_path) as (port, _, log):
+        asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, 5.0))
+        sustained = asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, SECONDS))
+        rate = sustained.count(200) / SECONDS
+        tag = asyncio.run(_tag(port))
+
+        async def saturated() -> list[Answers]:
+            return await asyncio.gather(
+                open_loop(port, lambda: next(suns), 4.0 * rate, SECONDS),
+                open_loop(port, lambda: TILE, 20.0, SECONDS),
+                open_loop(port, lambda: "/healthz", 20.0, SECONDS),
+                open_loop(port, lambda: TILE, 20.0, SECONDS, f"If-None-Match: {tag}\r\n"),
+            )
+
+        drawn, kept, health, unchanged = asyncio.run(saturated())
+        size = log.stat().st_size
+    with capsys.disabled():
+        print(f"\nsustained: {rate:.1f} tiles a second under new suns; {sustained.line('tiles')}")
+        print(f"at four times that, {drawn.line('new suns')}")
+        for name, answers in (("kept tiles", kept), ("/healthz", health), ("304", unchanged)):
+            print(f"meanwhile, {answers.line(name)}")
+        print(f"log: {size} bytes")
+    assert set(drawn.statuses) <= KNOWN
+    assert drawn.told_when == drawn.count(503), "a refusal says when to come back"
+    assert drawn.count(200) > 0.5 * rate * SECONDS, "what it can do, it does"
+    for answers, status in ((kept, 200), (health, 200), (unchanged, 304)):
+        assert set(answers.statuses) == {status}
+    assert size < 1_000_000
+
+
+async def _tag(port: int) -> str:
+    connection = Connection(port)
+    found = await connection.get(TILE, Answers())
+    connection.close()
+    return found["etag"]
+
+
+def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.CaptureFixture):
+    suns, chosen = new_suns(), random.Random(7)
+    with service(tmp_path) as (port, process, _):
+
+        async def harm() -> int:
+            done, until = 0, time.monotonic() + SECONDS
+            while time.monotonic() < until:
+                await asyncio.sleep(chosen.uniform(1.0, 3.0))
+                workers = await asyncio.to_thread(_render_processes, process.pid)
+                if workers:
+                    os.kill(chosen.choice(workers), chosen.choice([signal.SIGKILL, signal.SIGSTOP]))
+                    done += 1
+            return done
+
+        async def both() -> tuple[Answers, Answers, int]:
+            return await asyncio.gather(
+                closed_loop(port, lambda: next(suns), 4, SECONDS), open_loop(port, lambda: "/healthz", 10.0, SECONDS), harm()
+            )
+
+        tiles, health, harmed = asyncio.run(both())
+        began = time.monotonic()
+        while not _ready(port):
+            assert time.monotonic() - began < 120
+            time.sleep(0.2)
+        mended_s = time.monotonic() - began
+        workers = _render_processes(process.pid)
+        process.kill()
+        process.wait()
+        time.sleep(1.0)
+        left = [pid for pid in workers if alive(pid)]
+    with capsys.disabled():
+        print(f"\n{harmed} processes killed or stopped in {SECONDS:g} s: {tiles.line('tiles')}; whole again after {mended_s:.1f} s")
+    assert set(tiles.statuses) <= KNOWN and tiles.count(200) > 0
+    assert set(health.statuses) == {200}
+    assert not left, "processes outlived a service that was killed"
+
+
+def _render_processes(service_pid: int) -> list[int]:
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == service_pid and "spawn_main" in (path / "cmdline").read_text():
+                found.append(int(path.name))
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def test_idle_connections_beyond_the_descriptors(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """A limit of 64 open files, and clients that hold 200 connections: the service answers, replaces processes, and logs little."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+        context = service(tmp_path)
+        port, process, log = context.__enter__()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    try:
+
+        async def hold() -> Answers:
+            idle = [await asyncio.open_connection("127.0.0.1", port) for _ in range(200)]
+            for pid in _render_processes(process.pid):
+                os.kill(pid, signal.SIGKILL)
+            answers = await open_loop(port, lambda: "/healthz", 10.0, SECONDS)
+            for _, writer in idle:
+                writer.close()
+            return answers
+
+        health = asyncio.run(hold())
+        began = time.monotonic()
+        while not _ready(port):
+            assert time.monotonic() - began < 120
+            time.sleep(0.2)
+        tiles = asyncio.run(closed_loop(port, lambda: TILE, 1, 2.0))
+        size = log.stat().st_size
+    finally:
+        context.__exit__(None, None, None)
+    with capsys.disabled():
+        print(f"\n200 idle connections, 64 open files: {health.line('/healthz')}; {tiles.line('tiles')}; log {size} bytes")
+    assert health.count(200) > 0.9 * len(health.statuses)
+    assert tiles.count(200) > 0
+    assert size < 100_000
