@@ -15,10 +15,23 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import TooLargeError
-from api.http import problems, routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles, routes_viewer
+from api.http import (
+    problems,
+    routes_health,
+    routes_levels,
+    routes_map,
+    routes_plan,
+    routes_point,
+    routes_snapshot,
+    routes_tiles,
+    routes_viewer,
+    routes_wms,
+    routes_wmts,
+)
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.first_pictures import served_pictures
+from api.http.ogc_times import OFFERED_STEP, CurrentTimeError
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.settings import Settings
@@ -84,7 +97,10 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
-    for routes in (routes_levels, routes_plan, routes_point, routes_tiles, routes_snapshot, routes_health):
+    app.add_exception_handler(CurrentTimeError, _at_the_instant)
+    for routes in (
+        routes_wmts, routes_wms, routes_levels, routes_plan, routes_point, routes_tiles, routes_map, routes_snapshot, routes_health,
+    ):  # fmt: skip
         app.include_router(routes.router)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
     return app
@@ -170,6 +186,13 @@ def serve(settings: Settings, levels: Sequence[Path | LevelSource]) -> None:
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
         Server(config, app.state.service).run()
+
+
+async def _at_the_instant(request: Request, error: Exception) -> Response:
+    assert isinstance(error, CurrentTimeError)
+    return Response(
+        status_code=307, headers={"Location": error.location, "Cache-Control": f"public, max-age={OFFERED_STEP.seconds // 10}"}
+    )
 
 
 async def _nobody_reads(request: Request, error: Exception) -> Response:
