@@ -14,6 +14,9 @@ LegendFormat = Literal["png", "svg"]
 LEGEND_IN = (3.4, 0.85)
 """Width and height of a legend, inches of 100 pixels."""
 
+LEGEND_SIZE_PX = 340, 85
+"""The same in pixels."""
+
 
 @dataclass(frozen=True)
 class ColorScale:

@@ -13,13 +13,13 @@ import numpy as np
 from PIL import Image
 
 from api.png import encode_png
-from api.raster_file import check_raster
+from api.terrain_encodings import terrain_rgb, terrarium
 from shadows.passes import PassLayer
 from shadows.render import Frame
 from terrain.errors import InputError
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
-from terrain.whole_files import replaced_whole, write_whole
+from terrain.whole_files import write_whole
 
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 """Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
@@ -27,6 +27,15 @@ PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 PictureFormat = Literal["png", "webp", "jpg"]
 MEDIA_TYPES: dict[PictureFormat, str] = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
 """Formats of pictures over HTTP."""
+
+MapFormat = Literal["png", "webp", "jpg", "tif", "npy"]
+MAP_MEDIA_TYPES: dict[MapFormat, str] = {
+    "png": "image/png", "webp": "image/webp", "jpg": "image/jpeg", "tif": "image/tiff", "npy": "application/x-npy",
+}  # fmt: skip
+"""Formats of tiles and maps over HTTP: pictures, and arrays to compute with."""
+
+TerrainEncoding = Literal["mapbox", "terrarium"]
+"""How heights are told in colours, by the names that MapLibre has for it."""
 
 VOLUME_COLOR = (255, 120, 30)
 """sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
@@ -64,16 +73,19 @@ class Layer:
     its array is made, row 0 the upper one.
 
     A layer with a ``picture`` (of uint8: gray or RGBA, with JPEG RGBA) is served over HTTP, in those formats that are among its
-    suffixes; any other has ``data``. ``shown`` makes of an array that is no picture one for PNG, over the frame's colour.
-    ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` may be compressed with loss, and is of all
-    lights together; others are to be computed with, and of one light. One ``of_points`` takes the
-    visibility at pixels' own points; others what is shown, which is drawn faster.
+    suffixes; any other has ``data``. Of tiles and maps data are served too, where ``pixels`` takes them from what was drawn, or
+    where they are heights in an ``encoding``: those hang on no light. ``shown`` makes of an array that is no picture one for PNG,
+    over the frame's colour. ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` may be compressed with
+    loss, and is of all lights together; others are to be computed with, and of one light. One ``of_points`` takes the visibility at
+    pixels' own points; others what is shown, which is drawn faster.
     """
 
     about: str = ""
     suffixes: tuple[str, ...]
     picture: Callable[[Pictured], np.ndarray] | None = None
     data: Callable[[Scene, Frame], np.ndarray] | None = None
+    pixels: Callable[[Pictured], np.ndarray] | None = None
+    encoding: TerrainEncoding | None = None
     shown: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     nodata: float | None = None
     to_look_at: bool = False
@@ -83,6 +95,12 @@ class Layer:
     def formats(self) -> tuple[PictureFormat, ...]:
         """The formats that it is served in."""
         return tuple(each for each in MEDIA_TYPES if f".{each}" in self.suffixes) if self.picture else ()
+
+    @property
+    def map_formats(self) -> tuple[MapFormat, ...]:
+        """The formats that tiles and maps of it are served in."""
+        served = self.picture or self.pixels or self.encoding
+        return tuple(each for each in MAP_MEDIA_TYPES if f".{each}" in self.suffixes) if served else ()
 
 
 def _color(frame: Pictured) -> np.ndarray:
@@ -106,6 +124,24 @@ def _mask(frame: Pictured) -> np.ndarray:
 def _visibility(scene: Scene, frame: Frame) -> np.ndarray:
     """float32, NaN where there is no surface."""
     return frame.visibility
+
+
+def encoded_heights(height_m: np.ndarray, nodata_m: float, encoding: TerrainEncoding) -> np.ndarray:
+    """Heights (rows, cols) as RGB (rows, cols, 3) uint8; those that are NaN are told as ``nodata_m``."""
+    known = np.where(np.isnan(height_m), nodata_m, height_m)
+    return terrain_rgb(known) if encoding == "mapbox" else terrarium(known)
+
+
+def nodata_height_m(lowest_m: float) -> float:
+    """The height that is told of places off the data: whole metres at or below a level's lowest ground, so that none stands up."""
+    return float(np.floor(lowest_m))
+
+
+def _heights(encoding: TerrainEncoding) -> Callable[[Scene, Frame], np.ndarray]:
+    def data(scene: Scene, frame: Frame) -> np.ndarray:
+        return encoded_heights(frame.height_m, nodata_height_m(scene.height_range_m[0]), encoding)
+
+    return data
 
 
 def _depth(scene: Scene, frame: Frame) -> np.ndarray:
@@ -175,7 +211,17 @@ LAYERS: dict[str, Layer] = {
         about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
         picture=_mask, suffixes=(".png", ".webp", ".tif"), nodata=MASK_NO_SURFACE,
     ),
-    "visibility": Layer(data=_visibility, suffixes=(".npy", ".tif"), nodata=np.nan),
+    "visibility": Layer(
+        about="the share of the light that reaches the ground, 0 to 1", data=_visibility, pixels=lambda drawn: drawn.visibility,
+        suffixes=(".npy", ".tif"), nodata=np.nan,
+    ),
+    "terrain-rgb": Layer(
+        about="heights in Mapbox's encoding, for terrain in three dimensions", data=_heights("mapbox"), encoding="mapbox",
+        suffixes=(".png", ".webp"),
+    ),
+    "terrarium": Layer(
+        about="heights in Terrarium's encoding", data=_heights("terrarium"), encoding="terrarium", suffixes=(".png", ".webp")
+    ),
     "depth": Layer(data=_depth, suffixes=(".npy", ".tif"), nodata=np.nan),
     "position": Layer(data=_position, suffixes=(".npy",)),
     "shadow-map": Layer(data=_kept("shadow-map"), suffixes=(".npy", ".png"), shown=_gray_of_depths),
@@ -187,12 +233,17 @@ LAYERS: dict[str, Layer] = {
 """All layers. What the service serves, what the command line writes, and what either says of them, is read off here."""
 
 PICTURE_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.picture)
-"""Layers that are served over HTTP."""
+"""Layers that are served over HTTP as pictures of any view."""
+
+MAP_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.map_formats)
+"""Layers that are served over HTTP as tiles and maps."""
 
 if TYPE_CHECKING:
     PictureLayer = str
+    MapLayer = str
 else:
     PictureLayer = Literal[PICTURE_LAYERS]
+    MapLayer = Literal[MAP_LAYERS]
 
 
 def picture_layer(frame: Pictured, layer: str) -> np.ndarray:
@@ -201,6 +252,12 @@ def picture_layer(frame: Pictured, layer: str) -> np.ndarray:
     if picture is None:
         raise InputError("layer", layer, ", ".join(PICTURE_LAYERS))
     return picture(frame)
+
+
+def map_layer(drawn: Pictured, layer: str) -> np.ndarray:
+    """A layer of a drawn map that is served, row 0 northernmost: a picture of uint8, or data. Raises ``InputError``."""
+    pixels = known(layer).pixels
+    return picture_layer(drawn, layer) if pixels is None else pixels(drawn)
 
 
 def frame_layer(scene: Scene, frame: Frame, layer: str) -> np.ndarray:
@@ -243,12 +300,12 @@ def write_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
     check_suffix(layer, path)
     array = frame_layer(scene, frame, layer)
     if suffix == ".npy":
-        with replaced_whole(path) as part, part.open("wb") as file:
-            np.save(file, array)
+        content = npy(array)
     elif suffix == ".tif":
-        _write_tiff(frame, array, path, LAYERS[layer].nodata)
+        content = geotiff(array, frame.view, LAYERS[layer].nodata)
     else:
-        write_whole(path, encode_picture(viewable(layer, array, frame.color), suffix))
+        content = encode_picture(viewable(layer, array, frame.color), suffix)
+    write_whole(path, content)
 
 
 def check_suffix(layer: str, path: Path) -> None:
@@ -259,21 +316,28 @@ def check_suffix(layer: str, path: Path) -> None:
         raise FileNotFoundError(2, "folder not found", str(path))
 
 
-def _write_tiff(frame: Frame, array: np.ndarray, path: Path, nodata: float | None) -> None:
-    import rasterio
+def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
+    """The bytes of a GeoTIFF of an array (rows, cols) or (rows, cols, bands); of a map view it is georeferenced."""
     from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.io import MemoryFile
     from rasterio.transform import from_bounds
 
     bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
-    view = frame.view
     where = {}
     if isinstance(view, MapView):
         where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
-    with warnings.catch_warnings(), rasterio.Env(), replaced_whole(path) as part:
+    with warnings.catch_warnings(), MemoryFile() as file:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
-        with rasterio.open(
-            part, "w", driver="GTiff", width=view.cols, height=view.rows, count=bands.shape[0], dtype=bands.dtype,
+        with file.open(
+            driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=bands.shape[0], dtype=bands.dtype,
             **where, compress="deflate", nodata=nodata,
         ) as dataset:  # fmt: skip
             dataset.write(bands)
-        check_raster(part)
+        return bytes(file.read())
+
+
+def npy(array: np.ndarray) -> bytes:
+    """The bytes of an array as a ``.npy`` file."""
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()

@@ -220,7 +220,7 @@ class Scene:
             raise InputError("bounds", extent, "coordinates below 1e9, and pixels larger than their rounding")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
-        if bounds is not None and not self._shows(target, extent):
+        if bounds is not None and not self.shows(target, extent):
             own = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
             raise InputError("bounds", extent, f"bounds that meet the level, in units of {target.name}; its own: {own}")
         size = size or spec.size
@@ -231,7 +231,7 @@ class Scene:
             extent = west, south, east, north = west - wider, south - higher, east + wider, north + higher
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
-    def _shows(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
+    def shows(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
         """Whether an extent in a CRS meets the raster: some place of a lattice over the one lies in the other."""
         west, south, east, north = extent
         x, y = np.meshgrid(np.linspace(west, east, PLACES_A_SIDE), np.linspace(south, north, PLACES_A_SIDE))

@@ -100,7 +100,7 @@ def test_a_setting_more_is_everywhere(said):
 
     documented = found["openapi"]
     assert {path.rpartition("/")[2] for path in documented} == {
-        "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "snapshot.{format}", "plan",
+        "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "snapshot.{format}", "plan",
     }  # fmt: skip
     for parameter in documented.values():
         assert parameter["description"] == "How shadows shine."
@@ -128,7 +128,7 @@ def test_a_layer_more_is_everywhere(said):
     assert "dusk, color, shadow" in found["help"]
     assert found["http"] == [[100]] * 4 and found["off the data"] == [7]
     assert found["refusal"]["parameter"] == "format" and "png, webp for layer dusk" in found["refusal"]["detail"]
-    assert found["unknown"]["parameter"] == "layer" and "'dusk'" in found["unknown"]["detail"]
+    assert found["unknown"]["parameter"] == "layer" and "dusk" in found["unknown"]["detail"]
     assert "dusk" in found["layers"]
     for parameter in found["openapi"].values():
         assert "dusk" in parameter["schema"]["enum"] and "`dusk` is gray by a layer more" in parameter["description"]
@@ -136,7 +136,7 @@ def test_a_layer_more_is_everywhere(said):
 
 def test_a_parameter_more_reaches_the_picture_and_its_tags(said):
     found = said(A_PARAMETER, "parameter")
-    assert len(found["openapi"]) == 4
+    assert len(found["openapi"]) == 6
     for headline in found["http"]:
         assert json.loads(headline) == [{}, 42.0]
     assert "raised=12" in found["tilejson"][0]

@@ -47,12 +47,20 @@ def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
 
 def json_answer(request: Request, value: object, more: dict[str, str] | None = None) -> Response:
     """A JSON answer with ``more`` headers, or 304 where the client has it."""
-    answer = JSONResponse(value)
-    headers = cache_headers(tag_of(bytes(answer.body)), FACTS_S) | (more or {})
+    return document_answer(request, bytes(JSONResponse(value).body), "application/json", **(more or {}))
+
+
+def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:
+    """A document that is said of levels, with ``more`` headers, or 304 where the client has it."""
+    headers = cache_headers(tag_of(body), FACTS_S) | more
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    answer.headers.update(headers)
-    return answer
+    return Response(body, headers=headers, media_type=media_type)
+
+
+def base_url(request: Request, public_url: str | None) -> str:
+    """Where clients reach the service, without a slash at the end."""
+    return (public_url or str(request.base_url)).rstrip("/")
 
 
 def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:

@@ -12,7 +12,19 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import TooLargeError
-from api.http import problems, routes_health, routes_levels, routes_plan, routes_point, routes_snapshot, routes_tiles, routes_viewer
+from api.http import (
+    problems,
+    routes_health,
+    routes_levels,
+    routes_map,
+    routes_plan,
+    routes_point,
+    routes_snapshot,
+    routes_tiles,
+    routes_viewer,
+    routes_wms,
+    routes_wmts,
+)
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.bearer_token import BearerToken
 from api.http.encoded_tiles import EncodedTiles, SentBefore
@@ -65,7 +77,9 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
-    for routes in (routes_levels, routes_plan, routes_point, routes_tiles, routes_snapshot, routes_health):
+    for routes in (
+        routes_wmts, routes_wms, routes_levels, routes_plan, routes_point, routes_tiles, routes_map, routes_snapshot, routes_health,
+    ):  # fmt: skip
         app.include_router(routes.router)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
     return app

@@ -12,7 +12,7 @@ from pyproj import CRS
 from api.errors import NotServedError
 from api.workers.block_tiles import TILE_PX
 from terrain.cache import MIB, cached
-from terrain.geo.grid import crs_of_tiles, tile_grid
+from terrain.geo.grid import MapView, crs_of_tiles, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
 from terrain.ground.surface import step_at_anchor_m
 
@@ -95,14 +95,45 @@ def doubles(matrix_set: TileMatrixSet, zoom: int) -> bool:
     return here.pointOfOrigin == next_.pointOfOrigin and abs(here.cellSize / next_.cellSize - 2.0) < 1e-9
 
 
-def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
-    """Whether a tile surely shows no data. Compared in longitude and latitude, with a margin for curved edges.
+def tile_view(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, scale: int) -> MapView:
+    """A tile's pixels, of the zoom that has ``scale`` times as many a side."""
+    grid, side = tile_grid(matrix_set, zoom + scale - 1), scale * TILE_PX
+    return MapView(grid, float(y * side), float(x * side), 1.0, 1.0, side, side)
 
-    ``False`` where that cannot be told: the tile is drawn then, and is empty.
+
+def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of a zoom's tiles that may show data; all of them where that cannot be told."""
+    matrix = matrix_set.matrix(zoom)
+    rows, cols = (0, matrix.matrixHeight - 1), (0, matrix.matrixWidth - 1)
+    west, south, east, north = transformer(LONGITUDE_LATITUDE, crs_of_tiles(matrix_set)).transform_bounds(
+        *data_lon_lat, densify_pts=21
+    )
+    if data_lon_lat[2] > 180.0 or not np.isfinite([west, south, east, north]).all() or not west < east:
+        return *rows, *cols
+    grid = tile_grid(matrix_set, zoom)
+    left, top, side = grid.x0 - grid.step / 2, grid.y0 + grid.step / 2, grid.step * TILE_PX
+    (first_col, last_col), (first_row, last_row) = (
+        (int(np.clip(np.floor(value), *ends)) for value in values)
+        for values, ends in (
+            (((west - left) / side, (east - left) / side), cols),
+            (((top - north) / side, (top - south) / side), rows),
+        )
+    )
+    return first_row, last_row, first_col, last_col
+
+
+def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
+    """Whether a tile surely shows no data."""
+    return extent_off_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
+
+
+def extent_off_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
+    """Whether an extent (west, south, east, north in a CRS) surely shows no data. Compared in longitude and latitude, with a margin
+    for curved edges.
+
+    ``False`` where that cannot be told: it is drawn then, and is empty.
     """
-    edges = matrix_set.xy_bounds(Tile(x, y, zoom))
-    to_lon_lat = transformer(crs_of_tiles(matrix_set), LONGITUDE_LATITUDE)
-    west, south, east, north = to_lon_lat.transform_bounds(*edges, densify_pts=21)
+    west, south, east, north = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*edges, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
         return False
     east += 360.0 if east < west else 0.0

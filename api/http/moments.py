@@ -15,6 +15,9 @@ from terrain.level.parts import SunSpec
 CURRENT = "current"
 """The word for now."""
 
+OWN_TIME = "default"
+"""The word for the time of a level's own sun, whatever that is."""
+
 TIME_HEADER = "X-Skugga-Time"
 """Says which time an answer is of, where a time was asked for."""
 
@@ -55,7 +58,7 @@ def asked_sun(request: Request, time: str | None, azimuth: float | None, altitud
         left_s = int((moment + grain - now).total_seconds())
         request.state.asked_time = AskedTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
         return SunSpec(time=moment)
-    sun = parse_sun(time, azimuth, altitude)
+    sun = parse_sun(None if time == OWN_TIME else time, azimuth, altitude)
     if sun is None or sun.time is None:
         return sun
     moment = rounded_time(sun.time, grain_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Any, cast, get_args
@@ -15,7 +15,7 @@ from api.http.moments import asked_sun
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
 from api.http.served_levels import names_in
 from api.http.service import service_of
-from api.layers import LAYERS, PICTURE_LAYERS, PictureLayer
+from api.layers import LAYERS, MAP_LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
@@ -158,35 +158,61 @@ class TileQuery:
         return self.picture.query(**({} if self.layer == "color" else {"layer": self.layer}))
 
 
-_LAYERS_IN_WORDS = "; ".join(f"`{name}` is {LAYERS[name].about}" for name in PICTURE_LAYERS)
-LayerQuery = Annotated[PictureLayer, Query(description=f"{_LAYERS_IN_WORDS}.")]
+def _layers_in_words(names: Iterable[str]) -> str:
+    return "; ".join(f"`{name}` is {LAYERS[name].about}" for name in names)
+
+
+LayerQuery = Annotated[PictureLayer, Query(description=f"{_layers_in_words(PICTURE_LAYERS)}.")]
+
+TILE_LAYERS = (*MAP_LAYERS, SUN_HOURS_LAYER)
+"""Layers of tiles and maps."""
 
 TileLayerQuery = Annotated[
     str,
     Query(
-        description=f"{_LAYERS_IN_WORDS}; `{SUN_HOURS_LAYER}` is how long the sun is seen on a `date`.",
-        json_schema_extra={"enum": [*PICTURE_LAYERS, SUN_HOURS_LAYER]},
+        description=f"{_layers_in_words(MAP_LAYERS)}; `{SUN_HOURS_LAYER}` is how long the sun is seen on a `date`.",
+        json_schema_extra={"enum": [*TILE_LAYERS]},
     ),
 ]
+
+
+SunDateQuery = Annotated[datetime.date | None, Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.")]
+QuantityQuery = Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.")]
+WindowQuery = Annotated[str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.")]
+SunClockQuery = Annotated[
+    str | None, Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.")
+]
+LeastAltitudeQuery = Annotated[
+    float | None, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
+]
+
+
+async def map_query(
+    request: Request,
+    picture: Annotated[PictureRequest, Depends(picture_query)],
+    layer: TileLayerQuery = "color",
+    date: SunDateQuery = None,
+    quantity: QuantityQuery = None,
+    window: WindowQuery = None,
+    clock: SunClockQuery = None,
+    least_altitude: LeastAltitudeQuery = None,
+) -> TileQuery:
+    """The dependency for maps, whose ``height`` is in pixels. Raises ``InputError``."""
+    return await tile_query(request, picture, layer, date, quantity, window, clock, None, least_altitude)
 
 
 async def tile_query(
     request: Request,
     picture: Annotated[PictureRequest, Depends(picture_query)],
     layer: TileLayerQuery = "color",
-    date: Annotated[datetime.date | None, Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.")] = None,
-    quantity: Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.")] = None,
-    window: Annotated[str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.")] = None,
-    clock: Annotated[
-        str | None,
-        Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo."),
-    ] = None,
+    date: SunDateQuery = None,
+    quantity: QuantityQuery = None,
+    window: WindowQuery = None,
+    clock: SunClockQuery = None,
     height: Annotated[
         float | None, PLAIN_DECIMAL, Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.")
     ] = None,
-    least_altitude: Annotated[
-        float | None, PLAIN_DECIMAL, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
-    ] = None,
+    least_altitude: LeastAltitudeQuery = None,
 ) -> TileQuery:
     """The dependency for tiles. Raises ``InputError``."""
     asked = {
@@ -194,8 +220,8 @@ async def tile_query(
     }  # fmt: skip
     given = {name: value for name, value in asked.items() if value is not None}
     if layer != SUN_HOURS_LAYER:
-        if layer not in PICTURE_LAYERS:
-            raise InputError("layer", layer, ", ".join([*PICTURE_LAYERS, SUN_HOURS_LAYER]))
+        if layer not in MAP_LAYERS:
+            raise InputError("layer", layer, ", ".join(TILE_LAYERS))
         for name, value in given.items():
             raise InputError(name, str(value), f"nothing but beside layer={SUN_HOURS_LAYER}")
         return TileQuery(layer, picture)

@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 
-from api.errors import outcome_of
+from api.errors import Outcome, outcome_of
 from terrain.errors import Fault, InputError, SkuggaError
 
 MEDIA_TYPE = "application/problem+json"
@@ -47,16 +47,22 @@ def problem_response(
     return JSONResponse(problem.model_dump(exclude_none=True), status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE)
 
 
-def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
-    """A domain error by the table of ``api.errors``; what clients may not read goes to the log."""
+def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
+    """What a domain error means by the table of ``api.errors``, and what clients read of it; what they may not goes to the log."""
     outcome = outcome_of(error)
     if outcome.public is not None:
         log.error("%s %s: %s: %s", request.method, request.url.path, outcome.code, error)
+    return outcome, outcome.public or str(error)
+
+
+def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
+    """A domain error as a problem document."""
+    outcome, text = public_error(request, error)
     retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     # An error that is not the client's blames none of his parameters: its name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
-    return problem_response(outcome.status, outcome.code, outcome.public or str(error), parameter, headers)
+    return problem_response(outcome.status, outcome.code, text, parameter, headers)
 
 
 def install_problem_handlers(app: FastAPI) -> None:

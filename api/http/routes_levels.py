@@ -10,12 +10,13 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.color_scale import LegendFormat
-from api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, json_answer, tag_of
+from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
+from api.http.served_levels import ServedLevel
 from api.http.service import TheService
-from api.layers import MEDIA_TYPES, PictureFormat
-from api.sun_hours_layer import SUN_HOURS_LAYER
+from api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
+from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
 from terrain.errors import InputError
 
 router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
@@ -51,17 +52,20 @@ async def tilejson(
     level: str,
     tms: str,
     wanted: Annotated[TileQuery, Depends(tile_query)],
-    format: Annotated[PictureFormat, Query(description="Of the tiles.")] = "png",
+    format: Annotated[MapFormat, Query(description="Of the tiles.")] = "png",
 ) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
 
     Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
     `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun, or the layer is of
-    many). Layers with a legend have it as a picture, and in `skugga.legend` as numbers, labels and colours.
+    many). Layers with a legend have it as a picture, and in `skugga.legend` as numbers, labels and colours. Layers of heights have
+    their `encoding`, which MapLibre does not read from here (its source needs it, too), and the `nodata_height` in metres that they
+    tell where there are no data.
     """
     served = await service.level(level)
     zooms = served.zooms_in(tms)
-    sun = None if wanted.sun_hours is not None else await run_in_threadpool(served.sun, wanted.picture.sun)
+    encoding = None if wanted.sun_hours is not None else LAYERS[wanted.layer].encoding
+    sun = None if wanted.sun_hours is not None or encoding is not None else await run_in_threadpool(served.sun, wanted.picture.sun)
     where: dict[str, Any] | None = None
     if sun is not None:
         time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
@@ -69,14 +73,17 @@ async def tilejson(
     assert served.bounds is not None  # it has zooms, so it has a place on earth
     west, south, east, north = served.bounds
     query = wanted.query()
-    address = f"{_base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
+    address = f"{base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
     tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
-    legend: dict[str, Any] = {}
+    more: dict[str, Any] = {}
     extra: dict[str, Any] = {"layer": wanted.layer, "tile_matrix_set": tms, "sun": where}
+    if encoding is not None:
+        more = {"encoding": encoding}
+        extra["nodata_height"] = nodata_height_m(served.lowest_m)
     if wanted.sun_hours is not None:
         scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
         picture = f"{address}/legend.png?{query}"
-        legend = {"legend": f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'}
+        more = {"legend": f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'}
         extra["legend"] = {
             "title": scale.title, "low": scale.low, "high": scale.high, "picture": picture, "entries": scale.entries(),
         }  # fmt: skip
@@ -92,7 +99,7 @@ async def tilejson(
             "maxzoom": zooms.last,
             "bounds": [west, south, east, north],
             "center": [(west + east) / 2, (south + north) / 2, zooms.first],
-            **legend,
+            **more,
             "skugga": extra,
         },
     )
@@ -110,13 +117,14 @@ async def legend_of_tiles(
     served = await service.level(level)
     if wanted.sun_hours is None:
         raise InputError("layer", wanted.layer, f"a layer with a legend: {SUN_HOURS_LAYER}")
-    headers = cache_headers(tag_of("legend", format, served.version, wanted.query()), GIVEN_SUN_S)
+    return await legend_answer(request, served, wanted.sun_hours, format)
+
+
+async def legend_answer(request: Request, served: ServedLevel, asked: SunHoursQuery, format: LegendFormat) -> Response:
+    """The legend of hours of sun as a picture. Raises ``InputError``."""
+    headers = cache_headers(tag_of("legend", format, served.version, f"layer={SUN_HOURS_LAYER}&{asked.query()}"), GIVEN_SUN_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
+    scale = await run_in_threadpool(asked.color_scale, served.world)
     body = await run_in_threadpool(scale.legend, format)
-    return Response(body, headers=headers, media_type="image/svg+xml" if format == "svg" else MEDIA_TYPES["png"])
-
-
-def _base_url(request: Request, public_url: str | None) -> str:
-    return (public_url or str(request.base_url)).rstrip("/")
+    return Response(body, headers=headers, media_type="image/svg+xml" if format == "svg" else MAP_MEDIA_TYPES["png"])

@@ -162,7 +162,7 @@ async def sun_of_points(
     found: list[Any] = []
     for first in range(0, len(points), POINTS_A_JOB):
         job = PointsJob(level=served.key, points=points[first : first + POINTS_A_JOB], query=query, request=wanted)
-        found += json.loads(await _run(request, service, job))
+        found += json.loads(await run_point(request, service, job))
     return JSONResponse({"points": found}, headers={"Cache-Control": "no-store"})
 
 
@@ -184,14 +184,15 @@ async def _answer(
     headers = cache_headers(tag, fresh_s) | time_headers(request)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    return Response(await _run(request, service, job), headers=headers, media_type=media_type)
+    return Response(await run_point(request, service, job), headers=headers, media_type=media_type)
 
 
 def _request(time: datetime | None) -> PictureRequest:
     return PictureRequest(sun=None if time is None else parse_sun(time.isoformat(), None, None))
 
 
-async def _run(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
+async def run_point(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
+    """What a render process says of points. Raises ``SkuggaError``."""
     answer = await service.done(request, job)
     assert isinstance(answer, PointAnswer)
     return answer.body

@@ -10,14 +10,18 @@ from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_header
 from api.http.moments import fresh_for, time_headers
 from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
-from api.http.routes_tiles import EXACT, JPEG, PICTURE_DOCS
+from api.http.routes_tiles import JPEG, PICTURE_DOCS
 from api.http.service import TheService
-from api.layers import LAYERS, MEDIA_TYPES, PictureFormat
+from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
 from api.workers.block_tiles import check_format
 from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
+from selector.formatting import format_list
 from terrain.errors import InputError
 
 router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
+
+OF_ONE_LIGHT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+"""Layers that show the shadow of one light, in words."""
 
 
 @router.get(
@@ -35,7 +39,7 @@ async def snapshot(
     size: Annotated[str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.")] = None,
     layer: LayerQuery = "color",
     light: Annotated[
-        str | None, Query(max_length=100, description=f"The light that {EXACT} show; default: the sun, else the first.")
+        str | None, Query(max_length=100, description=f"The light that {OF_ONE_LIGHT} show; default: the sun, else the first.")
     ] = None,
     seconds: Annotated[
         float | None,

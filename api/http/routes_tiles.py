@@ -11,21 +11,21 @@ from starlette.concurrency import run_in_threadpool
 from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.encoded_tiles import EncodedTile
-from api.http.matrices import check_tile, doubles, matrix_set_of, off_data
+from api.http.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
 from api.http.moments import fresh_for, time_headers
 from api.http.numbers import WholeNumber
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
 from api.http.service import Service, TheService
-from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
-from api.workers.block_tiles import check_format, empty_tile, place_in_block
-from api.workers.jobs import BlockJob, BlockTiles, SunHoursJob
+from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, map_layer, nodata_height_m
+from api.workers.block_tiles import ARRAY_FORMATS, TILE_PX, check_format, empty_tile, encode, nothing, place_in_block
+from api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
 from selector.formatting import format_list
 
 PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.",
-        "content": {media_type: {} for media_type in MEDIA_TYPES.values()},
+        "content": {media_type: {} for media_type in MAP_MEDIA_TYPES.values()},
     },
     304: {"description": "The client has it."},
     **problem_docs(404, 422, 500, 503, 504),
@@ -38,13 +38,15 @@ router = APIRouter(
     default_response_class=Response,
 )
 
-EXACT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+EXACT = format_list([f"`{name}`" for name in MAP_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
 """Layers to compute with, in words."""
 
-JPEG = format_list([f"`{name}`" for name in PICTURE_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
+JPEG = format_list([f"`{name}`" for name in MAP_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
 """Layers that there are as JPEG, in words."""
 
-FormatPath = Annotated[PictureFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone.")]
+FormatPath = Annotated[
+    MapFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone; `tif` is georeferenced, `npy` an array.")
+]
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
@@ -60,7 +62,7 @@ async def double_tile(
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
     """The four tiles of the next zoom that cover the tile, for dense screens."""
-    return await _answer(request, service, level, tms, (z, x, y), 2, format, wanted)
+    return await tile_answer(request, service, level, tms, (z, x, y), 2, format, wanted)
 
 
 @router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}", summary="A tile of 256 x 256 pixels")
@@ -76,19 +78,22 @@ async def tile(
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
     """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
-    return await _answer(request, service, level, tms, (z, x, y), 1, format, wanted)
+    return await tile_answer(request, service, level, tms, (z, x, y), 1, format, wanted)
 
 
-async def _answer(
+async def tile_answer(
     request: Request,
     service: Service,
     name: str,
     tms: str,
     zxy: tuple[int, int, int],
     scale: int,
-    format: PictureFormat,
+    format: MapFormat,
     wanted: TileQuery,
 ) -> Response:
+    """A tile of a level in a matrix set by zoom, column and row; ``scale`` 2 gives it twice as many pixels a side. Raises
+    ``SkuggaError``.
+    """
     level, matrix_set = await service.level(name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not doubles(matrix_set, zxy[0]):
@@ -108,8 +113,13 @@ async def _answer(
     if empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
-        body = await run_in_threadpool(empty_tile, wanted.layer, format, scale)
-        return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
+        if format in ARRAY_FORMATS:
+            nowhere = nothing(scale * TILE_PX, scale * TILE_PX)
+            view = tile_view(matrix_set, *zxy, scale)
+            body = await run_in_threadpool(encode, map_layer(nowhere, wanted.layer), wanted.layer, format, view)
+        else:
+            body = await run_in_threadpool(empty_tile, wanted.layer, format, scale, nodata_height_m(level.lowest_m))
+        return Response(body, headers={**headers, **reach_headers("none")}, media_type=MAP_MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
@@ -123,7 +133,8 @@ async def _answer(
     }  # fmt: skip
     job: BlockJob | SunHoursJob
     if wanted.sun_hours is None:
-        job = BlockJob(**where, layer=wanted.layer, request=wanted.picture)
+        of_a_light = LAYERS[wanted.layer].encoding is None
+        job = BlockJob(**where, layer=wanted.layer, request=wanted.picture if of_a_light else PictureRequest())
     else:
         job = SunHoursJob(**where, query=wanted.sun_hours)
     kept = service.pool.finished(job) is not None
@@ -134,6 +145,6 @@ async def _answer(
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
-    tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])
+    tile = EncodedTile(block.tiles[place], again, MAP_MEDIA_TYPES[format])
     service.tiles.put(request, tile, name, (level.version, block.renderer, block.calibration))
     return Response(tile.body, headers=made, media_type=tile.media_type)

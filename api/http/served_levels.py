@@ -10,11 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pyproj import CRS
+
 from api.errors import NotServedError
 from api.http.file_stamps import Stamp, file_stamps, watched_files
 from api.http.level_checks import LevelCheck
 from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
-from api.layers import PICTURE_LAYERS
+from api.layers import MAP_LAYERS, PICTURE_LAYERS
+from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
 from shadows.registry import served_algorithms
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
@@ -37,8 +40,9 @@ class ServedLevel:
 
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
     a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
-    whether the level names it or not), ``None`` for a view that cannot be drawn. ``warnings`` are sentences on what may be wrong
-    with it. ``files`` are those that it hangs on, its own first, each with its stamp when it was read.
+    whether the level names it or not), ``None`` for a view that cannot be drawn. ``map_crs`` is that of maps that name none,
+    ``lowest_m`` the height of its lowest ground. ``warnings`` are sentences on what may be wrong with it. ``files`` are those that
+    it hangs on, its own first, each with its stamp when it was read.
     """
 
     loaded: LoadedLevel
@@ -49,6 +53,8 @@ class ServedLevel:
     data_bounds: LonLatBounds | None
     zooms: dict[str, ZoomRange]
     view_sizes: dict[str, tuple[int, int] | None]
+    map_crs: CRS
+    lowest_m: float
     warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     stamps: tuple[Stamp, ...] = ()
@@ -113,6 +119,7 @@ class ServedLevel:
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
             "layers": list(PICTURE_LAYERS),
+            "map_layers": [*MAP_LAYERS, SUN_HOURS_LAYER],
             "algorithms": list(served_algorithms()),
             "sun": sun,
             "warnings": list(self.warnings),
@@ -245,7 +252,10 @@ def _served(
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
     for text in scene.warnings:
         log.warning("level %s: %s", loaded.name, text)
-    return ServedLevel(loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.warnings, files, stamps)
+    return ServedLevel(
+        loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.map_crs, scene.height_range_m[0],
+        scene.warnings, files, stamps,
+    )  # fmt: skip
 
 
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:

@@ -8,17 +8,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from PIL import Image
 
-from api.layers import LAYERS, PictureFormat, encode_picture, picture_layer
+from api.layers import LAYERS, MapFormat, encode_picture, encoded_heights, geotiff, map_layer, npy
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX
+from terrain.geo.grid import BLOCK_PX, MapView
 
 TILE_PX = 256
 BLOCK_TILES = BLOCK_PX // TILE_PX
 
 LOSSY_QUALITY = 90
 """Of JPEG, and of WebP where a picture is to be looked at and not to be computed with."""
+
+ARRAY_FORMATS = ("tif", "npy")
+"""Formats that a tile without a surface has, too: a TIFF says where it lies, and either may be of floating point."""
 
 NOT_ASKED = np.zeros((0, 0), np.float32)
 """What stands for the visibility at pixels' own points where nobody asked."""
@@ -58,20 +61,23 @@ def place_in_block(x: int, y: int, tiles: int) -> tuple[Place, Place]:
     return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles, x % BLOCK_TILES // tiles)
 
 
-def encoded_tiles(block: PicturedBlock, layer: str, format: PictureFormat, tiles: int = 1) -> dict[Place, bytes]:
-    """The bytes of all pictures of ``tiles`` x ``tiles`` tiles in a block, each in ``format``."""
+def encoded_tiles(
+    block: PicturedBlock, layer: str, format: MapFormat, tiles: int = 1, view: MapView | None = None
+) -> dict[Place, bytes]:
+    """The bytes of all pictures of ``tiles`` x ``tiles`` tiles in a block, each in ``format``; ``view`` is where a TIFF lies."""
     side = tiles * TILE_PX
     out = {}
     for row in range(BLOCK_TILES // tiles):
         for col in range(BLOCK_TILES // tiles):
             part = block.part(row * side, col * side, side)
-            shown = part.there.any()
-            out[row, col] = encode(picture_layer(part, layer), layer, format) if shown else empty_tile(layer, format, tiles)
+            here = None if view is None else view.part(row * side, col * side, side, side)
+            shown = format in ARRAY_FORMATS or part.there.any()
+            out[row, col] = encode(map_layer(part, layer), layer, format, here) if shown else empty_tile(layer, format, tiles)
     return out
 
 
-def cut_tiles(picture: np.ndarray, format: PictureFormat, tiles: int = 1) -> dict[Place, bytes]:
-    """The bytes of all parts of ``tiles`` x ``tiles`` tiles of a block's picture RGBA, without loss."""
+def cut_tiles(picture: np.ndarray, format: MapFormat, tiles: int = 1) -> dict[Place, bytes]:
+    """The bytes of all parts of ``tiles`` x ``tiles`` tiles of a block's picture RGB or RGBA, without loss."""
     side = tiles * TILE_PX
     return {
         (row, col): encode_picture(
@@ -82,17 +88,26 @@ def cut_tiles(picture: np.ndarray, format: PictureFormat, tiles: int = 1) -> dic
     }
 
 
+def map_formats_of(layer: str) -> tuple[MapFormat, ...]:
+    """The formats that tiles of a layer are served in."""
+    return ("png", "webp") if layer == SUN_HOURS_LAYER else LAYERS[layer].map_formats
+
+
 def check_format(layer: str, format: str) -> None:
     """Raise ``InputError`` where a format cannot hold a layer."""
-    formats = ("png", "webp") if layer == SUN_HOURS_LAYER else LAYERS[layer].formats
+    formats = map_formats_of(layer)
     if format not in formats:
         raise InputError("format", format, f"{', '.join(formats)} for layer {layer}")
 
 
-def encode(array: np.ndarray, layer: str, format: str) -> bytes:
-    """The bytes of a picture. Layers to compute with are without loss; JPEG has white where there is no surface. What is to be
-    looked at has no alpha where nothing is transparent.
+def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = None) -> bytes:
+    """The bytes of a layer of a map. Layers to compute with are without loss; JPEG has white where there is no surface. What is to
+    be looked at has no alpha where nothing is transparent, but in a TIFF, which lies where the ``view`` does.
     """
+    if format == "tif":
+        return geotiff(array, view, LAYERS[layer].nodata)
+    if format == "npy":
+        return npy(array)
     if LAYERS[layer].to_look_at and (array[..., 3] == 255).all():
         array = array[..., :3]
     if LAYERS[layer].to_look_at and format == "webp":
@@ -108,14 +123,21 @@ def encode(array: np.ndarray, layer: str, format: str) -> bytes:
 
 
 @cached("process", 4 * MIB)
-def empty_tile(layer: str, format: str, tiles: int = 1) -> bytes:
-    """A tile without a surface."""
-    shape = tiles * TILE_PX, tiles * TILE_PX
+def empty_tile(layer: str, format: str, tiles: int = 1, nodata_m: float = 0.0) -> bytes:
+    """A tile without a surface; of heights, one that has ``nodata_m`` everywhere. Not as a TIFF: that has a place."""
+    side = tiles * TILE_PX
     if layer == SUN_HOURS_LAYER:
-        return encode_picture(np.zeros((*shape, 4), np.uint8), f".{format}")
-    missing = np.full(shape, np.nan, np.float32)
-    nothing = PicturedBlock(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), missing)
-    return encode(picture_layer(nothing, layer), layer, format)
+        return encode_picture(np.zeros((side, side, 4), np.uint8), f".{format}")
+    encoding = LAYERS[layer].encoding
+    if encoding is not None:
+        return encode_picture(encoded_heights(np.full((side, side), nodata_m), nodata_m, encoding), f".{format}")
+    return encode(map_layer(nothing(side, side), layer), layer, format)
+
+
+def nothing(rows: int, cols: int) -> PicturedBlock:
+    """A map without a surface."""
+    missing, none = np.full((rows, cols), np.nan, np.float32), np.zeros((rows, cols), np.uint8)
+    return PicturedBlock(np.zeros((rows, cols, 3), np.uint8), none, none.astype(np.bool_), missing)
 
 
 def _save(image: Image.Image, kind: str, **options: int) -> bytes:

@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
-from api.layers import PictureFormat, PictureLayer
+from api.layers import MapFormat, MapLayer, PictureFormat, PictureLayer
 from api.point.report import PointQuery
 from api.point.track import TrackPoint
 from api.sun_hours_layer import SunHoursQuery
@@ -98,8 +98,8 @@ class BlockJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    layer: PictureLayer = "color"
-    format: PictureFormat = "png"
+    layer: MapLayer = "color"
+    format: MapFormat = "png"
     tiles: int = 1
     request: PictureRequest = PictureRequest()
 
@@ -161,9 +161,27 @@ class SunHoursJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    format: PictureFormat = "png"
+    format: MapFormat = "png"
     tiles: int = 1
     query: SunHoursQuery
+    request: PictureRequest = PictureRequest()
+
+
+class MapJob(_Value):
+    """Draw a map of any extent of a level and encode a layer of it, or with ``sun_hours`` the hours of sun there.
+
+    ``bounds`` are west, south, east, north in units of ``crs``, ``None`` the level's own; ``size`` is (width, height) in pixels.
+    What is transparent shows a ``background`` (``RRGGBB``), if there is one.
+    """
+
+    level: LevelKey
+    bounds: tuple[float, float, float, float] | None
+    crs: str | None
+    size: tuple[int, int]
+    layer: MapLayer | Literal["sunhours"]
+    format: MapFormat
+    background: str | None = None
+    sun_hours: SunHoursQuery | None = None
     request: PictureRequest = PictureRequest()
 
 
@@ -189,7 +207,7 @@ class PointsJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
-Job = BlockJob | SunHoursJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+Job = BlockJob | SunHoursJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
 
 
 @dataclass(frozen=True)
@@ -252,14 +270,14 @@ class BlockTiles:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A finished snapshot: the bytes of its file and the milliseconds that encoding took; the rest is as in a block."""
+    """A finished snapshot or map: the bytes of its file and the milliseconds that encoding took; the rest is as in a block."""
 
     body: bytes
     encode_ms: float
     headline: str
     passes: tuple[tuple[str, float], ...]
-    reach_used_m: float
-    reach_needed_m: float
+    reach_used_m: float | None
+    reach_needed_m: float | None
     reach_clipped: bool
     renderer: str
     calibration: str = ""

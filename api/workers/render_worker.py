@@ -11,9 +11,11 @@ import signal
 import time as clock
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration, digest_of
@@ -31,6 +33,7 @@ from api.workers.jobs import (
     Failure,
     Job,
     LevelKey,
+    MapJob,
     Ping,
     PlanAnswer,
     PlanJob,
@@ -46,6 +49,7 @@ from api.workers.jobs import (
     SunHoursJob,
     Tiles,
 )
+from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
 from api.workers.point_jobs import point_answer, points_answer
 from api.workers.process_life import end_with_parent, resident_bytes, stand_back
 from selector.choices import StandaloneRequest
@@ -200,7 +204,10 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case BlockJob():
             return _block_tiles(job, scene, state)
         case SunHoursJob():
-            return _sun_hours_tiles(job, scene, state)
+            picture = partial(sun_hours_picture, scene, block_view(job), job.query)
+            return _pictured_tiles(job, SUN_HOURS_LAYER, state, picture)
+        case MapJob():
+            return _map(job, scene, state)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
@@ -228,6 +235,9 @@ def _check_cost(plan: Plan, size: str, state: WorkerState) -> None:
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
+    encoding = LAYERS[job.layer].encoding
+    if encoding is not None:
+        return _pictured_tiles(job, HEIGHTS, state, lambda: heights_picture(scene, block_view(job), encoding))
     points = LAYERS[job.layer].of_points
     key = job.level, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
     kept = state.blocks.get(*key)
@@ -243,19 +253,37 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
         drawn = False
     block, facts = kept
     start = clock.perf_counter()
-    tiles = encoded_tiles(block, job.layer, job.format, job.tiles)
+    tiles = encoded_tiles(block, job.layer, job.format, job.tiles, block_view(job))
     return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=drawn, **facts)
 
 
-def _sun_hours_tiles(job: SunHoursJob, scene: Scene, state: WorkerState) -> BlockTiles:
+def _pictured_tiles(job: BlockJob | SunHoursJob, name: str, state: WorkerState, picture: Callable[[], np.ndarray]) -> BlockTiles:
+    """Tiles of a block's picture that no one sun drew."""
     start = clock.perf_counter()
-    picture = sun_hours_picture(scene, block_view(job), job.query)
+    drawn = picture()
     found = clock.perf_counter()
-    tiles = cut_tiles(picture, job.format, job.tiles)
+    tiles = cut_tiles(drawn, job.format, job.tiles)
     return BlockTiles(
-        tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=SUN_HOURS_LAYER,
-        passes=((SUN_HOURS_LAYER, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,
+        tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=name,
+        passes=((name, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,
         renderer=state.renderer, calibration=state.calibration,
+    )  # fmt: skip
+
+
+def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
+    overrides = job.request.overrides.for_selector()
+
+    def plan_of(scale: Hashable, part: MapView) -> Plan:
+        key = job.level, job.crs, scale, job.request
+        return state.plans.get(key, lambda: plan_of_view(scene, part, "map", overrides, device=state.device))
+
+    drawn = drawn_map(scene, job, plan_of)
+    reach = drawn.reach
+    return Snapshot(
+        body=drawn.body, encode_ms=drawn.encode_ms, headline=drawn.headline,
+        passes=tuple((record.name, record.ms) for record in drawn.passes),
+        reach_used_m=None if reach is None else reach.used_m, reach_needed_m=None if reach is None else reach.needed_m,
+        reach_clipped=reach is not None and bool(reach.clipped), renderer=state.renderer, calibration=state.calibration,
     )  # fmt: skip
 
 

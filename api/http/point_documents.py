@@ -1,0 +1,51 @@
+"""A point's report as text and as a page: what map clients show where somebody clicked."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from html import escape
+from typing import Any
+
+Rows = list[tuple[str, str]]
+
+
+def report_rows(report: dict[str, Any]) -> Rows:
+    """The facts of a report (as ``api.point.report.PointReport`` is in JSON) in words, each with its name."""
+    rows = [
+        ("Level", str(report["level"])),
+        ("Place", f"{report['lat']}, {report['lon']}"),
+        ("Elevation", f"{report['elevation_m']:.1f} m"),
+    ]
+    now, day = report["now"], report["day"]
+    if now is not None:
+        rows.append(("Sun", f"azimuth {now['azimuth']:.1f}°, altitude {now['altitude']:.1f}°"))
+        rows.append(("Lit", "yes" if now["lit"] else "no" + (f", by {_caster(now['by'])}" if now["by"] else "")))
+    if day is not None:
+        rows += [
+            ("Date", f"{day['date']} ({day['clock']})"),
+            ("Direct sun", f"{day['direct_h']:.2f} of {day['daylight_h']:.2f} hours"),
+        ]
+        rows += [("From", f"{_clock(each['begin'])} to {_clock(each['end'])}") for each in day["sunlit"]]
+    if report["remark"]:
+        rows.append(("Remark", report["remark"]))
+    return rows
+
+
+def report_text(rows: Rows) -> str:
+    """Facts as lines of plain text."""
+    return "".join(f"{name}: {value}\n" for name, value in rows)
+
+
+def report_page(rows: Rows) -> str:
+    """Facts as a page with a table."""
+    table = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
+    head = '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head>'
+    return f"{head}<body><table>{table}</table></body></html>\n"
+
+
+def _caster(caster: dict[str, Any]) -> str:
+    return f"{caster['kind']} {caster['distance_m']:.0f} m away, {caster['elevation']:.1f}° high"
+
+
+def _clock(moment: str) -> str:
+    return datetime.fromisoformat(moment).strftime("%H:%M")

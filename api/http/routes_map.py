@@ -1,0 +1,68 @@
+"""Maps: any extent of a level as one picture, in any CRS."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from api.http.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
+from api.http.maps import MapQuery, map_answer
+from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
+from api.http.routes_tiles import JPEG, PICTURE_DOCS
+from api.http.served_levels import ServedLevel
+from api.http.service import TheService
+from api.layers import MapFormat
+from terrain.errors import InputError
+
+router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class=Response)
+
+
+@router.get(
+    "/levels/{level}/map.{format}",
+    summary="A map of any extent",
+    dependencies=[Depends(allow_only("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
+)
+async def map_of_level(
+    request: Request,
+    service: TheService,
+    level: str,
+    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.")],
+    wanted: Annotated[TileQuery, Depends(map_query)],
+    bbox: Annotated[
+        str | None, Query(max_length=200, description="west,south,east,north in units of `crs`; default: the level's.")
+    ] = None,
+    crs: Annotated[str | None, Query(max_length=60, description="As EPSG:3857; default: that of the level's own maps.")] = None,
+    width: Annotated[int | None, Query(description="Pixels; default: by the height, else 1024 for the longer side.")] = None,
+    height: Annotated[int | None, Query(description="Pixels; default: by the width.")] = None,
+) -> Response:
+    """A map of an extent, always with x (or longitude) first; off the data it is transparent, or has no values."""
+    served = await service.level(level)
+    sides = {name: check_side(name, value) for name, value in (("width", width), ("height", height)) if value is not None}
+    if served.world.flat:
+        asked = _in_a_flat_world(served, bbox, crs, sides, wanted, format)
+    else:
+        asked = await run_in_threadpool(_on_earth, served, bbox, crs, sides, wanted, format)
+    return await map_answer(request, service, served, asked)
+
+
+def _on_earth(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+) -> MapQuery:
+    code = level.map_crs.to_string() if crs is None else crs_code(crs)
+    in_crs = level.map_crs if crs is None else crs_of_code(code)
+    bounds = bounds_in(level, in_crs) if bbox is None else parse_bounds(bbox)
+    west, south, east, north = bounds
+    size = map_size(sides.get("width"), sides.get("height"), (east - west) / (north - south))
+    return MapQuery(bounds, code, size, wanted, format)
+
+
+def _in_a_flat_world(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+) -> MapQuery:
+    for name, value in (("bbox", bbox), ("crs", crs)):
+        if value is not None:
+            raise InputError(name, value, "nothing: an engineering CRS is not georeferenced, and its map is the whole level")
+    own = level.view_sizes["map"] or (1, 1)
+    return MapQuery(None, None, map_size(sides.get("width"), sides.get("height"), own[0] / own[1]), wanted, format)

@@ -1,0 +1,92 @@
+"""Tiles to compute with: heights in colours, visibility as arrays, GeoTIFFs."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from morecantile import tms
+from PIL import Image
+from rasterio.io import MemoryFile
+
+from tests.api.conftest import CORNER, ZOOM, Client, hills
+from tests.api.http.test_problems import check_problem
+from tests.api.test_terrain_encodings import mapbox_height_m, terrarium_height_m
+
+X, Y = CORNER
+TILES = "/levels/hills/tiles/WebMercatorQuad"
+LOWEST_M = float(np.floor(hills().min()))
+
+
+def heights(client: Client, layer: str, place: str = f"{ZOOM}/{X}/{Y}", suffix: str = "png") -> np.ndarray:
+    answer = client.get(f"{TILES}/{place}.{suffix}?layer={layer}")
+    assert answer.status_code == 200, answer.text
+    image = Image.open(io.BytesIO(answer.content))
+    assert image.mode == "RGB", "alpha would change colours where a browser multiplies with it"
+    return (mapbox_height_m if layer == "terrain-rgb" else terrarium_height_m)(np.asarray(image))
+
+
+def test_heights_are_the_rasters(client: Client):
+    """Cells of 30 m, and pixels of 9.55 m: where a pixel lies in the middle of a cell it has its height."""
+    told = heights(client, "terrarium", f"{ZOOM + 2}/{4 * X}/{4 * Y}")
+    bounds = tms.get("WebMercatorQuad").xy_bounds(4 * X, 4 * Y, ZOOM + 2)
+    pixel = (bounds.right - bounds.left) / 256
+    at = (np.arange(256) + 0.5) * pixel / 30.0 + 200 - 0.5  # the tile's corner is the raster's middle
+    i = np.floor(at).astype(int)
+    t = at - i
+    cells = hills()
+    rows = cells[i] * (1 - t[:, None]) + cells[i + 1] * t[:, None]
+    expected = rows[:, i] * (1 - t) + rows[:, i + 1] * t
+    assert np.abs(told - expected).max() < 0.01
+    assert np.abs(heights(client, "terrain-rgb", f"{ZOOM + 2}/{4 * X}/{4 * Y}") - expected).max() < 0.06
+
+
+def test_off_the_data_is_the_lowest_height(client: Client):
+    far, near = heights(client, "terrain-rgb", f"{ZOOM}/{X + 50}/{Y}"), heights(client, "terrain-rgb")
+    np.testing.assert_allclose(far, LOWEST_M, atol=1e-6)
+    assert np.isclose(near.min(), LOWEST_M) and near.max() > LOWEST_M + 300
+    said = client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrarium").json()
+    assert (said["encoding"], said["skugga"]["nodata_height"], said["skugga"]["sun"]) == ("terrarium", LOWEST_M, None)
+    assert client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrain-rgb").json()["encoding"] == "mapbox"
+
+
+def test_webp_and_double_tiles_have_the_same_digits(client: Client):
+    png = heights(client, "terrain-rgb")
+    assert np.array_equal(png, heights(client, "terrain-rgb", suffix="webp"))
+    double, four = (
+        heights(client, "terrain-rgb", f"{ZOOM}/{X}/{Y}@2x"),
+        heights(client, "terrain-rgb", f"{ZOOM + 1}/{2 * X}/{2 * Y}"),
+    )
+    assert double.shape == (512, 512) and np.array_equal(double[:256, :256], four)
+
+
+def test_heights_hang_on_no_sun(client: Client):
+    before = client.service.pool.tally.answered
+    client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=12.5&altitude=34")
+    client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=13.5&altitude=34")
+    assert client.service.pool.tally.answered <= before + 1
+    check_problem(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.jpg?layer=terrain-rgb"), 422, "invalid_parameter", "format")
+
+
+def test_visibility_is_what_the_mask_is_made_of(client: Client):
+    mask = np.asarray(Image.open(io.BytesIO(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=mask").content)))
+    answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.npy?layer=visibility")
+    assert answer.headers["content-type"] == "application/x-npy"
+    visibility = np.load(io.BytesIO(answer.content))
+    assert visibility.dtype == np.float32 and visibility.shape == (256, 256)
+    assert np.array_equal(np.isnan(visibility), mask == 128)
+    assert np.array_equal(visibility < 0.5, mask == 0)
+
+
+@pytest.mark.parametrize(("scale", "place"), [(1, f"{ZOOM}/{X}/{Y}"), (2, f"{ZOOM}/{X}/{Y}@2x"), (1, f"{ZOOM}/{X + 50}/{Y}")])
+def test_geotiffs_lie_where_their_tiles_do(client: Client, scale: int, place: str):
+    x = int(place.split("/")[1])
+    bounds = tms.get("WebMercatorQuad").xy_bounds(x, Y, ZOOM)
+    with MemoryFile(client.get(f"{TILES}/{place}.tif?layer=visibility").content) as file, file.open() as dataset:
+        assert (dataset.width, dataset.height, dataset.dtypes) == (256 * scale, 256 * scale, ("float32",))
+        assert dataset.crs.to_epsg() == 3857 and np.isnan(dataset.nodata)
+        np.testing.assert_allclose(dataset.bounds, bounds, atol=1e-3)
+        assert np.isnan(dataset.read(1)).all() == (x != X)
+    with MemoryFile(client.get(f"{TILES}/{place}.tif").content) as file, file.open() as dataset:
+        assert dataset.count == 4 and (dataset.read(4) == 0).all() == (x != X)

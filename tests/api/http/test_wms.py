@@ -1,0 +1,259 @@
+"""The Web Map Service: its document by structure, its maps by tiles, and clients that know nothing of Skugga."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx
+import numpy as np
+import pytest
+import rasterio
+from morecantile import tms
+from owslib.wms import WebMapService
+from PIL import Image
+from pyproj import Transformer
+
+from tests.api.conftest import CORNER, ZOOM, Client
+from tests.api.http.test_wmts import check_order, gdal_has, short
+
+X, Y = CORNER
+W = {"w": "http://www.opengis.net/wms", "x": "http://www.w3.org/1999/xlink", "e": "http://www.opengis.net/ogc"}
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"
+BOUNDS = tms.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM)
+MAP = {
+    "SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetMap", "LAYERS": "hills:color", "STYLES": "", "CRS": "EPSG:3857",
+    "BBOX": ",".join(repr(value) for value in BOUNDS), "WIDTH": "256", "HEIGHT": "256", "FORMAT": "image/png",
+    "TRANSPARENT": "TRUE",
+}  # fmt: skip
+INFO = {**MAP, "REQUEST": "GetFeatureInfo", "QUERY_LAYERS": "hills:color", "I": "100", "J": "50"}
+
+ORDER = {
+    "Service": ["Name", "Title", "Abstract", "OnlineResource", "Fees", "AccessConstraints", "LayerLimit", "MaxWidth", "MaxHeight"],
+    "Capability": ["Request", "Exception", "Layer"],
+    "Request": ["GetCapabilities", "GetMap", "GetFeatureInfo", "GetLegendGraphic"],
+    "Layer": [
+        "Name", "Title", "Abstract", "CRS", "EX_GeographicBoundingBox", "BoundingBox", "Dimension", "Attribution", "Style", "Layer",
+    ],
+    "EX_GeographicBoundingBox": ["westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude"],
+    "Style": ["Name", "Title", "LegendURL"],
+    "LegendURL": ["Format", "OnlineResource"],
+    "WMS_Capabilities": ["Service", "Capability"],
+}  # fmt: skip
+"""The order of elements in the schema of WMS 1.3.0 (OGC 06-042, annex E), where one is there."""
+
+
+@pytest.fixture(scope="module")
+def root(client: Client) -> ElementTree.Element:
+    answer = client.get("/wms?SERVICE=WMS&REQUEST=GetCapabilities")
+    assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/xml")
+    return ElementTree.fromstring(answer.content)
+
+
+def layers_of(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    return {each.findtext("w:Name", "", W): each for each in root.iter(f"{{{W['w']}}}Layer") if each.find("w:Name", W) is not None}
+
+
+def pixels(answer: httpx.Response) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)))
+
+
+def test_the_document(client: Client, root: ElementTree.Element):
+    check_order(root, ORDER)
+    assert root.get("version") == "1.3.0"
+    layers = layers_of(root)
+    assert set(layers) == {
+        f"{level}:{layer}" for level in ("hills", "timed") for layer in ("color", "shadow", "mask", "visibility", "sunhours")
+    }
+    color = layers["timed:color"]
+    assert {each.text for each in color.iterfind("w:CRS", W)} >= {"EPSG:3857", "EPSG:4326", "CRS:84"}
+    west, south, east, north = client.get("/levels/timed").json()["bounds"]
+    boxes = {
+        each.get("CRS"): [float(each.get(name, "")) for name in ("minx", "miny", "maxx", "maxy")]
+        for each in color.iterfind("w:BoundingBox", W)
+    }
+    assert boxes["CRS:84"] == pytest.approx([west, south, east, north])
+    assert boxes["EPSG:4326"] == pytest.approx([south, west, north, east])  # latitude is the first axis
+    time = color.find("w:Dimension", W)
+    assert time is not None and (time.get("name"), time.get("units"), time.get("default")) == (
+        "time",
+        "ISO8601",
+        "2024-06-21T16:00:00Z",
+    )
+    own = layers["hills:color"].find("w:Dimension", W)
+    assert own is not None and own.get("default") is None and "default" not in (own.text or "")
+    alone = ElementTree.fromstring(client.get("/levels/hills/wms?REQUEST=GetCapabilities").content)
+    assert {name.split(":")[0] for name in layers_of(alone)} == {"hills"}
+
+
+def test_a_map_of_a_tiles_extent_is_the_tile(client: Client):
+    for layer in ("color", "shadow", "mask"):
+        asked, tile = client.get("/wms", params={**MAP, "LAYERS": f"hills:{layer}"}), client.get(TILE, params={"layer": layer})
+        assert np.array_equal(pixels(asked), pixels(tile)), layer
+    lower = {name.lower(): value for name, value in MAP.items()}
+    answer = client.get("/wms", params=lower)
+    assert np.array_equal(pixels(answer), pixels(client.get(TILE)))
+    assert client.get("/wms", params=MAP, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+    assert client.get("/levels/hills/wms", params=MAP).content == answer.content
+
+
+def test_axes_are_the_crss_own(client: Client):
+    """The same extent in CRS:84 with longitude first and in EPSG:4326 with latitude first is the same picture."""
+    to_degrees = Transformer.from_crs(3857, 4326, always_xy=True)
+    (west, east), (south, north) = to_degrees.transform([BOUNDS.left, BOUNDS.right], [BOUNDS.bottom, BOUNDS.top])
+    shape = {"WIDTH": "128", "HEIGHT": "128", "LAYERS": "hills:mask"}
+    one = client.get("/wms", params={**MAP, **shape, "CRS": "CRS:84", "BBOX": f"{west},{south},{east},{north}"})
+    other = client.get("/wms", params={**MAP, **shape, "CRS": "EPSG:4326", "BBOX": f"{south},{west},{north},{east}"})
+    assert np.array_equal(pixels(one), pixels(other)) and {0, 255} <= set(np.unique(pixels(one)))
+    tile = pixels(client.get(TILE, params={"layer": "mask"}))[::2, ::2]
+    assert (pixels(one) == tile).mean() > 0.85  # the same ground, though its pixels lie elsewhere
+    swapped = client.get("/wms", params={**MAP, **shape, "CRS": "EPSG:4326", "BBOX": f"{west},{south},{east},{north}"})
+    assert (pixels(swapped) == 128).all()  # 47 degrees east and 8 north: off the data
+    back = Transformer.from_crs(3857, 3035, always_xy=True).transform_bounds(*BOUNDS)
+    laea = {"CRS": "EPSG:3035", "BBOX": f"{back[1]},{back[0]},{back[3]},{back[2]}"}  # northing first
+    assert {0, 255} <= set(np.unique(pixels(client.get("/wms", params={**MAP, **shape, **laea}))))
+
+
+def test_what_is_behind(client: Client):
+    clear = pixels(client.get("/wms", params=MAP))
+    off = clear[..., 3] == 0
+    assert off.any() and not off.all()
+    white = pixels(client.get("/wms", params={**MAP, "TRANSPARENT": "FALSE"}))
+    red = pixels(client.get("/wms", params={**MAP, "TRANSPARENT": "FALSE", "BGCOLOR": "0xFF0000"}))
+    assert white.shape == (256, 256, 3) and (white[off] == 255).all() and (red[off] == [255, 0, 0]).all()
+    assert np.array_equal(white[~off], clear[~off][:, :3])
+    shadow = pixels(client.get("/wms", params={**MAP, "LAYERS": "hills:shadow", "TRANSPARENT": "FALSE"}))
+    alpha = pixels(client.get("/wms", params={**MAP, "LAYERS": "hills:shadow"}))[..., 3].astype(int)
+    assert np.abs(shadow[..., 0] - (255 - alpha)).max() <= 1  # black over white by its opacity
+    jpeg = client.get("/wms", params={**MAP, "FORMAT": "image/jpeg"})
+    assert jpeg.headers["content-type"] == "image/jpeg" and (pixels(jpeg)[off] > 240).mean() > 0.98
+
+
+def test_time(client: Client):
+    def mask(**more: str) -> bytes:
+        answer = client.get("/wms", params={**MAP, "LAYERS": "timed:mask", **more})
+        assert answer.status_code == 200, answer.text
+        return answer.content
+
+    own = mask()
+    assert mask(TIME="2024-06-21T16:00:00Z") == own == mask(TIME="2024-06-21T16:00:00.000Z/2024-06-21T17:00:00.000Z")
+    assert mask(TIME="2024-06-21T05:00:00Z") != own != mask(TIME="2024-12-21")
+    assert mask(AZIMUTH="70", ALTITUDE="18") != own
+    assert client.get("/wms", params={**MAP, "TIME": "current"}).status_code == 307
+
+
+def test_what_is_at_a_point(client: Client):
+    """The pixel's place, its elevation by the layer of heights, and whether it is lit by the mask."""
+    answer = client.get("/wms", params={**INFO, "INFO_FORMAT": "application/json"})
+    report = answer.json()
+    pixel = (BOUNDS.right - BOUNDS.left) / 256
+    x, y = BOUNDS.left + 100.5 * pixel, BOUNDS.top - 50.5 * pixel
+    lon, lat = Transformer.from_crs(3857, 4326, always_xy=True).transform(x, y)
+    assert (report["lon"], report["lat"]) == pytest.approx((lon, lat), abs=1e-6)
+    assert report["level"] == "hills" and report["now"]["azimuth"] == pytest.approx(250, abs=0.1)
+    point = client.get("/levels/hills/point", params={"lon": lon, "lat": lat}).json()
+    assert point["elevation_m"] == report["elevation_m"] and point["now"]["lit"] == report["now"]["lit"]
+    assert client.get("/wms", params=INFO, headers={"If-None-Match": answer.headers["etag"]}).status_code == 304
+
+    text = client.get("/wms", params={**INFO, "INFO_FORMAT": "text/plain", "TIME": "2024-06-21T12:00:00Z"})
+    page = client.get("/wms", params={**INFO, "INFO_FORMAT": "text/html", "TIME": "2024-06-21T12:00:00Z"})
+    assert text.headers["content-type"].startswith("text/plain") and f"Elevation: {report['elevation_m']:.1f} m\n" in text.text
+    assert "Direct sun: " in text.text and "Date: 2024-06-21" in text.text
+    assert page.headers["content-type"].startswith("text/html") and "<th>Direct sun</th>" in page.text
+    hours = client.get("/wms", params={**INFO, "QUERY_LAYERS": "hills:sunhours", "TIME": "2024-12-21"}).json()
+    assert hours["day"]["date"] == "2024-12-21" and 0 <= hours["day"]["direct_h"] < 9
+
+
+def test_off_the_data_there_is_nothing_at_a_point(client: Client):
+    for media_type in ("application/json", "text/plain", "text/html"):
+        answer = client.get("/wms", params={**INFO, "I": "250", "J": "10", "BBOX": "0,0,1000,1000", "INFO_FORMAT": media_type})
+        assert answer.status_code == 200 and "no ground here" in answer.text
+
+
+def test_legends(client: Client):
+    asked = {"SERVICE": "WMS", "REQUEST": "GetLegendGraphic", "LAYER": "timed:sunhours", "FORMAT": "image/png"}
+    assert pixels(client.get("/wms", params=asked)).shape[:2] == (85, 340)
+    assert b"</svg>" in client.get("/wms", params={**asked, "FORMAT": "image/svg+xml", "TIME": "2024-03-21"}).content
+    legend = layers_of(ElementTree.fromstring(client.get("/wms?REQUEST=GetCapabilities").content))["timed:sunhours"].find(
+        "w:Style/w:LegendURL", W
+    )
+    assert legend is not None
+    online = legend.find("w:OnlineResource", W)
+    assert online is not None
+    shown = pixels(client.get(online.get(f"{{{W['x']}}}href", "")))
+    assert (str(shown.shape[1]), str(shown.shape[0])) == (legend.get("width"), legend.get("height"))
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "code", "locator"),
+    [
+        ({"REQUEST": None}, 422, "MissingParameterValue", "REQUEST"),
+        ({"REQUEST": "GetTile"}, 422, "OperationNotSupported", "REQUEST"),
+        ({"VERSION": "1.1.1"}, 422, "InvalidParameterValue", "VERSION"),
+        ({"LAYERS": None}, 422, "MissingParameterValue", "LAYERS"),
+        ({"LAYERS": "hills:color,hills:shadow"}, 404, "LayerNotDefined", "LAYERS"),
+        ({"LAYERS": "hills:terrain-rgb"}, 404, "LayerNotDefined", "LAYERS"),
+        ({"LAYERS": "nowhere:color"}, 404, "LayerNotDefined", "level"),
+        ({"LAYERS": "site:color"}, 422, "LayerNotDefined", "LAYERS"),
+        ({"STYLES": "dark"}, 422, "StyleNotDefined", "STYLES"),
+        ({"CRS": "EPSG:1"}, 422, "InvalidCRS", "crs"),
+        ({"CRS": "+proj=utm"}, 422, "InvalidCRS", "crs"),
+        ({"BBOX": "1,2,3"}, 422, "InvalidParameterValue", "BBOX"),
+        ({"WIDTH": "wide"}, 422, "InvalidParameterValue", "WIDTH"),
+        ({"WIDTH": "4000", "HEIGHT": "4000"}, 422, "InvalidParameterValue", "size"),
+        ({"FORMAT": "image/gif"}, 422, "InvalidFormat", "FORMAT"),
+        ({"FORMAT": "image/jpeg", "LAYERS": "hills:mask"}, 422, "InvalidFormat", "FORMAT"),
+        ({"BGCOLOR": "red", "TRANSPARENT": "FALSE"}, 422, "InvalidParameterValue", "BGCOLOR"),
+        ({"TIME": "yesterday"}, 422, "InvalidDimensionValue", "time"),
+        ({"REQUEST": "GetFeatureInfo", "QUERY_LAYERS": "hills:color", "I": "256", "J": "0"}, 422, "InvalidPoint", "I"),
+        ({"REQUEST": "GetLegendGraphic", "LAYER": "hills:color"}, 422, "LayerNotDefined", "LAYER"),
+    ],
+)
+def test_exceptions(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
+    answer = client.get("/wms", params={name: value for name, value in {**MAP, **change}.items() if value is not None})
+    assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml"), answer.text
+    report = ElementTree.fromstring(answer.content)
+    exception = report.find("e:ServiceException", W)
+    assert short(report.tag) == "ServiceExceptionReport" and exception is not None and exception.text
+    assert (exception.get("code"), exception.get("locator")) == (code, locator), answer.text
+
+
+# -- other people's clients
+
+
+def test_owslib_reads_it(client: Client):
+    service = WebMapService(f"{client.base_url}/wms", version="1.3.0")
+    layer = service.contents["timed:color"]
+    assert layer.boundingBoxWGS84 == pytest.approx(tuple(client.get("/levels/timed").json()["bounds"]))
+    assert layer.timepositions and layer.defaulttimeposition == "2024-06-21T16:00:00Z"
+    drawn = service.getmap(
+        layers=["hills:mask"], srs="EPSG:3857", bbox=tuple(BOUNDS), size=(256, 256), format="image/png", transparent=True
+    )  # fmt: skip
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(drawn.read()))), pixels(client.get(f"{TILE}?layer=mask")))
+
+
+def test_gdal_reads_it(client: Client):
+    """By its own driver, in a CRS whose latitude comes first."""
+    if not gdal_has("WMS"):
+        pytest.skip("this GDAL has no WMS driver")
+    to_degrees = Transformer.from_crs(3857, 4326, always_xy=True)
+    (west, east), (south, north) = to_degrees.transform([BOUNDS.left, BOUNDS.right], [BOUNDS.bottom, BOUNDS.top])
+    description = (
+        f'<GDAL_WMS><Service name="WMS"><Version>1.3.0</Version><ServerUrl>{client.base_url}/wms?</ServerUrl><CRS>EPSG:4326</CRS>'
+        "<BBoxOrder>yxYX</BBoxOrder><ImageFormat>image/png</ImageFormat><Layers>hills:color</Layers><Transparent>TRUE</Transparent>"
+        f"</Service><DataWindow><UpperLeftX>{west}</UpperLeftX><UpperLeftY>{north}</UpperLeftY><LowerRightX>{east}</LowerRightX>"
+        f"<LowerRightY>{south}</LowerRightY><SizeX>128</SizeX><SizeY>128</SizeY></DataWindow><BandsCount>4</BandsCount>"
+        "<BlockSizeX>128</BlockSizeX><BlockSizeY>128</BlockSizeY></GDAL_WMS>"
+    )
+    with rasterio.open(description) as source:
+        read = source.read()
+    asked = {**MAP, "CRS": "EPSG:4326", "BBOX": f"{south},{west},{north},{east}", "WIDTH": "128", "HEIGHT": "128"}
+    direct = np.moveaxis(pixels(client.get("/wms", params=asked)), -1, 0)
+    assert direct.shape == read.shape and (read[3] == 255).any() and (np.abs(read.astype(int) - direct) <= 1).mean() > 0.99
+
+
+def test_the_report_is_json(client: Client):
+    assert isinstance(json.loads(client.get("/wms", params=INFO).content), dict)

@@ -1,0 +1,287 @@
+"""The Web Map Tile Service: its document by structure, and its tiles as clients find them that know nothing of Skugga."""
+
+from __future__ import annotations
+
+import io
+from datetime import UTC, datetime
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx
+import numpy as np
+import pytest
+import rasterio
+from morecantile import tms
+from owslib.wmts import WebMapTileService
+from PIL import Image
+from pyproj import CRS
+
+from api.http.ogc_times import date_asked, instant_asked
+from api.http.ogc_xml import lon_lat_box
+from terrain.errors import InputError
+from tests.api.conftest import CORNER, ZOOM, Client
+
+X, Y = CORNER
+ADDRESS = "/wmts/1.0.0/WMTSCapabilities.xml"
+NAMES = {"w": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1", "x": "http://www.w3.org/1999/xlink"}
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"
+KEYS = {
+    "SERVICE": "WMTS", "REQUEST": "GetTile", "VERSION": "1.0.0", "LAYER": "hills:color", "STYLE": "default", "FORMAT": "image/png",
+    "TILEMATRIXSET": "WebMercatorQuad", "TILEMATRIX": str(ZOOM), "TILECOL": str(X), "TILEROW": str(Y),
+}  # fmt: skip
+
+LAYERS = {"color", "shadow", "mask", "visibility", "terrain-rgb", "terrarium", "sunhours"}
+
+ORDER = {
+    "Layer": [
+        "Title", "Abstract", "WGS84BoundingBox", "Identifier", "Style", "Format", "Dimension", "TileMatrixSetLink", "ResourceURL",
+    ],
+    "Dimension": ["Identifier", "UOM", "Default", "Value"],
+    "Style": ["Identifier", "LegendURL"],
+    "TileMatrixSetLink": ["TileMatrixSet", "TileMatrixSetLimits"],
+    "TileMatrixLimits": ["TileMatrix", "MinTileRow", "MaxTileRow", "MinTileCol", "MaxTileCol"],
+    "TileMatrixSet": ["Identifier", "SupportedCRS", "WellKnownScaleSet", "TileMatrix"],
+    "TileMatrix": [
+        "Identifier", "ScaleDenominator", "TopLeftCorner", "TileWidth", "TileHeight", "MatrixWidth", "MatrixHeight",
+    ],
+    "Contents": ["Layer", "TileMatrixSet"],
+    "Capabilities": ["ServiceIdentification", "OperationsMetadata", "Contents", "ServiceMetadataURL"],
+}  # fmt: skip
+"""The order of elements in the schema of WMTS 1.0.0 (OGC 07-057r7, annex B), where one is there."""
+
+
+def short(tag: str) -> str:
+    return tag.rpartition("}")[2]
+
+
+def check_order(root: ElementTree.Element, order: dict[str, list[str]]) -> None:
+    """Every element has its children in the schema's order, and none that the schema does not have."""
+    for element in root.iter():
+        children = [short(child.tag) for child in element]
+        if short(element.tag) in order and children:
+            known = order[short(element.tag)]
+            assert set(children) <= set(known), (short(element.tag), children)
+            assert [known.index(child) for child in children] == sorted(known.index(child) for child in children), children
+
+
+@pytest.fixture(scope="module")
+def root(client: Client) -> ElementTree.Element:
+    answer = client.get(ADDRESS)
+    assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/xml")
+    return ElementTree.fromstring(answer.content)
+
+
+def layer_of(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    return next(each for each in root.iterfind("w:Contents/w:Layer", NAMES) if each.findtext("o:Identifier", "", NAMES) == name)
+
+
+def pixels(answer: httpx.Response) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
+
+
+def test_it_has_the_schemas_order_and_all_levels_that_lie_on_earth(root: ElementTree.Element):
+    check_order(root, ORDER)
+    names = [each.findtext("o:Identifier", "", NAMES) for each in root.iterfind("w:Contents/w:Layer", NAMES)]
+    assert set(names) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in LAYERS} and len(set(names)) == len(names)
+    for layer in root.iterfind("w:Contents/w:Layer", NAMES):
+        assert layer.findall("w:Style[@isDefault='true']", NAMES) and layer.findall("w:Format", NAMES)
+
+
+def test_matrix_sets_are_those_of_the_level_in_the_order_of_their_axes(client: Client, root: ElementTree.Element):
+    served = client.get("/levels/hills").json()["tile_matrix_sets"]
+    linked = {each.text for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink/w:TileMatrixSet", NAMES)}
+    described = {each.findtext("o:Identifier", "", NAMES): each for each in root.iterfind("w:Contents/w:TileMatrixSet", NAMES)}
+    assert linked == set(served) == set(described)
+    for name, element in described.items():
+        crs = CRS.from_user_input(element.findtext("o:SupportedCRS", "", NAMES))
+        first = element.find("w:TileMatrix", NAMES)
+        assert first is not None
+        corner = tuple(float(value) for value in first.findtext("w:TopLeftCorner", "", NAMES).split())
+        bounds = tms.get(name).xy_bounds(0, 0, tms.get(name).minzoom)
+        expected = (bounds.top, bounds.left) if crs.axis_info[0].direction == "north" else (bounds.left, bounds.top)
+        assert corner == pytest.approx(expected, abs=1e-3), name
+    assert described["WGS1984Quad"].findtext("w:TileMatrix/w:TopLeftCorner", "", NAMES) == "90.0 -180.0"
+
+
+def test_limits_hold_the_tiles_that_have_data(client: Client, root: ElementTree.Element):
+    """Inside of them a corner has data, and a tile beside them has none."""
+    link = next(
+        each for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink", NAMES)
+        if each.findtext("w:TileMatrixSet", "", NAMES) == "WebMercatorQuad"
+    )  # fmt: skip
+    limits = {each.findtext("w:TileMatrix", "", NAMES): each for each in link.iterfind(".//w:TileMatrixLimits", NAMES)}
+    zooms = client.get("/levels/hills").json()
+    assert list(limits) == [str(zoom) for zoom in range(zooms["minzoom"], zooms["maxzoom"] + 1)]
+    rows, cols = (
+        tuple(int(limits[str(ZOOM)].findtext(f"w:{end}Tile{axis}", "", NAMES)) for end in ("Min", "Max")) for axis in ("Row", "Col")
+    )
+    assert rows == (Y - 1, Y) and cols == (X - 1, X)  # the level's middle is the corner of four tiles, and it is smaller than they
+
+
+def test_times(root: ElementTree.Element):
+    own, angles, hours = (
+        layer_of(root, name).find("w:Dimension", NAMES) for name in ("timed:color", "hills:color", "timed:sunhours")
+    )
+    assert own is not None and angles is not None and hours is not None
+    assert own.findtext("o:Identifier", "", NAMES) == "Time"
+    assert own.findtext("w:Default", "", NAMES) == "2024-06-21T16:00:00Z"  # 18:00+02:00
+    values = [each.text for each in own.iterfind("w:Value", NAMES)]
+    assert values == ["2024-06-21T16:00:00Z", "2024-01-01T00:00:00Z/2024-12-31T23:50:00Z/PT10M"]
+    assert angles.findtext("w:Default", "", NAMES) == "default"
+    assert (
+        hours.findtext("w:Default", "", NAMES) == "2024-06-21"
+        and hours.findtext("w:Value", "", NAMES) == "2024-01-01/2024-12-31/P1D"
+    )
+    assert layer_of(root, "hills:terrain-rgb").find("w:Dimension", NAMES) is None
+    assert b"current" not in ElementTree.tostring(root)
+
+
+def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
+    """Each layer and format, with every variable filled in by what the document itself says."""
+    for layer in sorted(LAYERS):
+        element = layer_of(root, f"timed:{layer}")
+        formats = [each.text for each in element.iterfind("w:Format", NAMES)]
+        templates = element.findall("w:ResourceURL", NAMES)
+        assert [each.get("format") for each in templates] == formats
+        time = element.findtext("w:Dimension/w:Default", "", NAMES)
+        for each in templates:
+            variables = {"TileMatrixSet": "WebMercatorQuad", "TileMatrix": ZOOM, "TileCol": X, "TileRow": Y, "Time": time}
+            address = each.get("template", "").format(**variables)
+            if layer == "sunhours":  # a block of it takes long to draw: its tag says that it would be drawn
+                assert client.get(address, headers={"If-None-Match": "*"}).status_code == 304, address
+                continue
+            answer = client.get(address)
+            assert answer.status_code == 200 and answer.headers["content-type"] == each.get("format"), address
+    angles = layer_of(root, "hills:color").find("w:ResourceURL", NAMES)
+    assert angles is not None and angles.get("template", "").endswith(
+        "/{TileMatrixSet}/{TileMatrix}/{TileCol}/{TileRow}.png?time={Time}"
+    )
+    assert client.get(f"{TILE}?time=default").content == client.get(TILE).content
+
+
+def test_the_legend_of_hours_of_sun(client: Client, root: ElementTree.Element):
+    legend = layer_of(root, "timed:sunhours").find("w:Style/w:LegendURL", NAMES)
+    assert legend is not None and legend.get("format") == "image/png"
+    assert pixels(client.get(legend.get(f"{{{NAMES['x']}}}href", ""))).shape == (85, 340, 4)
+    assert layer_of(root, "timed:color").find("w:Style/w:LegendURL", NAMES) is None
+
+
+def test_one_level_alone(client: Client):
+    document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml").content)
+    names = [each.findtext("o:Identifier", "", NAMES) for each in document.iterfind("w:Contents/w:Layer", NAMES)]
+    assert {name.split(":")[0] for name in names} == {"timed"}
+    answer = client.get("/levels/site/WMTSCapabilities.xml")
+    assert answer.status_code == 422 and b"engineering CRS" in answer.content
+    assert client.get("/levels/nowhere/WMTSCapabilities.xml").status_code == 404
+
+
+def test_by_keys_it_is_the_same_tile(client: Client):
+    tile = client.get(TILE)
+    answer = client.get("/wmts", params=KEYS)
+    assert answer.content == tile.content and answer.headers["etag"] == tile.headers["etag"]
+    assert client.get("/wmts", params=KEYS, headers={"If-None-Match": tile.headers["etag"]}).status_code == 304
+    lower = {name.lower(): value for name, value in KEYS.items()}
+    timed = client.get("/wmts", params={**lower, "time": "2024-06-21T17:00:00+02:00", "layer": "hills:mask"})
+    assert timed.content == client.get(f"{TILE}?layer=mask&time=2024-06-21T15:00:00Z").content
+    assert (
+        client.get("/wmts", params={**KEYS, "AZIMUTH": "70", "ALTITUDE": "18"}).content
+        == client.get(f"{TILE}?azimuth=70&altitude=18").content
+    )
+    capabilities = client.get("/wmts?service=WMTS&request=GetCapabilities&acceptversions=1.0.0")
+    assert capabilities.content == client.get(ADDRESS).content and capabilities.headers["etag"]
+    assert client.get("/wmts", params={**KEYS, "TIME": "current"}).status_code == 307
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "code", "locator"),
+    [
+        ({"LAYER": None}, 422, "MissingParameterValue", "LAYER"),
+        ({"REQUEST": None}, 422, "MissingParameterValue", "REQUEST"),
+        ({"REQUEST": "GetFeatureInfo"}, 422, "OperationNotSupported", "REQUEST"),
+        ({"SERVICE": "WFS"}, 422, "InvalidParameterValue", "SERVICE"),
+        ({"VERSION": "2.0.0"}, 422, "VersionNegotiationFailed", "VERSION"),
+        ({"LAYER": "hills"}, 404, "InvalidParameterValue", "LAYER"),
+        ({"LAYER": "hills:depth"}, 404, "InvalidParameterValue", "LAYER"),
+        ({"LAYER": "nowhere:color"}, 404, "InvalidParameterValue", "level"),
+        ({"STYLE": "dark"}, 422, "InvalidParameterValue", "STYLE"),
+        ({"FORMAT": "image/gif"}, 422, "InvalidParameterValue", "FORMAT"),
+        ({"TILEMATRIXSET": "Mars"}, 404, "InvalidParameterValue", "tms"),
+        ({"TILEMATRIX": "deep"}, 422, "InvalidParameterValue", "TILEMATRIX"),
+        ({"TILECOL": "-1"}, 422, "InvalidParameterValue", "TILECOL"),
+        ({"TILECOL": "99999"}, 404, "TileOutOfRange", "x"),
+        ({"TIME": "yesterday"}, 422, "InvalidParameterValue", "time"),
+        ({"LAYER": "site:color"}, 422, "InvalidParameterValue", "LAYER"),
+    ],
+)
+def test_exceptions(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
+    answer = client.get("/wmts", params={name: value for name, value in {**KEYS, **change}.items() if value is not None})
+    assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml")
+    assert answer.headers["cache-control"] == "no-store"
+    report = ElementTree.fromstring(answer.content)
+    exception = report.find("o:Exception", NAMES)
+    assert short(report.tag) == "ExceptionReport" and exception is not None
+    assert (exception.get("exceptionCode"), exception.get("locator")) == (code, locator), answer.text
+    assert exception.findtext("o:ExceptionText", "", NAMES)
+
+
+# -- other people's clients
+
+
+def test_owslib_reads_it(client: Client):
+    service = WebMapTileService(f"{client.base_url}{ADDRESS}")
+    layer = service.contents["timed:color"]
+    assert layer.boundingBoxWGS84 == pytest.approx(tuple(client.get("/levels/timed").json()["bounds"]), abs=1e-9)
+    assert "WebMercatorQuad" in layer.tilematrixsetlinks and "image/png" in layer.formats
+    tile = service.gettile(
+        layer="hills:mask", tilematrixset="WebMercatorQuad", tilematrix=str(ZOOM), row=Y, column=X, format="image/png",
+        style="default",
+    )  # fmt: skip
+    assert tile.read() == client.get(f"{TILE}?layer=mask").content
+
+
+def test_gdal_reads_it(client: Client, tmp_path):
+    """By its own driver, with the document's own default time: the pixels are the tile's, and the extent is the level's."""
+    if "WMTS" not in rasterio.drivers.raster_driver_extensions().values() and not gdal_has("WMTS"):
+        pytest.skip("this GDAL has no WMTS driver")
+    address = f"{client.base_url}/levels/hills/WMTSCapabilities.xml"
+    cached = {"GDAL_ENABLE_WMS_CACHE": "NO"}
+    with (
+        rasterio.Env(**cached),
+        rasterio.open(f"WMTS:{address},layer=hills:color,tilematrixset=WebMercatorQuad,zoom_level={ZOOM}") as source,
+    ):
+        assert source.crs.to_epsg() == 3857 and source.count == 4
+        bounds = tms.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM)
+        part = source.read(
+            window=source.window(bounds.left, bounds.bottom + 20, bounds.right - 20, bounds.top).round_offsets().round_lengths()
+        )
+    tile = np.moveaxis(pixels(client.get(TILE)), -1, 0)
+    rows, cols = part.shape[1:]
+    there = tile[3, :rows, :cols] == 255
+    assert there.sum() > 10000 and (part[:3, there] == tile[:3, :rows, :cols][:, there]).mean() > 0.999
+
+
+def gdal_has(driver: str) -> bool:
+    with rasterio.Env() as environment:
+        return driver in environment.drivers()
+
+
+# -- by arithmetic
+
+
+def test_times_that_are_asked_for():
+    assert [instant_asked(text, 0.0) for text in (None, "", "default")] == [None] * 3
+    assert instant_asked("2024-06-21T16:00:00Z", 7.0) == "2024-06-21T16:00:00Z"
+    assert instant_asked("2024-06-21T16:00", 7.0) == "2024-06-21T16:00Z"
+    assert instant_asked("2024-06-21T16:00:00+02:00/2024-06-22T00:00:00+02:00", 7.0) == "2024-06-21T16:00:00+02:00"
+    assert instant_asked("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # the sun's noon, six hours after Greenwich's
+    assert instant_asked("2024-13-41", 0.0) == "2024-13-41"
+    default = datetime(2024, 3, 21, tzinfo=UTC).date()
+    assert date_asked("2024-06-21T00:00:00Z", default).isoformat() == "2024-06-21" and date_asked(None, default) == default
+    with pytest.raises(InputError, match="a date"):
+        date_asked("soon", default)
+
+
+def test_a_box_across_the_antimeridian_is_all_round():
+    assert lon_lat_box((170.0, -20.0, 190.0, -10.0)) == (-180.0, -20.0, 180.0, -10.0)
+    assert lon_lat_box((8.0, 47.0, 9.0, 48.0)) == (8.0, 47.0, 9.0, 48.0)

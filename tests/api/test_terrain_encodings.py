@@ -1,0 +1,60 @@
+"""Heights in colours: by arithmetic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from api.layers import encoded_heights, nodata_height_m
+from api.terrain_encodings import terrain_rgb, terrarium
+
+
+def mapbox_height_m(rgb: np.ndarray) -> np.ndarray:
+    """As Mapbox's documentation has it."""
+    r, g, b = np.moveaxis(rgb.astype(np.float64), -1, 0)
+    return -10000 + (r * 256 * 256 + g * 256 + b) * 0.1
+
+
+def terrarium_height_m(rgb: np.ndarray) -> np.ndarray:
+    """As Tilezen's documentation has it."""
+    r, g, b = np.moveaxis(rgb.astype(np.float64), -1, 0)
+    return r * 256 + g + b / 256 - 32768
+
+
+@pytest.mark.parametrize(
+    ("height_m", "mapbox", "terrarium_rgb"),
+    [
+        (0.0, (1, 134, 160), (128, 0, 0)),  # 100000 = 1 * 65536 + 134 * 256 + 160
+        (-10000.0, (0, 0, 0), (88, 240, 0)),
+        (8848.86, (2, 224, 73), (162, 144, 220)),
+        (-0.1, (1, 134, 159), (127, 255, 230)),
+    ],
+)
+def test_known_heights(height_m: float, mapbox: tuple[int, ...], terrarium_rgb: tuple[int, ...]):
+    height = np.array([[height_m]])
+    assert tuple(terrain_rgb(height)[0, 0]) == mapbox
+    assert tuple(terrarium(height)[0, 0]) == terrarium_rgb
+
+
+def test_a_height_comes_back_to_half_a_step():
+    height = np.random.default_rng(5).uniform(-9999, 9000, (50, 70))
+    assert np.abs(mapbox_height_m(terrain_rgb(height)) - height).max() <= 0.05 + 1e-9
+    assert np.abs(terrarium_height_m(terrarium(height)) - height).max() <= 0.5 / 256 + 1e-9
+
+
+def test_half_a_step_goes_to_the_even_one():
+    """512ths of a metre are exact in binary: truncation and rounding away from zero differ here."""
+    halves = np.array([[1.0, 3.0, 5.0, -1.0, -3.0]]) / 512
+    steps = (terrarium_height_m(terrarium(halves)) * 256).tolist()
+    assert steps == [[0.0, 2.0, 2.0, 0.0, -2.0]]
+    quarters = np.array([[0.25, 0.75]])  # 2.5 and 7.5 steps of 0.1 m
+    assert np.rint(mapbox_height_m(terrain_rgb(quarters)) * 10).tolist() == [[2, 8]]
+
+
+def test_ends_and_places_off_the_data():
+    far = np.array([[-20000.0, 2e6]])
+    assert terrain_rgb(far).tolist() == [[[0, 0, 0], [255, 255, 255]]]
+    assert terrarium(np.array([[-40000.0, 40000.0]])).tolist() == [[[0, 0, 0], [255, 255, 255]]]
+    for encoding, height_m in (("mapbox", mapbox_height_m), ("terrarium", terrarium_height_m)):
+        told = height_m(encoded_heights(np.array([[np.nan, 12.0]]), nodata_height_m(-3.4), encoding))
+        np.testing.assert_allclose(told, [[-4.0, 12.0]], atol=1e-6)
