@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -111,3 +113,39 @@ def test_this_module_needs_nothing_but_the_standard_library():
     code = "import sys, terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+TEMPORARY = {
+    "api/library/accessor.py": "a raster of its own that it reads from",
+    "api/library/opened_level.py": "a raster of its own that its service reads",
+    "api/raster_file.py": "inside of what replaces a file",
+    "api/layers.py": "inside of what replaces a file",
+    "api/contour_lines.py": "inside of what replaces a file",
+    "api/point/polar_picture.py": "into memory",
+    "api/color_scale.py": "into memory",
+    "api/report/page/pictures.py": "into memory",
+    "api/report/comparison.py": "inside of what replaces a file",
+    "api/workers/block_tiles.py": "into memory",
+    "selector/cost/calibration_scenes.py": "levels of its own in a temporary folder",
+    "shadows/truth/cache.py": "inside of what replaces a file",
+    "terrain/whole_files.py": "the place where files are written",
+}
+"""Modules that write by other means, and what they write."""
+
+WRITING = re.compile(
+    r"""\.write_(?:text|bytes)\(|\bopen\([^)]*["'][wax]b?\+?["']|\.(?:save|savefig|savez\w*|tofile)\(|np\.save\(|"""
+    r"""os\.replace\(|shutil\.copyfileobj|raw\.write\("""
+)
+
+
+def writing_modules():
+    root = Path(__file__).parents[2]
+    for floor in ("terrain", "shadows", "selector", "api"):
+        for path in (root / floor).rglob("*.py"):
+            if WRITING.search(path.read_text(encoding="utf-8")):
+                yield str(path.relative_to(root))
+
+
+def test_files_are_written_in_one_place():
+    found = set(writing_modules())
+    assert found == set(TEMPORARY), "terrain.whole_files writes files"
