@@ -16,6 +16,7 @@ from typing import Any
 import uvicorn
 
 from api.http.app import create_app
+from api.http.bounded_headers import BoundedHeaders
 from api.http.listening import BoundedListener
 from api.http.service import Service
 from api.http.watching import LogLine
@@ -130,8 +131,8 @@ def serve(settings: Settings, levels: Sequence[Path | LevelSource]) -> None:
     """Serve levels until SIGINT or SIGTERM. Raises as ``create_app`` does."""
     app = create_app(settings, levels)
     config = uvicorn.Config(
-        app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http="httptools", ws="none",
-        server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
+        app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
+        ws="none", server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
         Server(config, app.state.service).run()

@@ -19,6 +19,7 @@ from fastapi import FastAPI
 from morecantile import tms as matrix_sets
 
 from api.http.app import create_app
+from api.http.bounded_headers import BoundedHeaders
 from api.http.server import Server, log_config
 from api.http.service import Service
 from api.settings import Settings
@@ -80,10 +81,9 @@ def running(app: FastAPI) -> Iterator[Client]:
     """A real server of an application on a free port, and a client of it."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
-        server = Server(
-            uvicorn.Config(app, log_config=log_config(Settings()), http="httptools", access_log=False, timeout_graceful_shutdown=3),
-            app.state.service,
-        )
+        log = log_config(app.state.service.settings)
+        config = uvicorn.Config(app, log_config=log, http=BoundedHeaders, access_log=False, timeout_graceful_shutdown=3)
+        server = Server(config, app.state.service)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:

@@ -67,6 +67,27 @@ def test_a_request_that_comes_by_the_byte_ends_too(serve_with, open_sockets):
             time.sleep(0.05)
 
 
+@pytest.mark.parametrize("start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100])
+def test_headers_without_end_are_not_kept(serve_with, open_sockets, start: bytes):
+    client = serve_with(fake_workers.obedient)
+    one = open_sockets(client, start)
+    part = b"x" * 65536 if not start.endswith(b"\n") else b"A: b\r\n" * 10_000
+    sent = 0
+    with contextlib.suppress(OSError):
+        while sent < 64 * 2**20:
+            one.sendall(part)
+            sent += len(part)
+    assert sent < 32 * 2**20, "the connection has ended long before"
+    assert client.get("/healthz").status_code == 200
+
+
+def test_many_usual_requests_on_one_connection_have_room_for_their_headers(serve_with):
+    client = serve_with(fake_workers.obedient)
+    for _ in range(40):
+        assert client.get("/healthz", headers={"X": "x" * 8000}).status_code == 200
+    assert client.post("/plan", content=b"x" * 500_000).status_code == 422
+
+
 def test_an_answer_that_nobody_reads_ends_its_connection(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
     whole, asked = len(client.get("/openapi.json").content), 500

@@ -1,0 +1,41 @@
+"""The server's reading of requests, with a bound for what comes before a body: the parser itself has none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+MAX_HEAD_BYTES = 64 * 1024
+"""Of a request's line and headers, about: what comes with the last of them is not counted."""
+
+TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+
+
+class BoundedHeaders(HttpToolsProtocol):
+    """Ends connections whose request does not come to its body, or to its end, within so many bytes."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._in_head, self._has_ended, self._head_bytes = True, False, 0
+
+    def data_received(self, data: bytes) -> None:
+        """Read some bytes."""
+        self._has_ended = False
+        super().data_received(data)
+        if not self._in_head or self._has_ended or self.transport.is_closing():
+            return  # what follows the end of a request in the same bytes is not counted
+        self._head_bytes += len(data)
+        if self._head_bytes > MAX_HEAD_BYTES:
+            self.transport.write(TOO_LARGE)
+            self.transport.close()
+
+    def on_headers_complete(self) -> None:
+        """The parser has come to the end of the headers."""
+        self._in_head, self._head_bytes = False, 0
+        super().on_headers_complete()
+
+    def on_message_complete(self) -> None:
+        """The parser has come to the end of a request: another one may follow."""
+        self._in_head, self._has_ended, self._head_bytes = True, True, 0
+        super().on_message_complete()
