@@ -9,6 +9,7 @@ from api.workers.jobs import (
     DescribedPlanJob,
     DescriptorJob,
     Job,
+    MapJob,
     PlanJob,
     PointJob,
     PointsJob,
@@ -18,10 +19,10 @@ from api.workers.jobs import (
 from terrain.cache import MIB, Cache, Missing
 
 FIRST_GUESS_S: dict[type, float] = {
-    BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, PointJob: 0.1,
-    PointsJob: 1.0,
+    BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
+    PointJob: 0.1, PointsJob: 1.0,
 }  # fmt: skip
-"""Seconds of a job of which nothing is known yet, of a snapshot of ``USUAL_PX``: with a software rasteriser on two cores."""
+"""Seconds of a job of which nothing is known yet, of a snapshot or map of ``USUAL_PX``: with a software rasteriser on two cores."""
 
 USUAL_PX = 1280 * 1024
 
@@ -33,7 +34,7 @@ LIGHT_S = 3.0
 
 
 class ExpectedTimes:
-    """Means of how long jobs took, by kind of job: of snapshots per pixel."""
+    """Means of how long jobs took, by kind of job: of snapshots and maps per pixel."""
 
     def __init__(self) -> None:
         self._seconds: Cache[float] = Cache("api.workers.expected_times", "process", MIB, lambda _: 512)
@@ -58,9 +59,10 @@ class ExpectedTimes:
 def kind_of_job(job: Job) -> Hashable:
     """Jobs of one kind take about as long: those of a version of a level for which the same is asked of the shadows."""
     level = None if isinstance(job, DescribedPlanJob) else (str(job.level.path), job.level.version)
-    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None)
+    of_a_date = isinstance(job, MapJob) and job.sun_hours is not None
+    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), of_a_date
 
 
 def _size_of(job: Job) -> float:
     """How much of what is known of its kind a job is."""
-    return 1.0 if not isinstance(job, SnapshotJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)
+    return 1.0 if not isinstance(job, SnapshotJob | MapJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)

@@ -1,0 +1,29 @@
+"""How long jobs are expected to take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+from api.sun_hours_layer import SunHoursQuery
+from api.workers.expected_times import FIRST_GUESS_S, USUAL_PX, ExpectedTimes
+from api.workers.jobs import Job, LevelKey, MapJob
+
+LEVEL = LevelKey(path=Path("hills.yaml"), version="1")
+
+
+def a_map(side: int, **more: object) -> MapJob:
+    return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), layer="color", format="png", **more)
+
+
+def test_there_is_a_first_guess_of_every_job():
+    assert set(FIRST_GUESS_S) == set(get_args(Job))
+
+
+def test_maps_are_learnt_by_the_pixel_and_hours_of_sun_apart():
+    times = ExpectedTimes()
+    assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX
+    times.learn(a_map(1000), 0.2)
+    assert abs(times.of(a_map(2000)) - 0.8) < 1e-9
+    of_a_date = a_map(1000, sun_hours=SunHoursQuery(date="2024-03-21"))
+    assert times.of(of_a_date) == FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX
