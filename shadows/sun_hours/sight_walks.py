@@ -54,10 +54,12 @@ class WalkedGround(NamedTuple):
 
 
 class SunTrack(NamedTuple):
-    """The sun between two moments ``begin`` and ``end``, minutes: coefficients (3, TRACK_TIMES, 6) of quadratics over the cells
-    of a turned grid, at both and midway between them, for the rows and the columns that a metre towards the sun leads on by, and for the
-    tangent of its altitude. ``cell`` (2, 3) int64 takes turned places to rows and to columns of the grid: a first one, and what a
-    turned row and a turned column add. ``last`` (2,) are the last turned row and column, at least 1.
+    """The sun between two moments ``begin`` and ``end``, minutes.
+
+    ``towards`` (3, TRACK_TIMES, 6) are quadratics over the cells of a turned grid, at both moments and midway between them: the
+    rows and the columns that a metre towards the sun leads on by, and the tangent of its altitude. ``cell`` (2, 3) int64 takes
+    turned places to rows and to columns of the grid: a first one, and what a turned row and a turned column add. ``last`` (2,) are
+    the last turned row and column, at least 1.
     """
 
     begin: float
