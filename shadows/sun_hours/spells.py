@@ -7,6 +7,9 @@ line through the two after, where they lead to a time between the moments (as es
 is mostly the same ridge that shades, so that side counts more. Where neither line leads there, something new has come between the
 cell and the sun, or has gone, at a time that clearances hardly tell: least wrong is a time halfway from the direct line's to the
 middle.
+
+That is a first guess. Where steps are long it is mended: the horizon of the cell that crosses is looked for towards the sun of that
+moment (``shadows.sun_hours.sight_walks``), then by the rule of false position towards the next guess's sun, ``WALKS`` times.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from shadows.sun_hours.quadratics import quadratic
+from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
 from shadows.sweep.grid import GridOrientation, copy_into
 from terrain.compiled import compiled
 
@@ -31,6 +36,12 @@ BELOW_FLOOR = 0.002
 """Sine below its floor, about a tenth of a degree, at which a sun's clearances say nothing: across a wide block it has long risen
 elsewhere, and level ground hides it. What is lit at the other moment is then lit from its rise, or until its set.
 """
+
+WALKS = 3
+"""How many times a cell's horizon is looked for between two moments, at most."""
+
+NEAR_MIN = 0.25
+"""Minutes by which a crossing may move for it to be found."""
 
 BAND_ROWS = 128
 """Rows that a thread works on at a time."""
@@ -49,6 +60,14 @@ class Spells(NamedTuple):
     longest: np.ndarray
     total: np.ndarray
     days: np.ndarray
+
+
+class Sight(NamedTuple):
+    """What cells see between two moments: the ground that casts, the sun, and how far above their nodes the cells look from."""
+
+    ground: WalkedGround
+    track: SunTrack
+    raised: float
 
 
 class ClockReading(NamedTuple):
@@ -90,22 +109,18 @@ def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientat
     return out
 
 
-def floor_fit(row: np.ndarray, col: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """What takes smooth values at places (k,) of cells (n, m) to the coefficients of their quadratic: (6, k)."""
-    y, x = row / max(shape[0] - 1, 1), col / max(shape[1] - 1, 1)
-    return np.linalg.pinv(np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=-1))
-
-
 def add_between(
     spells: Spells,
     moments: tuple[Moment, Moment, Moment, Moment],
     clock: ClockReading,
     fit: np.ndarray,
     begins: bool,
+    sight: Sight | None,
     cores: int,
 ) -> None:
     """Add what lies between the second and the third of four moments; ``begins``: no time before was looked at; ``fit`` as from
-    ``floor_fit``. The first may be the second, and the fourth the third, where there is no other.
+    ``quadratic_fit``. ``sight`` is what cells see in between, where it is known. The first may be the second, and the fourth the
+    third, where there is no other.
     """
     before, here, there, after = moments
     times = np.array([moment.minutes for moment in moments])
@@ -115,7 +130,7 @@ def add_between(
     def band(rows: slice) -> None:
         part = Spells(*(values[rows] for values in spells))
         four = (before.clearance[rows], here.clearance[rows], there.clearance[rows], after.clearance[rows])
-        _add(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock)
+        _add(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock, sight)
 
     _in_bands(band, len(spells.day), cores)
 
@@ -163,7 +178,7 @@ def _clear(level, shade, raised, out):
 
 
 @compiled
-def _add(spells, before, here, there, after, times, floors, begins, floored, first_row, count, clock):
+def _add(spells, before, here, there, after, times, floors, begins, floored, first_row, count, clock, sight):
     t0, t1 = times[1], times[2]
     rows, cols = here.shape
     for i in range(rows):
@@ -177,6 +192,8 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
             begin, end = t0, t1
             if lit0 != lit1:
                 crossing = _crossing(before[i, j], e0, e1, after[i, j], times)
+                if sight is not None:
+                    crossing = _walked(sight, first_row + i, j, lit0, crossing, t0, t1)
                 if lit0:
                     end = crossing
                 else:
@@ -185,7 +202,7 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                 end = t0 - 1.0
             if floored:
                 y, x = (first_row + i) / max(count - 1, 1), j / max(cols - 1, 1)
-                s0, s1 = _quadratic(floors[0], y, x), _quadratic(floors[1], y, x)
+                s0, s1 = quadratic(floors[0], y, x), quadratic(floors[1], y, x)
                 if s0 <= 0.0 and s1 <= 0.0:
                     end = t0 - 1.0
                 elif s0 <= 0.0:
@@ -203,11 +220,6 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                     _close(spells, i, j, since, end, clock)
                     since = -1.0
             spells.since[i, j] = since
-
-
-@compiled
-def _quadratic(c, y, x):
-    return c[0] + y * (c[1] + y * c[3] + x * c[4]) + x * (c[2] + x * c[5])
 
 
 @compiled
@@ -229,6 +241,27 @@ def _crossing(before, e0, e1, after, times):
     if e0 >= UNSHADED or e1 >= UNSHADED:
         return middle
     return 0.5 * (middle + t0 + (t1 - t0) * e0 / (e0 - e1))
+
+
+@compiled
+def _walked(sight, i, j, lit0, crossing, t0, t1):
+    """When the sun passes a cell's horizon between two moments, from about when; it is lit at the first one or not."""
+    low, high = t0, t1
+    t, before, free_before = crossing, np.nan, np.nan
+    for _ in range(WALKS):
+        free, rate = free_tangent(sight.ground, sight.track, i, j, sight.raised, t)
+        if (free >= 0.0) == lit0:
+            low = t
+        else:
+            high = t
+        following = t - free / rate if np.isnan(before) else t - free * (t - before) / (free - free_before)
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        before, free_before = t, free
+        t, moved = following, abs(following - t)
+        if moved < NEAR_MIN:
+            break
+    return t
 
 
 @compiled

@@ -2,14 +2,15 @@
 
 The sun is looked for at even steps of time and where it rises and sets. From bare ground the line sweep says by how much a cell
 clears what lies between it and the sun (``shadows.sweep``), and the times between steps at which that changes its sign are found
-from it (``shadows.sun_hours.spells``). Where something stands on the ground a plan's algorithms say how much of the sun is seen:
-a cell has sun where that is half of it at least.
+from it (``shadows.sun_hours.spells``); in steps longer than ``WALKED_MIN`` by walks over the ground, too. Where something stands on
+the ground a plan's algorithms say how much of the sun is seen: a cell has sun where that is half of it at least.
 
 Cells keep the order of the sweep's turned grid from step to step: only three or four times a day does that change.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,15 +18,17 @@ import numpy as np
 
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
+from shadows.sun_hours.quadratics import quadratic_fit
+from shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
 from shadows.sun_hours.spells import (
     ClockReading,
     Moment,
+    Sight,
     Spells,
     add_between,
     clearances,
     end_day,
     end_spells,
-    floor_fit,
     no_spells,
     turned_copy,
     turned_spells,
@@ -49,6 +52,9 @@ LINES = 8
 CASTERS_MIN = 15.0
 """Minutes of sun for which ground beside a block is looked for at their two ends: what lies before the sun in between lies before
 it at one of them, but for ground some fifteen times as far away as the block is wide."""
+
+WALKED_MIN = 2.5
+"""Minutes between two moments beyond which a crossing is looked for on the ground: nearer ones the clearances tell well enough."""
 
 UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
 
@@ -139,16 +145,21 @@ class _Seen:
 
     @property
     def fit(self) -> np.ndarray:
-        """``floor_fit`` of the block's lattice."""
+        """``quadratic_fit`` of the block's lattice."""
         row, col = lattice_of(self.view)
         i, j = self.turn.onto(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
-        return floor_fit(i, j, self.spells.day.shape)
+        return quadratic_fit(i, j, self.spells.day.shape)
 
 
 def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: WindowSun, span: SunSpan, clock: ClockReading) -> _Seen:
     """Add a day's span."""
     moments: list[Moment] = []
     begins = True
+
+    def add(four: tuple[Moment, Moment, Moment, Moment]) -> None:
+        sight = over.sight(day, (four[1].minutes, four[2].minutes), seen.turn)
+        add_between(seen.spells, four, clock, seen.fit, begins, sight, CORES)
+
     for number, (turn, clearance) in enumerate(over.clearances(day, span)):
         if turn != seen.turn:
             moments = [replace(m, clearance=turned_copy(m.clearance, seen.turn, turn)) for m in moments]
@@ -156,13 +167,11 @@ def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: WindowSun, span: 
         moments.append(Moment(float(span.knots_min[number]), clearance, span.above[number].ravel()))
         if number >= 2:
             here, there, after = moments[-3:]
-            before = moments[-4] if number >= 3 else here
-            add_between(seen.spells, (before, here, there, after), clock, seen.fit, begins, CORES)
+            add((moments[-4] if number >= 3 else here, here, there, after))
             begins = False
         del moments[:-3]
     here, there = moments[-2:]
-    before = moments[-3] if len(moments) >= 3 else here
-    add_between(seen.spells, (before, here, there, there), clock, seen.fit, begins, CORES)
+    add((moments[-3] if len(moments) >= 3 else here, here, there, there))
     end_spells(seen.spells, float(span.knots_min[-1]), clock)
     return seen
 
@@ -173,6 +182,8 @@ class _BareBlock:
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._height_m = scene, nodes, rules.height_m
         self._alone = _holds_all_ground(scene, nodes.view)
+        self._looked: deque[tuple[Patch, ...]] = deque(maxlen=3)  # here, there and after
+        self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
 
     def known(self) -> np.ndarray:
         """Which cells (rows, cols) show ground."""
@@ -182,12 +193,23 @@ class _BareBlock:
         """Clearances (n, m) at each moment of a span, and how they are turned; the fifth is in the first one's array."""
         used: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
+            self._looked.append(patches)
             found = clearance_of_nodes(self._nodes, self._under(day, minutes), patches, LINES)
             spare = used.pop(0) if len(used) == 4 else None
             if spare is None or spare.shape != found.level_m.shape:
                 spare = np.empty(found.level_m.shape, np.float32)
             used.append(clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES))
             yield found.turn, used[-1]
+
+    def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> Sight | None:
+        """What cells see between two moments, if these are far enough apart to look for it."""
+        if ends[1] - ends[0] <= WALKED_MIN:
+            return None
+        patches = tuple(dict.fromkeys(patch for looked in self._looked for patch in looked))
+        if self._ground is None or self._ground[0] != patches:
+            self._ground = None  # before the next one is made
+            self._ground = patches, walked_ground(self._scene, self._nodes, patches)
+        return Sight(self._ground[1], sun_track(day, self._nodes, self._scene.world, turn, ends), self._height_m)
 
     def _under(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
@@ -226,6 +248,9 @@ class _DrawnBlock:
         for number in range(len(span.knots_min)):
             frame = self._drawn(day.sun(span.looked_for_min(number), self._scene.world))
             yield UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
+
+    def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> None:
+        """Nothing is known between two moments."""
 
     def _drawn(self, sun: Sun) -> Frame:
         scene = replace(self._scene, sun=sun)

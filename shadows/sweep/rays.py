@@ -171,12 +171,12 @@ def grounds_of_block(rays: SunRays, block: NodeHeights, patches: Iterable[Patch]
         surface = rays.scene.surface(rays.grid.coarser(detail))
         there = [patch for patch in patches if patch.level == detail]
         before = [patch for patch in there if not _lies_behind(rays, patch, block)]
-        windows = [surface.height_window(*window) for window in _joined(before)]
+        windows = [surface.height_window(*window) for window in patch_windows(before)]
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, there))
     return grounds
 
 
-def _joined(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
+def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
     """Windows of nodes, first row and column and size, that cover patches in rows and columns of them, and nothing else."""
     runs: dict[tuple[int, int], list[int]] = {}  # first and last column of runs -> first and last row
     windows = []

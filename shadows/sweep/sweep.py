@@ -156,12 +156,13 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
     targets = _asked_of_nodes(rays, ground, nodes)
-    shade = np.full(ground.sheet.level.shape, NO_GROUND_LEVEL, np.float32)
-    _swept(grounds, targets, lines, 0.0, shade)
     down, right = targets.window
     ends = np.array([down.start, down.stop - 1]), np.array([right.start, right.stop - 1])
     i, j = rays.turn.onto(*ends, *ground.shape)
     window = slice(int(i.min()), int(i.max()) + 1), slice(int(j.min()) + 1, int(j.max()) + 2)  # behind the left border
+    shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is asked for: the rest takes no memory
+    shade[window] = NO_GROUND_LEVEL
+    _swept(grounds, targets, lines, 0.0, shade)
     return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.rise)
 
 

@@ -7,16 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shadows.sweep.grid import fitted_cubics
-from shadows.sweep.rays import _joined
+from shadows.sweep.rays import patch_windows
 from terrain.casters.reach import PATCH_QUADS, Patch
 
 Q = PATCH_QUADS
 
 
 @given(st.sets(st.tuples(st.integers(-3, 4), st.integers(-3, 4)), max_size=30))
-def test_joined_patches_cover_themselves_once_and_nothing_else(patches):
+def testpatch_windows_patches_cover_themselves_once_and_nothing_else(patches):
     covered: list[tuple[int, int]] = []
-    for row, col, rows, cols in _joined([Patch(0, *place) for place in patches]):
+    for row, col, rows, cols in patch_windows([Patch(0, *place) for place in patches]):
         assert row % Q == col % Q == 0 and (rows - 1) % Q == (cols - 1) % Q == 0
         covered += [(row // Q + i, col // Q + j) for i in range(rows // Q) for j in range(cols // Q)]
     assert sorted(covered) == sorted(patches)

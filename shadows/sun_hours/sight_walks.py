@@ -1,0 +1,268 @@
+"""The horizon of single cells towards the sun between two of its steps, by walking over the ground that casts. Compiled loops.
+
+From a node a line is followed towards the sun, row by row of the grid, or column by column where it runs along these. It is held
+against the ground where it crosses rows, columns and the diagonals of quads: there the surface along it has its kinks, as in the
+line sweep (``shadows.sweep.lines``), so that the horizon is that of the very triangles that cast. Of a quad both diagonals count,
+for the lower one lies below the surface. Whole tiles are passed over whose highest node stays below the horizon found so far
+(maximum mipmaps: Tevs, Ihrke and Seidel 2008, of one level), and a line ends where it rises above all ground. The earth is round:
+a line of sight rises above the level by the square of its length.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from shadows.sun_hours.quadratics import quadratic, quadratic_fit
+from shadows.sun_hours.suns import WindowSun, lattice_of
+from shadows.sweep.grid import GridOrientation
+from shadows.sweep.rays import patch_windows
+from terrain.casters.reach import Patch
+from terrain.compiled import compiled
+from terrain.gbuffer.bare_nodes import BareNodes
+from terrain.geo.world import World
+from terrain.ground.surface import NodeHeights
+from terrain.scene import Scene
+
+PASSED_TILE, PASSED_BLOCK = 8, 64
+"""Quads along a side of the tiles, and of the blocks of tiles, that are passed over."""
+
+EARTH_BEND = 0.5 / 6.371e6
+"""By how much a level line of sight rises above the ground, per square metre of its length."""
+
+FREE, FREE_TIMES = 0.02, 1.0
+"""Where the horizon lies lower than the sun by more than this tangent and so many times the step's change of altitude it is not
+looked for: what lies nearer decides.
+"""
+
+TRACK_TIMES = 3
+"""Moments of a step at which the sun's direction is exact; between them it follows their parabola."""
+
+
+class WalkedGround(NamedTuple):
+    """Heights of grids, the finest first, one behind the other: ``height`` and the highest of each tile and block, ``top``,
+    float32; of each grid in ``origin`` (k, 8) int64 where it and its tiles begin in these, its first row and column, its rows and
+    columns, how many of the finest one's nodes lead from one of its nodes to the next, and where its blocks begin; its ``highest``
+    (k,).
+    """
+
+    height: np.ndarray
+    top: np.ndarray
+    origin: np.ndarray
+    highest: np.ndarray
+
+
+class SunTrack(NamedTuple):
+    """The sun between two moments ``begin`` and ``end``, minutes.
+
+    ``towards`` (3, TRACK_TIMES, 6) are quadratics over the cells of a turned grid, at both moments and midway between them: the
+    rows and the columns that a metre towards the sun leads on by, and the tangent of its altitude. ``cell`` (2, 3) int64 takes
+    turned places to rows and to columns of the grid: a first one, and what a turned row and a turned column add. ``last`` (2,) are
+    the last turned row and column, at least 1.
+    """
+
+    begin: float
+    end: float
+    towards: np.ndarray
+    cell: np.ndarray
+    last: np.ndarray
+
+
+def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) -> WalkedGround:
+    """The ground of a block and of patches beside it."""
+    view, block = nodes.view, nodes.surface
+    windows: dict[int, list[NodeHeights]] = {0: [block]}
+    for detail in sorted({patch.level for patch in patches}):
+        surface = scene.surface(view.grid.coarser(detail))
+        there = [patch for patch in patches if patch.level == detail]
+        windows.setdefault(detail, []).extend(surface.height_window(*window) for window in patch_windows(there))
+    spans = {detail: _span(its) for detail, its in windows.items()}
+    sizes = [rows * cols for _, _, rows, cols in spans.values()]
+    counts = [
+        [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (PASSED_TILE, PASSED_BLOCK)]
+        for _, _, rows, cols in spans.values()
+    ]
+    height, top = np.full(sum(sizes), np.nan, np.float32), np.empty(int(np.sum(counts)), np.float32)
+    origin, highest = np.zeros((len(spans), 8), np.int64), np.empty(len(spans))
+    begin = tile_begin = 0
+    for n, (detail, (row0, col0, rows, cols)) in enumerate(spans.items()):
+        grid, block_begin = height[begin : begin + rows * cols].reshape(rows, cols), tile_begin + counts[n][0]
+        for window in windows[detail]:
+            _lay(window, grid[window.row0 - row0 :, window.col0 - col0 :])
+        tops, block_tops = top[tile_begin:block_begin], top[block_begin : block_begin + counts[n][1]]
+        _highest_of_tiles(grid, tops.reshape(-1, -(-(cols - 1) // PASSED_TILE)), PASSED_TILE)
+        _highest_of_tiles(grid, block_tops.reshape(-1, -(-(cols - 1) // PASSED_BLOCK)), PASSED_BLOCK)
+        highest[n] = block_tops.max(initial=-np.inf)
+        origin[n] = begin, tile_begin, row0, col0, rows, cols, 2**detail, block_begin
+        begin, tile_begin = begin + sizes[n], block_begin + counts[n][1]
+    return WalkedGround(height, top, origin, highest)
+
+
+def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
+    """First row and column, rows and columns of what windows cover."""
+    row0, col0 = min(w.row0 for w in windows), min(w.col0 for w in windows)
+    return row0, col0, max(w.row0 + w.shape[0] for w in windows) - row0, max(w.col0 + w.shape[1] for w in windows) - col0
+
+
+def _lay(window: NodeHeights, out: np.ndarray) -> None:
+    rows, cols = window.shape
+    out[:rows, :cols] = window.height_m
+
+
+def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientation, ends: tuple[float, float]) -> SunTrack:
+    """The sun over a block's turned cells between two moments, minutes after the window's start."""
+    view = nodes.view
+    row, col = (values.ravel() for values in lattice_of(view))
+    steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+    rows, cols = view.row0 + row + steps[:, :1], view.col0 + col + steps[:, 1:]
+    point, up = world.ground(view.grid.crs, view.grid.x(cols), view.grid.y(rows))
+    up, down, right = up[0], point[2] - point[1], point[4] - point[3]
+    towards = np.empty((3, TRACK_TIMES, len(row)))
+    for n, sun in enumerate(day.direction(np.linspace(*ends, TRACK_TIMES))):
+        rise = up @ sun
+        flat = sun - rise[:, None] * up
+        length = np.linalg.norm(flat, axis=1)
+        a, b, c = (np.sum(one * other, axis=1) for one, other in ((down, down), (down, right), (right, right)))
+        on_down, on_right = (np.sum(flat * axis, axis=1) / length for axis in (down, right))
+        square = a * c - b * b
+        towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
+    i, j = turn.onto(row, col, view.rows, view.cols)
+    shape = (view.cols, view.rows) if turn.swapped else (view.rows, view.cols)
+    turned = np.array([0, 1, 0]), np.array([0, 0, 1])
+    first, after_row, after_col = np.stack(turn.origin(*turned, view.rows, view.cols), axis=1)
+    cell = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
+    last = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
+    return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, cell, last)
+
+
+@compiled
+def free_tangent(ground, track, i, j, raised, minutes):
+    """By how much the tangent of the sun's altitude exceeds the horizon's, at a time, for a turned cell that looks from so
+    far above its node; and by how much the first grows a minute.
+    """
+    cell, a = track.cell, track.towards
+    row, col = cell[0, 0] + i * cell[0, 1] + j * cell[0, 2], cell[1, 0] + i * cell[1, 1] + j * cell[1, 2]
+    y, x = i / track.last[0], j / track.last[1]
+    span = track.end - track.begin
+    u = (minutes - track.begin) / span
+    w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # through the three moments
+    down = w0 * quadratic(a[0, 0], y, x) + w1 * quadratic(a[0, 1], y, x) + w2 * quadratic(a[0, 2], y, x)
+    right = w0 * quadratic(a[1, 0], y, x) + w1 * quadratic(a[1, 1], y, x) + w2 * quadratic(a[1, 2], y, x)
+    s0, s1, s2 = quadratic(a[2, 0], y, x), quadratic(a[2, 1], y, x), quadratic(a[2, 2], y, x)
+    rate = ((4.0 * u - 3.0) * s0 + (4.0 - 8.0 * u) * s1 + (4.0 * u - 1.0) * s2) / span
+    sun = w0 * s0 + w1 * s1 + w2 * s2
+    least = sun - FREE_TIMES * abs(s2 - s0) - FREE
+    return sun - horizon_tangent(ground, row, col, raised, down, right, least), rate
+
+
+@compiled
+def horizon_tangent(ground, row, col, raised, down, right, least):
+    """The tangent of the horizon's angle above the level, seen from so far above a node, towards where a metre leads on by ``down``
+    rows and ``right`` columns; or ``least``, where that is more.
+    """
+    height, top, origin, highest = ground
+    best = least
+    swapped = abs(right) > abs(down)
+    along, aside = (right, down) if swapped else (down, right)
+    forward, beside = (1 if along > 0.0 else -1), (1 if aside > 0.0 else -1)
+    slope = abs(aside / along)
+    per_rising, per_falling, per_side = 1.0 / (1.0 + slope), 1.0 / max(1.0 - slope, 1e-9), 1.0 / max(slope, 1e-9)
+    own = np.float64(height[int(origin[0, 0] + (row - origin[0, 2]) * origin[0, 5] + col - origin[0, 3])]) + raised
+    for n in range(len(origin)):
+        begin, tile_begin, row0, col0 = origin[n, 0], origin[n, 1], origin[n, 2], origin[n, 3]
+        rows, cols, side = origin[n, 4], origin[n, 5], origin[n, 6]
+        block_begin, tiles, blocks = origin[n, 7], -(-(cols - 1) // PASSED_TILE), -(-(cols - 1) // PASSED_BLOCK)
+        # Places are counted along the line, and to the side that it leads to: mirrored where that is backwards.
+        p, q = (
+            forward * ((col / side - col0) if swapped else (row / side - row0)),
+            beside * ((row / side - row0) if swapped else (col / side - col0)),
+        )
+        count_p, count_q = (cols, rows) if swapped else (rows, cols)
+        step_p, step_q = (1, cols) if swapped else (cols, 1)
+        unit = side / abs(along)
+        k = int(np.ceil(p))
+        x = q + slope * (k - p)
+        while True:
+            far = (k - p) * unit
+            here, ahead = forward * k, forward * (k + 1)
+            if (ahead < 0 and forward < 0) or (ahead >= count_p and forward > 0):
+                break
+            c = int(np.floor(x))
+            low, high = min(beside * c, beside * (c + 1)), max(beside * c, beside * (c + 1))
+            if (low < 0 and beside < 0) or (high >= count_q and beside > 0):
+                break
+            outside = here < 0 or here >= count_p or ahead < 0 or ahead >= count_p or low < 0 or high >= count_q
+            if best > 0.0 and own + best * far + EARTH_BEND * far * far > highest[n]:
+                break
+            if outside:
+                k, x = k + 1, x + slope
+                continue
+            passed, left = False, 1
+            for large in range(2):  # blocks, then tiles
+                width, first, wide = (PASSED_BLOCK, block_begin, blocks) if large == 0 else (PASSED_TILE, tile_begin, tiles)
+                a, b = min(here, ahead) // width, low // width
+                left = min((a + 1) * width, count_p - 1) - here if forward > 0 else here - a * width
+                side_end = min((b + 1) * width, count_q - 1) if beside > 0 else -b * width
+                if slope * left > side_end - x:
+                    left = int((side_end - x) * per_side)
+                high_here = np.float64(top[first + (b * wide + a if swapped else a * wide + b)])
+                lowest = best * far if best > 0.0 else best * (far + left * unit)
+                if left >= 1 and not high_here > own + lowest + EARTH_BEND * far * far:
+                    k, x, passed = k + left, x + slope * left, True
+                    break
+            if passed:
+                continue
+            for _ in range(max(left, 1)):
+                c = int(np.floor(x))
+                f = x - c
+                at = begin + forward * k * step_p + beside * c * step_q
+                to_p, to_q = forward * step_p, beside * step_q
+                far = (k - p) * unit
+                nw, ne = np.float64(height[at]), np.float64(height[at + to_q])
+                sw, se = np.float64(height[at + to_p]), np.float64(height[at + to_p + to_q])
+                if far > 0.0:
+                    best = _steeper(best, nw + f * (ne - nw) if f > 0.0 else nw, own, far)
+                    if f + slope <= 1.0 and slope < 1.0:
+                        share = f * per_falling
+                        best = _steeper(best, nw + share * (se - nw), own, far + share * unit)
+                share = (1.0 - f) * per_rising
+                best = _steeper(best, ne + share * (sw - ne), own, far + share * unit)
+                if f + slope > 1.0:
+                    share = (1.0 - f) * per_side
+                    best = _steeper(best, ne + share * (se - ne), own, far + share * unit)
+                    beyond = beside * (c + 2)
+                    if 0 <= beyond < count_q:
+                        share = (2.0 - f) * per_rising
+                        over = np.float64(height[at + 2 * to_q])
+                        best = _steeper(best, over + share * (se - over), own, far + share * unit)
+                k, x = k + 1, x + slope
+        # The last row or column that a grid has: the line ends on it.
+        if (k > p) and 0 <= forward * k < count_p:
+            c = int(np.floor(x))
+            low, high = min(beside * c, beside * (c + 1)), max(beside * c, beside * (c + 1))
+            if low >= 0 and high < count_q:
+                at = begin + forward * k * step_p + beside * c * step_q
+                nw, ne = np.float64(height[at]), np.float64(height[at + beside * step_q])
+                best = _steeper(best, nw + (x - c) * (ne - nw), own, (k - p) * unit)
+    return best
+
+
+@compiled
+def _steeper(best, height, own, far):
+    """The larger one of a tangent and of that up to ground of a height so far away."""
+    rise = height - own - EARTH_BEND * far * far
+    return rise / far if rise > best * far else best
+
+
+@compiled
+def _highest_of_tiles(height, top, side):
+    rows, cols = height.shape
+    for a in range(top.shape[0]):
+        for b in range(top.shape[1]):
+            highest = np.float32(-np.inf)
+            for i in range(a * side, min(a * side + side + 1, rows)):
+                for j in range(b * side, min(b * side + side + 1, cols)):
+                    if height[i, j] > highest:
+                        highest = height[i, j]
+            top[a, b] = highest
