@@ -18,7 +18,7 @@ from trimesh.visual.material import PBRMaterial
 from terrain.errors import SourceError
 from terrain.level.data_files import check_file
 from terrain.level.linked_files import gltf_parts
-from terrain.meshes.body import NEUTRAL, Body, srgb_albedo
+from terrain.meshes.body import MOST_SMOOTHED, NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 
@@ -66,11 +66,25 @@ def read_model(source: str) -> Body:
         raise SourceError(source, "vertices that are not finite", "finite coordinates")
     if y_up:
         points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
-    body = Body(points, np.concatenate(triangles), np.concatenate(albedo))
+    body = _without_repeats(Body(points, np.concatenate(triangles), np.concatenate(albedo)))
     if not len(body.triangles):
         raise SourceError(source, "no triangle with an area", ALLOWED)
     lowest = body.vertices_m[body.triangles][..., 2].min()
     return Body(body.vertices_m - (0.0, 0.0, lowest), body.triangles, body.albedo)
+
+
+def _without_repeats(body: Body) -> Body:
+    """A body without the triangles that lie on one another in the same sense, but the first of each; looked for where more corners
+    meet in a place than faces of a surface do.
+    """
+    places = body.merged_triangles
+    if not len(places) or np.bincount(places.ravel()).max() <= MOST_SMOOTHED:
+        return body
+    first = places.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(places, (first + np.arange(3)) % 3, axis=1)
+    _, kept = np.unique(turned, axis=0, return_index=True)
+    kept.sort()
+    return body if len(kept) == len(places) else Body(body.vertices_m, body.triangles[kept], body.albedo[kept])
 
 
 def _loaded(source: str) -> list[trimesh.Trimesh]:

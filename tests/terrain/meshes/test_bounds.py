@@ -74,6 +74,13 @@ def test_many_equal_faces_take_no_pairs(tmp_path):
     np.testing.assert_allclose(body.corner_normals()[[0, -1], 0], [[0.0, -(0.5**0.5), 0.5**0.5]] * 2, atol=1e-6)
 
 
+def test_faces_that_lie_on_one_another_are_one(tmp_path):
+    path = tmp_path / "a.obj"
+    faces = ["f 1 2 3\n", "f 2 3 1\n"] * 300 + ["f 3 2 1\n", "f 1 2 4\n"]
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 1\nv 0 0 1\n" + "".join(faces))
+    assert read_model(str(path)).triangles.tolist() == [[0, 1, 2], [2, 1, 0], [0, 1, 3]]
+
+
 @pytest.fixture
 def geojson(tmp_path):
     def write(*geometries: shapely.Geometry, crs: str = "EPSG::32633"):
