@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from api.workers.expected_times import ExpectedTimes
 from api.workers.jobs import Answer, Job
 
-STANDING_S = 5.0
+STANDING_S = 2.0
 """Jobs that come at once are worked off sooner; where some have waited for as long without a break, more come than can be done."""
 
 LOADED_WAIT_S = 0.5

@@ -49,12 +49,15 @@ class Connection:
         """Ask once; what goes wrong counts as status 0."""
         began = time.perf_counter()
         found: dict[str, str] = {}
+        request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
-            if self._streams is None:
+            first_line = b"" if self._streams is None else await self._ask(request)
+            if not first_line:  # the service ends connections that were idle for some seconds
+                self.close()
                 self._streams = await asyncio.open_connection("127.0.0.1", self._port)
-            reader, writer = self._streams
-            writer.write(f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode())
-            status = int((await reader.readline()).split()[1])
+                first_line = await self._ask(request)
+            reader, _ = self._streams
+            status = int(first_line.split()[1])
             while (line := (await reader.readline()).decode("latin-1").strip()) != "":
                 name, _, value = line.partition(":")
                 found[name.lower()] = value.strip()
@@ -67,6 +70,16 @@ class Connection:
         answers.seconds.append(time.perf_counter() - began)
         answers.told_when += status in (503, 429) and "retry-after" in found
         return found
+
+    async def _ask(self, request: bytes) -> bytes:
+        """The first line of the answer; empty where the connection has ended."""
+        assert self._streams is not None
+        reader, writer = self._streams
+        try:
+            writer.write(request)
+            return await reader.readline()
+        except ConnectionError:
+            return b""
 
     def close(self) -> None:
         if self._streams is not None:
@@ -88,17 +101,21 @@ async def closed_loop(port: int, path: Callable[[], str], clients: int, seconds:
     return answers
 
 
-async def open_loop(port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "") -> Answers:
-    """Requests at a steady rate, whether or not those before have been answered."""
-    answers, free, running = Answers(), list[Connection](), set[asyncio.Task[None]]()
+async def open_loop(
+    port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "", skip_s: float = 0.0
+) -> Answers:
+    """Requests at a steady rate, whether or not those before have been answered; what came in the first ``skip_s`` seconds is not
+    noted.
+    """
+    answers, skipped, free, running = Answers(), Answers(), list[Connection](), set[asyncio.Task[None]]()
 
     async def one() -> None:
         connection = free.pop() if free else Connection(port)
-        await connection.get(path(), answers, headers)
+        await connection.get(path(), skipped if time.perf_counter() < began + skip_s else answers, headers)
         free.append(connection)
 
     began = time.perf_counter()
-    for number in range(int(per_second * seconds)):
+    for number in range(int(per_second * (seconds + skip_s))):
         await asyncio.sleep(max(began + number / per_second - time.perf_counter(), 0.0))
         task = asyncio.create_task(one())
         running.add(task)

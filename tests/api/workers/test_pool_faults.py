@@ -200,7 +200,7 @@ def test_while_more_comes_than_can_be_done_only_short_waits_are_let_in():
     queue.expected.learn(block(0), 0.2)
     for number in range(10):
         queue.put(pending(block(number), 0.0))
-    burst_s, standing_s = (queue.longest_wait_s(block(99), now_s, 20.0) for now_s in (4.0, 6.0))
+    burst_s, standing_s = (queue.longest_wait_s(block(99), now_s, 20.0) for now_s in (1.5, 6.0))
     assert (burst_s, standing_s) == (20.0, 0.5)
     assert queue.wait_s(block(99), 6.0) == pytest.approx(2.0)
     queue.expected.learn(view(), 5.0 * 640 * 480 / (1280 * 1024))
