@@ -21,7 +21,7 @@ from api.http.app import create_app
 from api.layers import encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.block_tiles import PicturedBlock, encoded_tiles
-from api.workers.jobs import BlockJob, BlockTiles, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
+from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
 from api.workers.render_worker import WorkerConfig, WorkerState, run_job
 from selector.candidates import name_of
 from shadows.maps.settings import ShadowMapSettings
@@ -44,7 +44,7 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             job = pipe.recv()
         except EOFError:
             return
-        if isinstance(job, DescriptorJob):
+        if isinstance(job, DescriptorJob | DescribedPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
             continue
         sun = job.request.seen(build_scene(load_level(job.level.path))).sun

@@ -19,6 +19,9 @@ from terrain.errors import GraphicsError, RenderTimeoutError
 JOIN_S = 5.0
 """How long a killed process may take to be gone."""
 
+MOST_SAID = 300
+"""Characters of a job in the log: descriptors are long."""
+
 LOOK_EVERY_S = 1.0
 """How often it is looked whether a process that works was stopped."""
 
@@ -84,7 +87,7 @@ class WorkerProcess:
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
         except Exception as error:  # the pipe broke, or brought what cannot be read
-            raise WorkerCrashError(f"render process {self.pid} ended in the middle of {job!r}: {error!r}") from None
+            raise WorkerCrashError(f"render process {self.pid} ended in the middle of {repr(job)[:MOST_SAID]}: {error!r}") from None
 
     async def end(self) -> None:
         """End the process at once. It holds nothing that would be lost."""
