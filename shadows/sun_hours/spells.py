@@ -40,8 +40,8 @@ elsewhere, and level ground hides it. What is lit at the other moment is then li
 WALKS = 3
 """How many times a cell's horizon is looked for between two moments, at most."""
 
-NEAR_MIN = 0.25
-"""Minutes by which a crossing may move for it to be found."""
+NEAR_MIN = 1.0
+"""Minutes by which the last walk may move a crossing: what is left after it is a tenth of that."""
 
 BAND_ROWS = 128
 """Rows that a thread works on at a time."""
