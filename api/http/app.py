@@ -18,6 +18,7 @@ from api.errors import TooLargeError
 from api.http import (
     problems,
     routes_health,
+    routes_level_page,
     routes_levels,
     routes_map,
     routes_plan,
@@ -99,7 +100,8 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     app.add_exception_handler(CurrentTimeError, _at_the_instant)
     for routes in (
-        routes_wmts, routes_wms, routes_levels, routes_plan, routes_point, routes_tiles, routes_map, routes_snapshot, routes_health,
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
+        routes_snapshot, routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
