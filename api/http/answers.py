@@ -45,9 +45,9 @@ def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}"}
 
 
-def json_answer(request: Request, value: object, more: dict[str, str] | None = None) -> Response:
-    """A JSON answer with ``more`` headers, or 304 where the client has it."""
-    return document_answer(request, bytes(JSONResponse(value).body), "application/json", **(more or {}))
+def json_answer(request: Request, value: object, **more: str) -> Response:
+    """A JSON answer, with ``more`` headers, or 304 where the client has it."""
+    return document_answer(request, bytes(JSONResponse(value).body), "application/json", **more)
 
 
 def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:

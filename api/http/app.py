@@ -15,6 +15,7 @@ from api.errors import TooLargeError
 from api.http import (
     problems,
     routes_health,
+    routes_level_page,
     routes_levels,
     routes_map,
     routes_plan,
@@ -78,7 +79,8 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (
-        routes_wmts, routes_wms, routes_levels, routes_plan, routes_point, routes_tiles, routes_map, routes_snapshot, routes_health,
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
+        routes_snapshot, routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)

@@ -112,14 +112,14 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
         return *rows, *cols
     grid = tile_grid(matrix_set, zoom)
     left, top, side = grid.x0 - grid.step / 2, grid.y0 + grid.step / 2, grid.step * TILE_PX
-    (first_col, last_col), (first_row, last_row) = (
-        (int(np.clip(np.floor(value), *ends)) for value in values)
-        for values, ends in (
-            (((west - left) / side, (east - left) / side), cols),
-            (((top - north) / side, (top - south) / side), rows),
-        )
-    )
-    return first_row, last_row, first_col, last_col
+
+    def within(tiles: float, ends: tuple[int, int]) -> int:
+        return int(np.clip(np.floor(tiles), *ends))
+
+    return (
+        within((top - north) / side, rows), within((top - south) / side, rows),
+        within((west - left) / side, cols), within((east - left) / side, cols),
+    )  # fmt: skip
 
 
 def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:

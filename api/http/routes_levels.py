@@ -13,6 +13,7 @@ from api.color_scale import LegendFormat
 from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.problems import problem_docs
+from api.http.routes_level_page import page_answer, wants_page
 from api.http.served_levels import ServedLevel
 from api.http.service import TheService
 from api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
@@ -36,8 +37,11 @@ async def levels(request: Request, service: TheService) -> Response:
 
 @router.get("/levels/{level}", summary="A level", dependencies=[Depends(allow_only())], response_model=dict[str, Any])
 async def level(request: Request, service: TheService, level: str) -> Response:
-    """One level, as in the list."""
-    return json_answer(request, (await service.level(level)).summary())
+    """One level, as in the list; for a browser its page."""
+    served = await service.level(level)
+    if wants_page(request):
+        return await page_answer(request, service, served, Vary="Accept")
+    return json_answer(request, served.summary(), Vary="Accept")
 
 
 @router.get(

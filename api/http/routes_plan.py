@@ -57,7 +57,7 @@ async def plan(
     )
     answer = await service.done(request, job)
     assert isinstance(answer, PlanAnswer)
-    return json_answer(request, json.loads(answer.plan_json), time_headers(request))
+    return json_answer(request, json.loads(answer.plan_json), **time_headers(request))
 
 
 @router.get(
@@ -80,7 +80,7 @@ async def descriptor(
     job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await service.done(request, job)
     assert isinstance(answer, DescriptorAnswer)
-    return json_answer(request, json.loads(answer.descriptor_json), time_headers(request))
+    return json_answer(request, json.loads(answer.descriptor_json), **time_headers(request))
 
 
 @router.post(

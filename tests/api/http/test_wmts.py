@@ -105,18 +105,29 @@ def test_matrix_sets_are_those_of_the_level_in_the_order_of_their_axes(client: C
 
 
 def test_limits_hold_the_tiles_that_have_data(client: Client, root: ElementTree.Element):
-    """Inside of them a corner has data, and a tile beside them has none."""
-    link = next(
-        each for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink", NAMES)
-        if each.findtext("w:TileMatrixSet", "", NAMES) == "WebMercatorQuad"
-    )  # fmt: skip
-    limits = {each.findtext("w:TileMatrix", "", NAMES): each for each in link.iterfind(".//w:TileMatrixLimits", NAMES)}
-    zooms = client.get("/levels/hills").json()
-    assert list(limits) == [str(zoom) for zoom in range(zooms["minzoom"], zooms["maxzoom"] + 1)]
-    rows, cols = (
-        tuple(int(limits[str(ZOOM)].findtext(f"w:{end}Tile{axis}", "", NAMES)) for end in ("Min", "Max")) for axis in ("Row", "Col")
-    )
-    assert rows == (Y - 1, Y) and cols == (X - 1, X)  # the level's middle is the corner of four tiles, and it is smaller than they
+    """In every set, one twice as wide as high among them: those of the corners, by morecantile."""
+    said = client.get("/levels/hills").json()
+    west, south, east, north = said["bounds"]
+    links = {
+        each.findtext("w:TileMatrixSet", "", NAMES): each
+        for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink", NAMES)
+    }
+    assert len(links) > 3
+    for name, link in links.items():
+        zooms = said["tile_matrix_sets"][name]
+        limits = {each.findtext("w:TileMatrix", "", NAMES): each for each in link.iterfind(".//w:TileMatrixLimits", NAMES)}
+        assert list(limits) == [str(zoom) for zoom in range(zooms["minzoom"], zooms["maxzoom"] + 1)]
+        for zoom in (zooms["minzoom"], zooms["maxzoom"]):
+            first_row, last_row, first_col, last_col = (int(each.text or "") for each in list(limits[str(zoom)])[1:])
+            corners = [tms.get(name).tile(lon, lat, zoom) for lon in (west, east) for lat in (south, north)]
+            across, down = [tile.x for tile in corners], [tile.y for tile in corners]
+            assert first_col <= min(across) <= max(across) <= last_col and first_row <= min(down) <= max(down) <= last_row, name
+            assert (last_row - first_row, last_col - first_col) <= (max(down) - min(down) + 2, max(across) - min(across) + 2), name
+    limits = {
+        each.findtext("w:TileMatrix", "", NAMES): each for each in links["WebMercatorQuad"].iterfind(".//w:TileMatrixLimits", NAMES)
+    }
+    # The level's middle is the corner of four tiles, and it is smaller than they.
+    assert [each.text for each in list(limits[str(ZOOM)])[1:]] == [str(Y - 1), str(Y), str(X - 1), str(X)]
 
 
 def test_times(root: ElementTree.Element):

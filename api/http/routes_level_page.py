@@ -1,0 +1,50 @@
+"""Pages of levels, and their layers for QGIS."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from api.http.answers import base_url, document_answer
+from api.http.level_page import level_page
+from api.http.ogc_requests import this_year
+from api.http.parameters import allow_only
+from api.http.problems import problem_docs
+from api.http.qgis_layers import qgis_layers
+from api.http.served_levels import ServedLevel
+from api.http.service import Service, TheService
+from terrain.errors import UnsupportedError
+
+router = APIRouter(
+    tags=["levels"], dependencies=[Depends(allow_only())], responses=problem_docs(404, 422), default_response_class=Response
+)
+
+QLR_MEDIA = "application/x-qgis-layer-definition"
+
+
+@router.get("/levels/{level}.html", summary="A level as a page")
+async def page_of_level(request: Request, service: TheService, level: str) -> Response:
+    """Its picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and ipyleaflet."""
+    return await page_answer(request, service, await service.level(level))
+
+
+@router.get("/levels/{level}.qlr", summary="A level's layers for QGIS")
+async def qgis_layers_of_level(request: Request, service: TheService, level: str) -> Response:
+    """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
+    served = await service.level(level)
+    if not served.zooms:
+        raise UnsupportedError("level", level, "an engineering CRS is not georeferenced, so there are no tiles")
+    base = base_url(request, service.settings.public_url)
+    return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
+
+
+async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
+    """The page of a level."""
+    page = level_page(level, base_url(request, service.settings.public_url))
+    return document_answer(request, page.encode(), "text/html", **headers)
+
+
+def wants_page(request: Request) -> bool:
+    """Whether whoever asks is a browser: it takes HTML by name, and JSON not so."""
+    accepted = request.headers.get("accept", "")
+    return "text/html" in accepted and "application/json" not in accepted
