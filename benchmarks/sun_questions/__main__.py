@@ -1,6 +1,6 @@
 """Hours of sun, horizons of points and masks of a day, by Skugga and by other tools: seconds, and errors beside truth.
 
-    python -m benchmarks.sun_questions DATA --python PATH [--side 400] [--cells 1000] [--only hours,point,masks] [--write-only]
+    python -m benchmarks.sun_questions DATA --python PATH [--side 300] [--cells 1000] [--only hours,point,masks] [--write-only]
 
 DATA is a folder with the rasters that ``asking.RASTERS`` names. The Python packages (`pip install whitebox-workflows insolation
 numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`) are those of ``--python``; GRASS is Debian's
@@ -32,6 +32,10 @@ KEPT = HERE / "sun_questions.json"
 PAGE = HERE.parents[1] / "docs" / "sun-questions.md"
 
 SHORT = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
+
+
+REPEATS = 2
+"""Runs of which a horizon's seconds are the median."""
 
 
 class Measuring:
@@ -73,7 +77,7 @@ class Measuring:
                 rows, cols = dem.height_m.shape
                 for place in places_of(dem):
                     self._case(HORIZON, f"{name}, {place}", f"{about}, {cols} x {rows} cells of {dem.cell_m:g} m")
-                for answer in horizon_answers(horizon_tools(self._python), dem, 3, self.left_out):
+                for answer in horizon_answers(horizon_tools(self._python), dem, REPEATS, self.left_out):
                     self._add(answer)
 
     def masks(self) -> None:
@@ -127,7 +131,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, nargs="?", help="the folder of rasters")
     parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
-    parser.add_argument("--side", type=int, default=400)
+    parser.add_argument("--side", type=int, default=300)
     parser.add_argument("--cells", type=int, default=1000)
     parser.add_argument("--only", default=",".join(SHORT), help="of hours, point, masks")
     parser.add_argument("--write-only", action="store_true")

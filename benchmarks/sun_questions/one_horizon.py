@@ -19,7 +19,7 @@ HORIZON = "horizon at a point"
 ROUND_DEG = 0.5
 """From direction to direction: 720 of them."""
 
-TOPOCALC_DEG = 10.0
+TOPOCALC_DEG = 15.0
 """Directions of the one tool that computes a raster for each: its seconds are multiplied."""
 
 FAR_M = 20_000.0

@@ -7,8 +7,8 @@ from benchmarks.peers.pages import percent, seconds
 from benchmarks.seeds.claims import table
 from benchmarks.sun_questions.day_hours import HOURS
 from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, standings
-from benchmarks.sun_questions.many_masks import MASKS
-from benchmarks.sun_questions.one_horizon import HORIZON
+from benchmarks.sun_questions.many_masks import MASKS, NEAR_DEG
+from benchmarks.sun_questions.one_horizon import HORIZON, ROUND_DEG, TOPOCALC_DEG
 
 TITLES = {
     HOURS: "1. Hours of sun of a day",
@@ -76,35 +76,27 @@ def question_verdict(found: SunComparison, question: str) -> str:
 
 
 def _behind(found: SunComparison, question: str) -> list[str]:
-    """What peers are ahead of every row of Skugga's in one of the two: faster, or more accurate."""
-    faster: dict[str, list[str]] = {}
-    for clock in ANSWER_CLOCKS:
-        for case, places in standings(found, question, clock).items():
-            own = min(place.seconds for place in places if place.tool.ours)
-            for place in places:
-                if not place.tool.ours and place.seconds < own:
-                    faster.setdefault(f"{case}, {clock}", []).append(
-                        f"{place.tool.name} ({seconds(place.seconds)} s to {seconds(own)} s)"
-                    )
-    least: dict[str, list[str]] = {}
-    for case in dict.fromkeys(answer.case for answer in found.of(question)):
-        answers = [answer for answer in found.of(question, case) if answer.wrong is not None]
-        own_wrong = min(answer.wrong for answer in answers if answer.ours)  # type: ignore[type-var]
-        names = {answer.tool: answer.wrong for answer in answers if not answer.ours and answer.wrong < own_wrong}  # type: ignore[operator]
-        if names:
-            least[case] = [f"{name} ({amount(question, wrong)} to {amount(question, own_wrong)})" for name, wrong in names.items()]
-    lines = []
-    if least:
-        lines.append(
-            "- More accurate than all of Skugga's rows: " + "; ".join(f"{k}: {', '.join(v)}" for k, v in least.items()) + "."
-        )
-    else:
-        lines.append("- No peer is more accurate than Skugga's most accurate row in any case.")
-    if faster:
-        lines.append("- Faster than all of Skugga's rows: " + "; ".join(f"{k}: {', '.join(v)}" for k, v in faster.items()) + ".")
-    else:
-        lines.append("- No peer is faster than Skugga's fastest row, by any clock, in any case.")
-    return lines
+    """What peers are ahead of every row of Skugga's in one of the two: more accurate, or faster."""
+    lines = [_ahead(found, question, "wrong", "the whole process", "more accurate")]
+    return lines + [_ahead(found, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
+
+
+def _ahead(found: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
+    """The peers that have less of a merit than Skugga's best row, in how many cases and at most how many times less."""
+    places_of = standings(found, question, clock)
+    if not places_of:
+        return f"- {word[0].upper()}{word[1:]}: not measured."
+    times: dict[str, list[float]] = {}
+    for places in places_of.values():
+        own = min(getattr(place, merit) for place in places if place.tool.ours)
+        for place in places:
+            value = getattr(place, merit)
+            if not place.tool.ours and value < own:
+                times.setdefault(place.tool.name, []).append(own / value if value else float("inf"))
+    if not times:
+        return f"- {word[0].upper()}{word[1:]} than Skugga's best row: no peer, in any case."
+    who = "; ".join(f"{name} in {len(more)} of {len(places_of)} cases, up to {max(more):.2g} times" for name, more in times.items())
+    return f"- {word[0].upper()}{word[1:]} than Skugga's best row: {who}."
 
 
 def check_table(found: SunComparison) -> list[str]:
@@ -128,17 +120,18 @@ and steps of time are judged; `wrong as it is` the same beside astronomy's sun (
 which is what a user gets. Computing: Skugga's `level.sun_hours` as an array, the second time; the call of `time_in_daylight`,
 without reading; the modules r.sun and r.horizon on two threads, without import and export. Whitebox's share of the day is made
 hours by the length of its own day.""",
-    HORIZON: """720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
+    HORIZON: f"""720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
 crossing of the direction with the triangles' edges, to the raster's rim, on the round earth (for topocalc, which knows none, in
 a flat world). Computing: one point of a level that is open and whose loops are compiled; the module r.horizon. Whole process:
-`skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters: 36 directions are measured,
-and the seconds multiplied by 20 (`~`). r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
-    MASKS: """31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
-azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns 0.01 degrees lower
-and higher) at the sampled cells, beside rays: of each cell's sun on the round earth for Skugga, of the given angles in a flat
+`skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters:
+{360.0 / TOPOCALC_DEG:.0f} directions are measured, and the seconds multiplied by {TOPOCALC_DEG / ROUND_DEG:.0f} (`~`).
+r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
+    MASKS: f"""31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
+azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns {NEAR_DEG:g} degrees
+lower and higher) at the sampled cells, beside rays: of each cell's sun on the round earth for Skugga, of the given angles in a flat
 world for the others. *One process at best* is a bound, not a run: the computing of all masks and the least of everything else,
 once. gdaldem hillshade casts no shadows, and is what a process costs. `~`: some of the suns were measured, and their seconds
-multiplied.""",
+multiplied; of *31 runs* one in three or five.""",
 }
 
 CONVENTIONS = """What "hours" mean differs, and was looked at before: on a level floor a tool's hours must be the length of its day,
