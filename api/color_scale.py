@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
+
+from terrain.cache import MIB, cached
 
 LegendFormat = Literal["png", "svg"]
 
@@ -67,7 +68,7 @@ class ColorScale:
         return out.getvalue()
 
 
-@cache
+@cached("process", MIB)
 def _table(colormap: str) -> np.ndarray:
     """The 256 colours (256, 4) uint8 of a map."""
     from matplotlib import colormaps

@@ -32,6 +32,7 @@ from terrain.casters.rays import RayScene
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.geo.daily_windows import daily_window
 from terrain.geo.grid import MapView
+from terrain.ground.sheet import Sheet
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
@@ -83,25 +84,42 @@ def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float) -> Su
     return sun_hours(scene, view, [day], SunRules(step_min=step_min), _no_plan)
 
 
+class CellRays:
+    """Rays from cells (n,), in a frame in metres: ``start`` (n, 3) on a sheet, ``upwards`` (n, 3) from there."""
+
+    def __init__(self, sheet: Sheet, start: np.ndarray, upwards: np.ndarray) -> None:
+        self._rays = RayScene([sheet])
+        self._start, self._upwards = start + 2.0 * self._rays.offset_m * upwards, upwards
+
+    @staticmethod
+    def over(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
+        """From cells of a map's block, through the very triangles that the sweep goes by, in the frame of ``bare_nodes``."""
+        nodes = bare_nodes(scene, view, 1)
+        surface = scene.surface(view.grid).window(int(view.row0), int(view.col0), view.rows, view.cols, nodes.frame)
+        start = surface.position_frame_m[row, col]
+        upwards = start - scene.world.up_from(nodes.frame)
+        return CellRays(surface.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
+
+    def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:
+        """Which cells (n,) see a sun towards a unit vector (3,), if the sine of its altitude there is over the least."""
+        over = np.flatnonzero(self._upwards @ direction > least_sine)
+        seen = np.zeros(len(self._start), bool)
+        seen[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
+        return seen
+
+
 def ray_truth(
     scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, every_min: float = RAYS_MIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hours, and minutes of the first and last sun after the window's start (NaN: never), of single cells (n,) by rays."""
-    nodes = bare_nodes(scene, view, 1)
-    surface = scene.surface(view.grid).window(int(view.row0), int(view.col0), view.rows, view.cols, nodes.frame)
-    up = scene.world.up_from(nodes.frame)
-    start = surface.position_frame_m[row, col]
-    upwards = (start - up) / np.linalg.norm(start - up, axis=1, keepdims=True)
-    rays = RayScene([surface.sheet])
-    start = start + 2.0 * rays.offset_m * upwards
+    rays, frame = CellRays.over(scene, view, row, col), bare_nodes(scene, view, 1).frame
     times = np.arange(every_min / 2, day.window.minutes, every_min)
     lit_min = np.zeros(len(row))
     first, last = np.full(len(row), np.nan), np.full(len(row), np.nan)
     for begin in range(0, len(times), AT_A_TIME):
-        directions = nodes.frame.directions_from_earth(day.direction(times[begin : begin + AT_A_TIME]))
+        directions = frame.directions_from_earth(day.direction(times[begin : begin + AT_A_TIME]))
         for minutes, direction in zip(times[begin : begin + AT_A_TIME], directions, strict=True):
-            over = np.flatnonzero(upwards @ direction > 0.0)
-            seen = over[~rays.blocked(start[over], direction)] if len(over) else over
+            seen = np.flatnonzero(rays.see(direction))
             lit_min[seen] += every_min
             first[seen] = np.fmin(first[seen], minutes - every_min / 2)
             last[seen] = np.fmax(last[seen], minutes + every_min / 2)

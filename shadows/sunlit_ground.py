@@ -14,10 +14,11 @@ from shadows.coarse_pixels import CoarsePixels, coarse_pixels, heights_say_all, 
 from shadows.passes import CASTERS_PASS, PassLog
 from shadows.plan import Plan
 from shadows.visibility import with_apparent_sun
+from terrain.cache import MIB, cached
 from terrain.gbuffer.bare_ground import bare_ground
 from terrain.gbuffer.bare_nodes import HALO, bare_nodes
 from terrain.gbuffer.covered_nodes import is_bare
-from terrain.gbuffer.geometry import map_geometry
+from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN
 from terrain.scene import Scene
@@ -46,11 +47,20 @@ def sunlit_ground(scene: Scene, view: MapView, plan: Plan) -> SunlitGround | Non
     if not heights_say_all(scene, plan) or coarse_pixels(scene, view, plan) is not None:
         return None
     _, seen = lit_nodes(CoarsePixels(scene, plan, view.grid, 1, bare=True), view, CASTERS_PASS in plan.runs, PassLog())
-    lit, rim = seen[SUN] & ground.there, _rim(scene, view) & ground.there
-    if rim.any():
-        points = map_geometry(scene.surface(view.grid), view, ground.frame, wanted=rim)
-        lit &= ~(rim & attached(points, scene, SUN))
+    lit, rim = seen[SUN] & ground.there, rim_points(scene, view)
+    if rim is not None:
+        lit &= ~(rim.there & attached(rim, scene, SUN))
     return SunlitGround(ground.there, lit)
+
+
+@cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), most=1)
+def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
+    """The points of a map on the rim of its ground, if there are any: kept, for many suns may be asked for one after the other."""
+    ground = bare_ground(scene, view, None)
+    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.there
+    if ground is None or not rim.any():
+        return None
+    return map_geometry(scene.surface(view.grid), view, ground.frame, wanted=rim)
 
 
 def _rim(scene: Scene, view: MapView) -> np.ndarray:

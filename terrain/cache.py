@@ -198,11 +198,14 @@ def cached(
     limit_bytes: int,
     key: Callable[..., tuple[object, ...]] | None = None,
     size_of: Callable[[Any], int] | None = None,
+    most: int | None = None,
 ) -> Callable[[Callable[P, V]], CachedFunction[P, V]]:
-    """Keep a function's last values, in a cache of the function's name; ``key`` gives what of its arguments they go by."""
+    """Keep a function's last values, ``most`` of them, in a cache of the function's name; ``key`` gives what of its arguments they
+    go by.
+    """
 
     def decorate(function: Callable[P, V]) -> CachedFunction[P, V]:
-        cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lifetime, limit_bytes, size_of)
+        cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lifetime, limit_bytes, size_of, most=most)
         return CachedFunction(function, cache, key)
 
     return decorate

@@ -17,6 +17,7 @@ from shadows.attached import attached
 from shadows.point.horizon import horizon_round, surroundings
 from shadows.point.place import place_at
 from shadows.render import render_frame
+from shadows.sunlit_ground import rim_points
 from terrain.cache import caches, clear_caches
 from terrain.describe import describe
 from terrain.facts.relief_rays import overview_probes
@@ -100,6 +101,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
+    rim_points(scene, nodes)
     point = place_at(scene, tuple(place(240, 200)))
     horizon_round(surroundings(scene, point))
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)

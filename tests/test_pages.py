@@ -13,6 +13,8 @@ import pytest
 from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import page, short_table
 from benchmarks.seeds import __main__ as seeds
+from benchmarks.sun_questions.figures import SunComparison
+from benchmarks.sun_questions.words import sun_page
 
 HERE = Path(__file__).parent.parent
 BENCHMARKS, DOCS = HERE / "benchmarks", HERE / "docs"
@@ -33,6 +35,11 @@ def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures():
     assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
     assert table in (HERE / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_page_of_questions_of_sun_is_what_its_script_writes_of_its_figures():
+    figures = SunComparison.read(kept("sun_questions/sun_questions.json"))
+    assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == sun_page(figures)
 
 
 def test_no_peer_is_both_faster_and_more_accurate():

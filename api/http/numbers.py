@@ -8,6 +8,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
+NOT_FINITE = "nan", "inf", "infinity"
+
 _WHOLE = re.compile("-?[0-9]{1,20}")
 
 
@@ -20,6 +22,8 @@ def _whole(value: Any) -> Any:
 def _decimal(value: Any) -> Any:
     if isinstance(value, str) and ("_" in value or not value.isascii()):
         raise PydanticCustomError("float_parsing", "Input should be a valid number, unable to parse string as a number")
+    if isinstance(value, str) and value.strip().lstrip("+-").lower() in NOT_FINITE:  # bounds would be told first
+        raise PydanticCustomError("finite_number", "Input should be a finite number")
     return value
 
 

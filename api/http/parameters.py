@@ -183,7 +183,7 @@ SunClockQuery = Annotated[
     str | None, Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.")
 ]
 LeastAltitudeQuery = Annotated[
-    float | None, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
+    float | None, PLAIN_DECIMAL, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
 ]
 
 

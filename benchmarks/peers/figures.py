@@ -159,20 +159,30 @@ def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
 
 def beaten(found: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
     """Skugga's row, the peer that is both faster and more accurate, and the case."""
+    return beaten_rows(cases(found, clock))
+
+
+def unmatched(found: PeerComparison, clock: str) -> list[tuple[str, str]]:
+    """Peers that beat every row of Skugga's in a case, and the case."""
+    return unmatched_peers(cases(found, clock))
+
+
+def beaten_rows(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
+    """Of the places of all tools by case: Skugga's row, the peer that is both faster and more accurate, and the case."""
     return [
         (own.tool.name, peer.tool.name, case)
-        for case, places in cases(found, clock).items()
+        for case, places in places_of.items()
         for own in places
         for peer in places
         if own.tool.ours and not peer.tool.ours and peer.beats(own)
     ]
 
 
-def unmatched(found: PeerComparison, clock: str) -> list[tuple[str, str]]:
-    """Peers that beat every row of Skugga's in a case, and the case."""
+def unmatched_peers(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
+    """Of the places of all tools by case: peers that beat every row of Skugga's there, and the case."""
     return [
         (peer.tool.name, case)
-        for case, places in cases(found, clock).items()
+        for case, places in places_of.items()
         for peer in places
         if not peer.tool.ours and all(peer.beats(own) for own in places if own.tool.ours)
     ]

@@ -52,6 +52,11 @@ class ToolRun:
     peak_mb: float
     cores: float
 
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the process and of those that it started and waited for."""
+        return self.cores * self.whole_s
+
 
 @dataclass(frozen=True, eq=False)
 class Tool:
@@ -67,28 +72,41 @@ class Tool:
 
     def found(self) -> str | None:
         """Its version, or ``None`` where it is absent."""
-        if shutil.which(self.version[0]) is None:
-            return None
-        process = subprocess.run(self.version, capture_output=True, text=True)
-        number = re.search(r"\d+(\.\w+)+", process.stdout + process.stderr if process.returncode == 0 else "")
-        return number[0] if number else None
+        return version_said(self.version)
 
     def run(self, job: ToolJob) -> ToolRun:
-        """Run it. Raises ``RuntimeError`` with the last line of what it said where it fails."""
-        job.out.unlink(missing_ok=True)
-        process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *self.command(job)], capture_output=True, text=True)
-        usage = json.loads(process.stdout or "{}")
-        stderr = usage.get("said", process.stderr)
-        if usage.get("code", process.returncode) or not job.out.exists():
-            raise RuntimeError(([line for line in stderr.splitlines() if line.strip()] or ["no answer"])[-1].strip())
-        seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", stderr, re.MULTILINE)
-        return ToolRun(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
+        """Run it. Raises as ``run_process``."""
+        return run_process(self.command(job), job.out)
 
     def mask(self, job: ToolJob) -> np.ndarray:
         """Where it says that the sun is seen: bool (rows, cols)."""
         assert self.lit is not None
         with rasterio.open(job.out) as written:
             return self.lit(written.read(1), job)
+
+
+def version_said(command: list[str]) -> str | None:
+    """The first number with dots that a command says, ``None`` where it is absent or fails."""
+    if shutil.which(command[0]) is None:
+        return None
+    process = subprocess.run(command, capture_output=True, text=True)
+    number = re.search(r"\d+(\.\w+)+", process.stdout + process.stderr if process.returncode == 0 else "")
+    return number[0] if number else None
+
+
+def run_process(command: list[str], out: Path) -> ToolRun:
+    """Run a command that writes ``out``; what it says last as a number alone on a line are its seconds of computing.
+
+    Raises ``RuntimeError`` with the last line of what it said where it fails.
+    """
+    out.unlink(missing_ok=True)
+    process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *command], capture_output=True, text=True)
+    usage = json.loads(process.stdout or "{}")
+    stderr = usage.get("said", process.stderr)
+    if usage.get("code", process.returncode) or not out.exists():
+        raise RuntimeError(([line for line in stderr.splitlines() if line.strip()] or ["no answer"])[-1].strip())
+    seconds = re.findall(r"^\d+\.\d+(?:e-\d+)?$", stderr, re.MULTILINE)
+    return ToolRun(usage["wall_s"], float(seconds[-1]) if seconds else None, usage["peak_mb"], usage["cpu_s"] / usage["wall_s"])
 
 
 LAUNCHER = """
@@ -169,13 +187,13 @@ def tools_of(python: str) -> list[Tool]:
     ]  # fmt: skip
 
 
-def write_dem(path: Path, height_m: np.ndarray, cell_m: float) -> None:
-    """Heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at ``MIDDLE_M``."""
+def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, middle_m: tuple[float, float] = MIDDLE_M) -> None:
+    """Heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at an easting and a northing of a CRS."""
     rows, cols = height_m.shape
-    corner = MIDDLE_M[0] - cols * cell_m / 2, MIDDLE_M[1] + rows * cell_m / 2
+    corner = middle_m[0] - cols * cell_m / 2, middle_m[1] + rows * cell_m / 2
     transform = Affine(cell_m, 0, corner[0], 0, -cell_m, corner[1])
     with rasterio.open(
-        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=CRS, transform=transform
+        path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs=crs, transform=transform
     ) as target:
         target.write(height_m, 1)
 

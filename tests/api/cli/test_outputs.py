@@ -143,7 +143,9 @@ def test_a_run_that_is_ended_leaves_nothing_beside_its_output(folder, number):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
     times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times], stderr=subprocess.PIPE
+        [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times],
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # what is started in the background may ignore it
     )
     until = time.monotonic() + 120
     while not list(folder.glob(".m_*")) and process.poll() is None and time.monotonic() < until:

@@ -157,8 +157,8 @@ def test_headers(yards: Client):
     assert plan["view"] == "across"
     assert set(plan["algorithm"]) == {"sun", "lamp"}
     timings = [part.split(";")[0] for part in answer.headers["server-timing"].split(", ")]
-    assert len(timings) == len(plan["passes"]) + 2
-    assert (timings[0], timings[-3:]) == ("geometry", ["shading", "encode", "snapshot"])
+    assert len(timings) == len(plan["passes"]) + 3
+    assert (timings[0], timings[-4:]) == ("geometry", ["shading", "encode", "snapshot", "total"])
     assert "lamp-meshes" in answer.headers["server-timing"]
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
@@ -347,7 +347,7 @@ def test_a_changed_forest_is_another_picture(tmp_path: Path):
     tree = {"type": "Feature", "properties": {"h": 9}, "geometry": {"type": "Point", "coordinates": [20, 5]}}
     stand.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
     path = write_yard(tmp_path, forest=[{"source": stand.name, "height": "h"}])
-    with running(create_app(Settings(workers=1), [path], fake_workers.obedient)) as client:
+    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
         while not client.service.pool.ready:
             client.get("/readyz")
         address = f"{YARD}.png?view=across"

@@ -103,10 +103,12 @@ def tile(level: str) -> str:
 def test_a_raster_that_becomes_a_pipe_stops_neither_its_own_tiles_nor_others(tmp_path: Path):
     """Who opens a named pipe waits until somebody writes into it."""
     good, slow = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
-    settings = Settings(workers=1, level_check_s=0, level_timeout_s=0.3)
+    settings = Settings(workers=1, level_check_s=0, level_timeout_s=1.0)
     with running(create_app(settings, [good, slow], fake_workers.obedient)) as client:
+        while not client.service.pool.ready:
+            client.get("/readyz")
         before = client.get(tile("slow"))
-        assert client.get(tile("good")).status_code == 200
+        assert (before.status_code, client.get(tile("good")).status_code) == (200, 200)
         raster = slow.with_suffix(".tif")
         raster.rename(raster.with_suffix(".old"))
         os.mkfifo(raster)

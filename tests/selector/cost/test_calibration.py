@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_a_profile_is_found_by_its_device_and_driver_alone(profile):
 
 def test_a_profile_is_written_whole_or_not_at_all(profile, monkeypatch):
     path = save_profile(profile)
-    monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         save_profile(profile.model_copy(update={"took_s": 1.0}))
     assert [each.name for each in path.parent.iterdir()] == [path.name] and load_profile(RENDERER, VERSION) == profile

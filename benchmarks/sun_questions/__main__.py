@@ -1,0 +1,148 @@
+"""Hours of sun, horizons of points and masks of a day, by Skugga and by other tools: seconds, and errors beside truth.
+
+    python -m benchmarks.sun_questions DATA --python PATH [--side 300] [--cells 1000] [--only hours,point,masks] [--write-only]
+
+DATA is a folder with the rasters that ``asking.RASTERS`` names. The Python packages (`pip install whitebox-workflows insolation
+numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`) are those of ``--python``; GRASS is Debian's
+`grass-core`. What is absent or fails is named and left out. ``--side`` is that of the parts of rasters whose hours are asked for,
+in cells; ``--only`` measures some questions anew and keeps the others' figures; ``--write-only`` measures nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+from benchmarks.sun_questions.asking import RASTERS, read_dem, versions_of
+from benchmarks.sun_questions.day_hours import HOURS, convention_check, hours_answers, hours_tools
+from benchmarks.sun_questions.figures import ConventionCheck, QuestionCase, SunAnswer, SunComparison
+from benchmarks.sun_questions.many_masks import MASKS, mask_answers
+from benchmarks.sun_questions.one_horizon import HORIZON, horizon_answers, horizon_tools, places_of
+from benchmarks.sun_questions.words import sun_page
+from benchmarks.sweep_speed import _processor
+
+HERE = Path(__file__).parent
+KEPT = HERE / "sun_questions.json"
+PAGE = HERE.parents[1] / "docs" / "sun-questions.md"
+
+SHORT = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
+
+
+REPEATS = 2
+"""Runs of which a horizon's seconds are the median."""
+
+
+class Measuring:
+    """What is measured, as it grows."""
+
+    def __init__(self, data: Path, python: str, side: int, cells: int, folder: Path) -> None:
+        self._data, self._python, self._side, self._cells, self._folder = data, python, side, cells, folder
+        self.checks: list[ConventionCheck] = []
+        self.cases: list[QuestionCase] = []
+        self.answers: list[SunAnswer] = []
+        self.left_out: dict[str, str] = {}
+        self._begin = time.perf_counter()
+
+    def hours(self) -> None:
+        """The first question."""
+        tools = []
+        for tool in hours_tools(self._python):
+            try:
+                self.checks.append(convention_check(tool, self._folder))
+                tools.append(tool)
+                self._say(f"conventions of {tool.name}")
+            except RuntimeError as error:
+                self.left_out[tool.name] = str(error)
+        for name, (_, _, about) in RASTERS.items():
+            dem = read_dem(self._data, name, self._side, self._folder)
+            if dem is not None:
+                rows, cols = dem.height_m.shape
+                self._case(
+                    HOURS, name, f"{about}: its middle, {cols} x {rows} cells of {dem.cell_m:g} m; {self._cells} of them sampled"
+                )
+                for answer in hours_answers(tools, dem, name, self._cells, self.left_out):
+                    self._add(answer)
+
+    def point(self) -> None:
+        """The second question."""
+        for name, (_, _, about) in RASTERS.items():
+            dem = read_dem(self._data, name, None, self._folder)
+            if dem is not None:
+                rows, cols = dem.height_m.shape
+                for place in places_of(dem):
+                    self._case(HORIZON, f"{name}, {place}", f"{about}, {cols} x {rows} cells of {dem.cell_m:g} m")
+                for answer in horizon_answers(horizon_tools(self._python), dem, REPEATS, self.left_out):
+                    self._add(answer)
+
+    def masks(self) -> None:
+        """The third question."""
+        name, (_, _, about) = next(iter(RASTERS.items()))
+        dem = read_dem(self._data, name, None, self._folder)
+        if dem is not None:
+            rows, cols = dem.height_m.shape
+            self._case(MASKS, name, f"{about}, {cols} x {rows} cells of {dem.cell_m:g} m; {2 * self._cells} of them sampled")
+            for answer in mask_answers(self._python, dem, 2 * self._cells, self.left_out):
+                self._add(answer)
+
+    @property
+    def took_s(self) -> float:
+        return time.perf_counter() - self._begin
+
+    def _case(self, question: str, case: str, about: str) -> None:
+        self.cases.append(QuestionCase(question, case, about))
+
+    def _add(self, answer: SunAnswer) -> None:
+        self.answers.append(answer)
+        self._say(f"{answer.case}: {answer.tool}: {answer.whole_s or 0.0:.1f} s, wrong {answer.wrong}")
+
+    def _say(self, what: str) -> None:
+        print(f"{self.took_s:4.0f} s  {what}", flush=True)
+
+
+def measured(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
+    """The questions ``only``; the others' figures are those that are kept."""
+    with tempfile.TemporaryDirectory() as made:
+        measuring = Measuring(data, python, side, cells, Path(made))
+        for name in only:
+            {"hours": measuring.hours, "point": measuring.point, "masks": measuring.masks}[name]()
+    asked = {SHORT[name] for name in only}
+    before = SunComparison.read(json.loads(KEPT.read_text("utf-8"))) if KEPT.exists() and len(only) < len(SHORT) else None
+    cases = [each for each in before.cases if each.question not in asked] if before else []
+    answers = [each for each in before.answers if each.question not in asked] if before else []
+    return SunComparison(
+        where=f"{_processor()}, {os.cpu_count()} cores",
+        load=os.getloadavg()[0],
+        took_s=measuring.took_s + (before.took_s if before else 0.0),
+        versions=versions_of(python),
+        left_out=({} if before is None else before.left_out) | measuring.left_out,
+        checks=measuring.checks or (before.checks if before else []),
+        cases=cases + measuring.cases,
+        answers=answers + measuring.answers,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, nargs="?", help="the folder of rasters")
+    parser.add_argument("--python", default=sys.executable, metavar="PATH", help="the interpreter that has the others' packages")
+    parser.add_argument("--side", type=int, default=300)
+    parser.add_argument("--cells", type=int, default=1000)
+    parser.add_argument("--only", default=",".join(SHORT), help="of hours, point, masks")
+    parser.add_argument("--write-only", action="store_true")
+    args = parser.parse_args()
+    if not args.write_only:
+        if args.data is None or not set(args.only.split(",")) <= set(SHORT):
+            parser.error(f"a folder of rasters is needed, and --only takes {', '.join(SHORT)}")
+        found = measured(args.data, args.python, args.side, args.cells, args.only.split(","))
+        KEPT.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
+    PAGE.write_text(sun_page(SunComparison.read(json.loads(KEPT.read_text("utf-8")))), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

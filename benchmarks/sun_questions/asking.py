@@ -1,0 +1,92 @@
+"""How tools are asked: commands, where they are found, and a raster that lies as every tool can take it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from pyproj import Transformer
+
+from benchmarks.peers.tools import PROGRAMS as PEERS_PROGRAMS
+from benchmarks.peers.tools import version_said, write_dem
+
+ROOT = Path(__file__).resolve().parents[2]
+ASKING = Path(__file__).with_name("programs.py")
+
+DATE = "2024-03-21"
+
+SKUGGA = ["env", f"PYTHONPATH={ROOT}", sys.executable]
+"""Runs Python on this tree."""
+
+SKUGGA_COMMAND = [*SKUGGA, "-c", "from api.cli.main import main; main()"]
+
+RASTERS = {
+    "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),
+    "Essen": ("urban/essen_dom1_32_356_5699_1_nw_2020.tif", "EPSG:25832", "surface model of a part of Essen, Germany"),
+}
+"""Name -> file below the folder of data, the CRS of its UTM zone, what it is."""
+
+
+@dataclass(frozen=True)
+class QuestionDem:
+    """A raster of heights (rows, cols) float32 in metres as a file: on square cells, its middle on its zone's central meridian, so
+    that grid north is true north within a tenth of a degree.
+    """
+
+    name: str
+    path: Path
+    height_m: np.ndarray
+    cell_m: float
+    crs: str
+    middle_m: tuple[float, float]
+
+    @cached_property
+    def lon_lat(self) -> tuple[float, float]:
+        """Longitude and latitude of its middle, degrees."""
+        return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True).transform(*self.middle_m)
+
+    def xy(self, row: int, col: int) -> tuple[float, float]:
+        """Easting and northing of a cell's middle."""
+        rows, cols = self.height_m.shape
+        return (
+            self.middle_m[0] + (col + 0.5 - cols / 2) * self.cell_m,
+            self.middle_m[1] - (row + 0.5 - rows / 2) * self.cell_m,
+        )
+
+
+def dem_of(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m: float, folder: Path) -> QuestionDem:
+    """Write heights as a raster on the central meridian."""
+    path, middle = folder / f"{name.replace(' ', '_')}_{height_m.shape[0]}.tif", (500_000.0, northing_m)
+    write_dem(path, height_m, cell_m, crs, middle)
+    return QuestionDem(name, path, height_m, cell_m, crs, middle)
+
+
+def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionDem | None:
+    """A raster of ``RASTERS``, of its middle ``side`` cells a side at most; ``None`` where its file is not there."""
+    file, crs, _ = RASTERS[name]
+    if not (data / file).exists():
+        return None
+    with rasterio.open(data / file) as source:
+        height_m, transform = source.read(1).astype(np.float32), source.transform
+    rows, cols = height_m.shape
+    northing = transform.f + transform.e * rows / 2
+    taken = [min(side or length, length) for length in (rows, cols)]
+    top, left = (rows - taken[0]) // 2, (cols - taken[1]) // 2
+    part = np.ascontiguousarray(height_m[top : top + taken[0], left : left + taken[1]])
+    return dem_of(name, part, transform.a, crs, northing, folder)
+
+
+def versions_of(python: str) -> dict[str, str]:
+    """Tool -> version, of those that are there; packages are those of the interpreter ``python``."""
+    packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
+    commands = {name: [python, str(PEERS_PROGRAMS), "--version", *what.split()] for name, what in packages.items()}
+    commands |= {
+        "GRASS": ["grass", "--version"],
+        "Skugga": [sys.executable, str(PEERS_PROGRAMS), "--version", "skugga", "numpy"],
+    }
+    found = {name: version_said(command) for name, command in commands.items()}
+    return {name: number for name, number in found.items() if number is not None}

@@ -1,0 +1,231 @@
+"""The first question: hours of sun of 21 March, of a mountain raster and a city's surface model, by several tools beside rays."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, date
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import rasterio
+
+from api.shade import raster_view
+from benchmarks.peers.tools import ToolRun, run_process
+from benchmarks.sun_hours_accuracy import CellRays, ray_truth
+from benchmarks.sun_questions.asking import ASKING, DATE, SKUGGA, SKUGGA_COMMAND, QuestionDem, dem_of
+from benchmarks.sun_questions.figures import ConventionCheck, SunAnswer
+from benchmarks.sun_questions.sun_paths import (
+    R_SUN_DAY_NUMBER,
+    SUNCALC_DAY_NUMBER,
+    SUNCALC_LEAST_DEG,
+    hours_before_cliff,
+    r_sun_path,
+    suncalc,
+)
+from shadows.sun_hours.suns import WindowSun, window_suns
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.geo.daily_windows import daily_window
+from terrain.geo.sun import direction_enu
+from terrain.ground.sheet import sheet_of
+from terrain.level.level import load_level
+from terrain.scene import build_scene
+
+HOURS = "hours of a day"
+
+EVERY_S = 10.0
+"""Seconds from ray to ray."""
+
+OFF_RIM = 3
+
+CLIFF_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
+"""The check of conventions: a level floor, and one before a cliff in its east that is so high; a cell's side, and cells."""
+
+CLIFF_COL, CLIFF_CHECKED = 160, slice(60, 150, 10)
+"""The first column on the cliff, and those that are compared with the closed form."""
+
+
+@dataclass(frozen=True, eq=False)
+class HoursTool:
+    """A tool with its setting: what it is told for a raster and an output file, whose sun it means (``SUNS``), how its file is read
+    into hours (rows, cols); and a command that says its seconds of computing, where the first one does not.
+    """
+
+    name: str
+    tool: str
+    sun: str
+    command: Callable[[QuestionDem, Path], list[str]]
+    read: Callable[[Path, QuestionDem], np.ndarray]
+    suffix: str = ".tif"
+    computing: Callable[[QuestionDem, Path], list[str]] | None = None
+
+    @property
+    def ours(self) -> bool:
+        return self.tool == "Skugga"
+
+    def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
+        """Hours, what the whole process took, and seconds of computing. Raises ``RuntimeError`` where it fails."""
+        out = dem.path.with_name(f"hours{self.suffix}")
+        compute_s = None
+        if self.computing is not None:
+            aside = dem.path.with_name("hours.npy")
+            compute_s = run_process(self.computing(dem, aside), aside).compute_s
+        run = run_process(self.command(dem, out), out)
+        return self.read(out, dem), run, run.compute_s if compute_s is None else compute_s
+
+
+class HoursTruth:
+    """Hours of sun of some cells of a raster by rays, for each of the suns that tools mean."""
+
+    def __init__(self, dem: QuestionDem, cells: int) -> None:
+        self._dem = dem
+        rows, cols = dem.height_m.shape
+        inner = (np.arange(OFF_RIM, length - OFF_RIM) for length in (rows, cols))
+        row, col = (each.ravel() for each in np.meshgrid(*inner, indexing="ij"))
+        some = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
+        self.row, self.col = row[some], col[some]
+
+    @cached_property
+    def astronomy(self) -> np.ndarray:
+        """Of NREL's sun with refraction, on the round earth, above the level plane: what Skugga means."""
+        scene = build_scene(load_level(self._dem.path))
+        view = raster_view(scene).as_nodes()
+        found = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), EVERY_S / 60.0)[0]
+        scene.close()
+        return found
+
+    @cached_property
+    def solar_day(self) -> np.ndarray:
+        """Of GRASS's sun without refraction, on the round earth, above the level plane."""
+        scene = build_scene(load_level(self._dem.path))
+        view = raster_view(scene).as_nodes()
+        rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
+        azimuth, altitude = r_sun_path(self._dem.lon_lat[1], EVERY_S)
+        enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > -1.0])
+        found = _hours(rays, frame.directions_from_earth(enu @ scene.world.earth_from_anchor.T), 0.0)
+        scene.close()
+        return found
+
+    @cached_property
+    def suncalc(self) -> np.ndarray:
+        """Of Whitebox's sun without refraction, on a flat earth, from half a degree below the level plane on."""
+        dem = self._dem
+        rows, cols = dem.height_m.shape
+        nodes = np.empty((rows, cols, 3))
+        nodes[..., 0], nodes[..., 1] = np.arange(cols) * dem.cell_m, -np.arange(rows)[:, None] * dem.cell_m
+        nodes[..., 2] = dem.height_m
+        start = nodes[self.row, self.col]
+        rays = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
+        azimuth, altitude = suncalc(*dem.lon_lat, EVERY_S)
+        enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > SUNCALC_LEAST_DEG])
+        return _hours(rays, enu, np.sin(np.radians(SUNCALC_LEAST_DEG)))
+
+    def of(self, sun: str) -> np.ndarray:
+        """Hours (n,) by the sun of that name."""
+        return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun]
+
+
+def _hours(rays: CellRays, directions: np.ndarray, least_sine: float) -> np.ndarray:
+    return np.asarray(sum(rays.see(direction, least_sine).astype(np.float64) for direction in directions) * EVERY_S / 3600.0)
+
+
+def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
+    """The sun through ``DATE`` by true solar time."""
+    return window_suns(scene.world, [daily_window(date.fromisoformat(DATE), 0.0, 1440.0, UTC, scene.world)])[0]
+
+
+def day_length_h(sun: str, dem: QuestionDem) -> float:
+    """Hours from rise to set over a level horizon, by a tool's own sun; Whitebox's begin half a degree below it."""
+    if sun == "suncalc":
+        return float((suncalc(*dem.lon_lat, EVERY_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
+    return float((_path(sun, dem)[1] > 0.0).mean() * 24.0)
+
+
+def _path(sun: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths and altitudes (n,) every ``EVERY_S`` seconds of a day."""
+    if sun == "suncalc":
+        return suncalc(*dem.lon_lat, EVERY_S)
+    if sun == "solar day":
+        return r_sun_path(dem.lon_lat[1], EVERY_S)
+    scene = build_scene(load_level(dem.path))
+    day = astronomical_day(scene)
+    times = np.arange(EVERY_S / 120.0, day.window.minutes, EVERY_S / 60.0)
+    enu = day.direction(times) @ scene.world.earth_from_anchor
+    scene.close()
+    return np.degrees(np.arctan2(enu[:, 0], enu[:, 1])) % 360.0, np.degrees(np.arcsin(enu[:, 2]))
+
+
+def _raster(path: Path, dem: QuestionDem) -> np.ndarray:
+    with rasterio.open(path) as written:
+        return written.read(1)
+
+
+def hours_tools(python: str) -> list[HoursTool]:
+    """All tools with their settings; packages are those of the interpreter ``python``."""
+    asking = str(ASKING)
+
+    def skugga(minutes: int) -> HoursTool:
+        return HoursTool(
+            f"Skugga, steps of {minutes} min", "Skugga", "astronomy",
+            lambda dem, out: [*SKUGGA_COMMAND, "sunhours", str(dem.path), "-o", str(out), "--date", DATE, "--step", f"{minutes}m"],
+            _raster,
+            computing=lambda dem, out: [*SKUGGA, asking, "sunhours", str(dem.path), str(out), DATE, str(minutes)],
+        )  # fmt: skip
+
+    def whitebox(degrees: int) -> HoursTool:
+        day = str(SUNCALC_DAY_NUMBER)
+        return HoursTool(
+            f"Whitebox time_in_daylight, {degrees}°", "Whitebox Workflows", "suncalc",
+            lambda dem, out: [python, asking, "time_in_daylight", str(dem.path), str(out), day, str(degrees)],
+            lambda path, dem: np.load(path) * day_length_h("suncalc", dem), ".npy",
+        )  # fmt: skip
+
+    def r_sun(minutes: int, degrees: str = "") -> HoursTool:
+        how, more = (f"horizons every {degrees}°", [degrees]) if degrees else ("own walk", [])
+        return HoursTool(
+            f"GRASS r.sun, {how}, {minutes} min", "GRASS", "solar day",
+            lambda dem, out: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.sun", str(dem.path),
+                              str(out), str(R_SUN_DAY_NUMBER), str(minutes), *more],
+            _raster,
+        )  # fmt: skip
+
+    return [
+        *(skugga(minutes) for minutes in (15, 5, 2)),
+        *(whitebox(degrees) for degrees in (5, 2)),
+        *(r_sun(minutes) for minutes in (30, 15, 5)),
+        r_sun(5, "5"),
+    ]
+
+
+def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
+    """A tool's hours on a level floor and before a cliff, beside its own sun's. Raises ``RuntimeError`` where it fails."""
+    floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
+    cliff = floor.copy()
+    cliff[:, CLIFF_COL:] += CLIFF_M
+    middle, found = CLIFF_SHAPE[0] // 2, []
+    for name, height_m in (("floor", floor), ("cliff", cliff)):
+        dem = dem_of(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
+        found.append(tool.run(dem)[0][middle])
+    away_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CLIFF_CHECKED]) * CLIFF_CELL_M
+    expected = hours_before_cliff(*_path(tool.sun, dem), EVERY_S, CLIFF_M, away_m)
+    wrong = np.abs(found[1][CLIFF_CHECKED] - expected).mean() * 60.0
+    return ConventionCheck(tool.name, float(found[0][middle]), day_length_h(tool.sun, dem), float(wrong))
+
+
+def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """The answers of tools for a raster; those that fail are added to ``left_out``."""
+    truth = HoursTruth(dem, cells)
+    for tool in tools:
+        try:
+            hours, run, compute_s = tool.run(dem)
+        except RuntimeError as error:
+            left_out[tool.name] = str(error)
+            continue
+        some = hours[truth.row, truth.col]
+        wrong, as_is = (np.abs(some - truth.of(sun)) * 60.0 for sun in (tool.sun, "astronomy"))
+        yield SunAnswer(
+            HOURS, case, tool.name, tool.ours, compute_s, run.whole_s, run.cpu_s, float(wrong.mean()),
+            float(np.percentile(wrong, 99)), float(as_is.mean()),
+        )  # fmt: skip

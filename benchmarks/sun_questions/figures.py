@@ -1,0 +1,96 @@
+"""What `sun_questions` measures: answers of tools to three questions of sun, and who is faster and more accurate than whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.peers.figures import ToolRecord, ToolStanding
+
+
+@dataclass(frozen=True)
+class SunAnswer:
+    """A tool's answer to a question in one case.
+
+    Seconds of computing by its own clock, of the whole process, and CPU seconds of the process and its children; ``None`` where
+    that was not measured. ``wrong`` is the mean error and ``wrong_p99`` what 99 % stay under, with the sun, the earth and the
+    north that the tool means; ``wrong_as_is`` the mean error by astronomy's sun on the round earth: minutes, degrees or shares of
+    cells, as the question has it. ``scaled`` says that seconds are those of a part of the work, multiplied.
+    """
+
+    question: str
+    case: str
+    tool: str
+    ours: bool
+    compute_s: float | None
+    whole_s: float | None
+    cpu_s: float | None
+    wrong: float | None
+    wrong_p99: float | None
+    wrong_as_is: float | None = None
+    scaled: bool = False
+
+
+@dataclass(frozen=True)
+class ConventionCheck:
+    """A tool's hours on a level floor, and the length of the day in its own terms; and before a long cliff the mean of the minutes
+    by which it is wrong, beside the closed form.
+    """
+
+    tool: str
+    floor_h: float
+    day_h: float
+    cliff_wrong_min: float
+
+
+@dataclass(frozen=True)
+class QuestionCase:
+    """What a question is asked of: its name, and what there is to know about it, in words."""
+
+    question: str
+    case: str
+    about: str
+
+
+@dataclass(frozen=True)
+class SunComparison:
+    """All that was measured. ``versions`` are those of tools; ``left_out`` are names of tools with the reason."""
+
+    where: str
+    load: float
+    took_s: float
+    versions: dict[str, str]
+    left_out: dict[str, str]
+    checks: list[ConventionCheck]
+    cases: list[QuestionCase]
+    answers: list[SunAnswer]
+
+    @staticmethod
+    def read(values: dict[str, Any]) -> SunComparison:
+        """From what JSON holds."""
+        kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
+        return SunComparison(**{**values, **{key: [kind(**each) for each in values[key]] for key, kind in kinds.items()}})
+
+    def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
+        """The answers to a question; in one case, where that is said."""
+        return [each for each in self.answers if each.question == question and case in (None, each.case)]
+
+
+ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
+    "computing": lambda answer: answer.compute_s,
+    "the whole process": lambda answer: answer.whole_s,
+    "CPU time of the whole process": lambda answer: answer.cpu_s,
+}
+"""By what seconds tools are compared."""
+
+
+def standings(found: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
+    """Places of all tools in each case of a question, of those that were timed by a clock and are right or wrong by so much."""
+    out: dict[str, list[ToolStanding]] = {}
+    for answer in found.of(question):
+        taken_s = ANSWER_CLOCKS[clock](answer)
+        if taken_s is not None and answer.wrong is not None:
+            tool = ToolRecord(answer.tool, "", "", answer.ours, True, 0.0)
+            out.setdefault(answer.case, []).append(ToolStanding(tool, taken_s, answer.wrong))
+    return out

@@ -1,0 +1,171 @@
+"""The third question: 31 masks of a day, written as GeoTIFF: one run of Skugga, a run for each mask, and runs of other tools."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import rasterio
+
+from api.layers import MASK_LIT
+from api.shade import raster_view
+from benchmarks.peers.tools import Tool, ToolJob, ToolRun, run_process, tools_of
+from benchmarks.sun_hours_accuracy import CellRays
+from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
+from benchmarks.sun_questions.figures import SunAnswer
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.geo.sun import direction_enu
+from terrain.geo.sun_path import sun_path
+from terrain.ground.sheet import sheet_of
+from terrain.level.level import load_level
+from terrain.scene import build_scene
+
+MASKS = "31 masks of a day"
+
+MASK_COUNT, MASK_STEP_MIN, FIRST_FROM_NOON_MIN = 31, 23, -345
+"""Times: so many, so many minutes apart, the first so long before the mean noon of the place."""
+
+EACH_OF, EACH_OF_SLOW = 3, {"Whitebox Workflows": 5}
+"""Of runs for one mask each, one in so many is measured, and seconds are multiplied."""
+
+PEER_NAMES = ("insolation", "solweig", "Whitebox Workflows", "gdaldem hillshade")
+
+NEAR_DEG = 0.01
+"""A cell is counted where a sun so much lower and higher gives the same answer."""
+
+MASK_RIM = 3
+
+
+def mask_times(lon_deg: float) -> list[datetime]:
+    """The times of the masks, UTC, on 21 March about the mean noon of a longitude."""
+    noon = datetime(2024, 3, 21, 12, tzinfo=UTC) - timedelta(minutes=round(4.0 * lon_deg))
+    return [noon + timedelta(minutes=FIRST_FROM_NOON_MIN + n * MASK_STEP_MIN) for n in range(MASK_COUNT)]
+
+
+@dataclass(frozen=True, eq=False)
+class MaskTruth:
+    """Of some cells under each of the times: whether the sun is seen, and where that is certain; bool (times, n). ``round_`` is
+    that of astronomy's sun on the round earth, ``flat_`` that of the angles of each time, which other tools are told, in a flat
+    world.
+    """
+
+    row: np.ndarray
+    col: np.ndarray
+    azimuth_deg: np.ndarray
+    altitude_deg: np.ndarray
+    round_lit: np.ndarray
+    round_sure: np.ndarray
+    flat_lit: np.ndarray
+    flat_sure: np.ndarray
+
+
+def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
+    """Truth by rays."""
+    rows, cols = dem.height_m.shape
+    rng = np.random.default_rng(1)
+    row, col = (rng.integers(MASK_RIM, length - MASK_RIM, cells) for length in (rows, cols))
+    scene = build_scene(load_level(dem.path))
+    world = scene.world
+    path = sun_path(times, world.anchor_lon_deg, world.anchor_lat_deg)
+    view = raster_view(scene).as_nodes()
+    frame = bare_nodes(scene, view, 1).frame
+    nodes = np.empty((rows, cols, 3))
+    nodes[..., 0], nodes[..., 1] = np.arange(cols) * dem.cell_m, -np.arange(rows)[:, None] * dem.cell_m
+    nodes[..., 2] = dem.height_m
+    start = nodes[row, col]
+    flat = CellRays(sheet_of(nodes), start, np.broadcast_to(np.array([0.0, 0.0, 1.0]), start.shape))
+    rays = CellRays.over(scene, view, row, col)
+
+    def enu(step_deg: float) -> np.ndarray:
+        pairs = zip(path.azimuth_deg, path.altitude_deg + step_deg, strict=True)
+        return np.stack([direction_enu(*pair) for pair in pairs])
+
+    def round_(step_deg: float) -> np.ndarray:
+        towards = frame.directions_from_earth(enu(step_deg) @ world.earth_from_anchor.T)
+        return np.stack([rays.see(direction) for direction in towards])
+
+    def flat_(step_deg: float) -> np.ndarray:
+        return np.stack([flat.see(direction) for direction in enu(step_deg)])
+
+    found = []
+    for lit in (round_, flat_):
+        lower, here, higher = (lit(step) for step in (-NEAR_DEG, 0.0, NEAR_DEG))
+        found += [here, lower == higher]
+    scene.close()
+    return MaskTruth(row, col, path.azimuth_deg, path.altitude_deg, *found)
+
+
+def wrong_share(lit: np.ndarray, truth: np.ndarray, sure: np.ndarray) -> float:
+    """The share of the certain answers that are wrong."""
+    return float((sure & (lit != truth)).sum() / sure.sum())
+
+
+def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """The answers of Skugga and of other tools; those that fail are added to ``left_out``."""
+    times = mask_times(dem.lon_lat[0])
+    truth = mask_truth(dem, times, cells)
+    yield from _skugga(dem, times, truth)
+    for tool in tools_of(python):
+        if tool.name in PEER_NAMES and tool.found() is not None:
+            try:
+                yield from _peer(tool, dem, truth)
+            except RuntimeError as error:
+                left_out[tool.name] = str(error)
+
+
+def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
+    """One run for all, and a run for each, after one of which nothing is timed: loops are compiled."""
+    begin, end = (time.strftime("%Y-%m-%dT%H:%M:%SZ") for time in (times[0], times[-1]))
+    names = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
+    shade = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]
+    single = [*shade[:-1], str(dem.path.with_name("mask.tif")), "--time"]
+    run_process([*single, begin], dem.path.with_name("mask.tif"))
+    once = run_process([*shade, "--from", begin, "--to", end, "--step", f"{MASK_STEP_MIN}m"], names[-1])
+    lit = np.stack([_read(name, truth, lambda values: values == MASK_LIT) for name in names])
+    wrong = wrong_share(lit, truth.round_lit, truth.round_sure)
+    yield _mask_answer(dem, "Skugga shade, one run", True, [once], wrong, wrong)
+    some = times[EACH_OF // 2 :: EACH_OF]
+    each = [run_process([*single, time.strftime("%Y-%m-%dT%H:%M:%SZ")], dem.path.with_name("mask.tif")) for time in some]
+    yield _mask_answer(dem, f"Skugga shade, {MASK_COUNT} runs", True, each, wrong, wrong, MASK_COUNT / len(some))
+
+
+def _peer(tool: Tool, dem: QuestionDem, truth: MaskTruth) -> Iterator[SunAnswer]:
+    every = EACH_OF_SLOW.get(tool.name, EACH_OF)
+    runs, lit, asked = [], [], list(range(every // 2, MASK_COUNT, every))
+    for n in asked:
+        job = ToolJob(dem.path, float(truth.azimuth_deg[n]), float(truth.altitude_deg[n]), dem.path.with_name("mask.tif"))
+        runs.append(tool.run(job))
+        if tool.lit is not None:
+            lit.append(tool.mask(job)[truth.row, truth.col])
+    wrong = as_is = None
+    if lit:
+        found = np.stack(lit)
+        wrong = wrong_share(found, truth.flat_lit[asked], truth.flat_sure[asked])
+        as_is = wrong_share(found, truth.round_lit[asked], truth.round_sure[asked])
+    times = MASK_COUNT / len(asked)
+    yield _mask_answer(dem, f"{tool.name}, {MASK_COUNT} runs", False, runs, wrong, as_is, times)
+    computing = [run.compute_s for run in runs if run.compute_s is not None]
+    if len(computing) == len(runs):
+        start = min(runs, key=lambda run: run.whole_s - (run.compute_s or 0.0))
+        compute_s, begin_s = sum(computing) * times, start.whole_s - (start.compute_s or 0.0)
+        yield SunAnswer(
+            MASKS, dem.name, f"{tool.name}, one process at best", False, None, begin_s + compute_s, None, wrong, None, as_is, True
+        )
+
+
+def _mask_answer(
+    dem: QuestionDem, name: str, ours: bool, runs: list[ToolRun], wrong: float | None, as_is: float | None, times: float = 1.0
+) -> SunAnswer:
+    whole, cpu = (times * sum(getattr(run, what) for run in runs) for what in ("whole_s", "cpu_s"))
+    return SunAnswer(MASKS, dem.name, name, ours, None, whole, cpu, wrong, None, as_is, times > 1.0)
+
+
+def _read(path: Path, truth: MaskTruth, lit: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    with rasterio.open(path) as written:
+        found = lit(written.read(1))[truth.row, truth.col]
+    os.unlink(path)
+    return found

@@ -1,0 +1,215 @@
+"""The second question: the horizon at a point, by several tools beside the exact profile of the ground towards each azimuth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import Geod, Transformer
+
+from benchmarks.peers.tools import run_process
+from benchmarks.sun_questions.asking import ASKING, DATE, SKUGGA, SKUGGA_COMMAND, QuestionDem
+from benchmarks.sun_questions.figures import SunAnswer
+
+HORIZON = "horizon at a point"
+
+ROUND_DEG = 0.5
+"""From direction to direction: 720 of them."""
+
+TOPOCALC_DEG = 15.0
+"""Directions of the one tool that computes a raster for each: its seconds are multiplied."""
+
+FAR_M = 20_000.0
+"""How far away the place lies by which an azimuth is told on the grid."""
+
+WGS84_AXES_M = (6_378_137.0, 6_356_752.314245)
+
+HARDLY = 1e-9
+"""Columns, or shares of a direction, that count as none."""
+
+MARGIN = 0.15
+"""Share of a raster's sides that points keep off its rim."""
+
+STREET_CELLS = 15
+"""A street is searched for where ground rises on both sides within so many cells."""
+
+
+def exact_horizon(
+    height_m: np.ndarray, row: int, col: int, right: float, down: float, step_m: float, radius_m: float = np.inf
+) -> float:
+    """The horizon of a node, degrees, along a direction (a unit vector of columns and rows), by every crossing with the triangles'
+    edges: rows, columns and both diagonals of quads, of which the one that is no edge does no harm. A column is ``step_m`` metres;
+    ``radius_m`` is that of the earth.
+
+    At a distance s the point of height h stands at the angle of ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
+    """
+    rows, cols = height_m.shape
+    ahead = [((length - 1 - at) if way > 0 else -at) / way for at, way, length in ((col, right, cols), (row, down, rows)) if way]
+    end = min(ahead)
+    ways = [abs(way) for way in (right, down, right - down, right + down) if abs(way) > HARDLY]
+    along = np.concatenate([np.arange(1.0, np.floor(end * way + HARDLY) + 1.0) / way for way in ways])
+    z_m = surface_at(height_m, row + along * down, col + along * right)
+    distance_m, z0_m = along * step_m, float(height_m[row, col])
+    if np.isinf(radius_m):
+        return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
+    angle = distance_m / radius_m
+    # (R + h) cos a - (R + h0), without the loss of digits of two large numbers
+    over = (z_m - z0_m) - (radius_m + z_m) * 2.0 * np.sin(angle / 2.0) ** 2
+    return float(np.degrees(np.arctan((over / ((radius_m + z_m) * np.sin(angle))).max())))
+
+
+def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Heights (n,) of the triangles between nodes (rows, cols), quads cut along their higher diagonals, at rows and columns."""
+    rows, cols = height_m.shape
+    r0, c0 = np.clip(np.floor(row).astype(int), 0, rows - 2), np.clip(np.floor(col).astype(int), 0, cols - 2)
+    nw, ne, sw, se = (height_m[r0 + i, c0 + j].astype(np.float64) for i in (0, 1) for j in (0, 1))
+    u, v = col - c0, row - r0
+    falling = np.where(v <= u, nw + u * (ne - nw) + v * (se - ne), nw + v * (sw - nw) + u * (se - sw))
+    rising = np.where(u + v <= 1.0, nw + u * (ne - nw) + v * (sw - nw), se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se))
+    return np.where(nw + se > ne + sw, falling, rising)
+
+
+def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
+    """The horizon (n,) towards azimuths from true north on the round earth, degrees, to the raster's rim."""
+    to_degrees = Transformer.from_crs(dem.crs, "EPSG:4326", always_xy=True)
+    x, y = dem.xy(row, col)
+    lon, lat = to_degrees.transform(x, y)
+    count = len(azimuth_deg)
+    far = Geod(ellps="WGS84").fwd(np.full(count, lon), np.full(count, lat), azimuth_deg, np.full(count, FAR_M))
+    east, north = np.array(to_degrees.transform(*far[:2], direction="INVERSE")) - np.array([[x], [y]])
+    length = np.hypot(east, north)
+    radius = _radius_m(lat, azimuth_deg)
+    return np.array([
+        exact_horizon(dem.height_m, row, col, e, -n, dem.cell_m * FAR_M / each, r)
+        for e, n, each, r in zip(east / length, north / length, length, radius, strict=True)
+    ])  # fmt: skip
+
+
+def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
+    """The same towards azimuths from the grid's north in a flat world."""
+    azimuth = np.radians(azimuth_deg)
+    ways = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
+    return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in ways])
+
+
+def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
+    """The ellipsoid's radius of curvature towards azimuths (Euler)."""
+    a, b = WGS84_AXES_M
+    e2, lat, azimuth = 1.0 - (b / a) ** 2, np.radians(lat_deg), np.radians(azimuth_deg)
+    w2 = 1.0 - e2 * np.sin(lat) ** 2
+    meridian, prime = a * (1.0 - e2) / w2**1.5, a / np.sqrt(w2)
+    return 1.0 / (np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / prime)
+
+
+def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
+    """Rows and columns of points by what they are: of mountains the highest, the lowest and the steepest cell, of a city a cell in
+    a street, between walls in the west and the east; off the rim.
+    """
+    rows, cols = dem.height_m.shape
+    top, left = int(rows * MARGIN), int(cols * MARGIN)
+    inner = dem.height_m[top : rows - top, left : cols - left].astype(np.float64)
+
+    def at(values: np.ndarray) -> tuple[int, int]:
+        row, col = np.unravel_index(int(np.argmax(values)), values.shape)
+        return top + int(row), left + int(col)
+
+    if dem.name == "Essen":
+        shifts = [np.max([np.roll(inner, side * n, axis=1) for n in range(3, STREET_CELLS)], axis=0) - inner for side in (-1, 1)]
+        walls = np.minimum(*shifts)
+        walls[:, :STREET_CELLS] = walls[:, -STREET_CELLS:] = 0.0
+        return {"street": at(walls)}
+    down, right = np.gradient(inner)
+    return {"summit": at(inner), "valley": at(-inner), "slope": at(np.hypot(down, right))}
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonTool:
+    """A tool: its command for a raster, a file and a place; how the file is read into azimuths and angles (2, n), degrees; whose
+    truth it means; the share of 720 directions that its command computes; and the command that is its whole process, where the
+    first one only measures computing.
+    """
+
+    name: str
+    ours: bool
+    command: Callable[[QuestionDem, Path, tuple[float, float]], list[str]]
+    read: Callable[[Path], np.ndarray]
+    truth: Callable[[QuestionDem, int, int, np.ndarray], np.ndarray]
+    suffix: str = ".npy"
+    share: float = 1.0
+    whole: Callable[[QuestionDem, Path, tuple[float, float]], list[str]] | None = None
+
+
+def horizon_tools(python: str) -> list[HorizonTool]:
+    """All tools; packages are those of the interpreter ``python``."""
+    asking = str(ASKING)
+
+    def grass(path: Path) -> np.ndarray:
+        direction, angle = np.loadtxt(path, delimiter=",", skiprows=1).T
+        return np.stack([(90.0 - direction) % 360.0, angle])
+
+    def place(at: tuple[float, float]) -> list[str]:
+        return [f"{value:.9f}" for value in at]
+
+    def grass_tool(distance: str) -> HorizonTool:
+        return HorizonTool(
+            f"GRASS r.horizon, distance={distance}", False,
+            lambda dem, out, at: ["grass", "--tmp-location", str(dem.path), "--exec", sys.executable, asking, "r.horizon",
+                                  str(dem.path), str(out), *place(at), f"{ROUND_DEG:g}", distance],
+            grass, true_horizon, ".csv",
+        )  # fmt: skip
+
+    return [
+        HorizonTool(
+            "Skugga", True,
+            lambda dem, out, at: [*SKUGGA, asking, "point", str(dem.path), str(out), *place(at)],
+            np.load, true_horizon,
+            whole=lambda dem, out, at: [*SKUGGA_COMMAND, "point", str(dem.path), ",".join(place(at)), "--crs", dem.crs, "--date",
+                                        DATE, "--horizon", str(out.with_suffix(".csv")), "--format", "pvlib"],
+        ),
+        grass_tool("1"),
+        grass_tool("0.5"),
+        HorizonTool(
+            "topocalc", False,
+            lambda dem, out, at: [python, asking, "topocalc", str(dem.path), str(out), *place(at), f"{TOPOCALC_DEG:g}"],
+            np.load, flat_horizon, share=ROUND_DEG / TOPOCALC_DEG,
+        ),
+    ]  # fmt: skip
+
+
+def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
+    """The answers of tools for the points of a raster, seconds as medians; those that fail are added to ``left_out``.
+
+    Skugga's commands run once before, so that loops are compiled.
+    """
+    for tool in tools:
+        if tool.whole is not None:
+            out, at = dem.path.with_name(f"horizon{tool.suffix}"), dem.xy(*(length // 2 for length in dem.height_m.shape))
+            run_process(tool.command(dem, out, at), out)
+            run_process(tool.whole(dem, out, at), out.with_suffix(".csv"))
+    for place, (row, col) in places_of(dem).items():
+        for tool in tools:
+            out = dem.path.with_name(f"horizon{tool.suffix}")
+            try:
+                runs = [
+                    run_process(tool.command(dem, out, dem.xy(row, col)), out) for _ in range(repeats if tool.share == 1.0 else 1)
+                ]
+                whole = runs
+                if tool.whole is not None:
+                    written = out.with_suffix(".csv")
+                    whole = [run_process(tool.whole(dem, out, dem.xy(row, col)), written) for _ in range(repeats)]
+            except RuntimeError as error:
+                left_out[tool.name] = str(error)
+                continue
+            azimuth, angle = tool.read(out)
+            wrong = np.abs(angle - tool.truth(dem, row, col, azimuth))
+            as_is = np.abs(angle - true_horizon(dem, row, col, azimuth))
+            compute_s = float(np.median([run.compute_s for run in runs if run.compute_s is not None]))
+            more_s = compute_s * (1.0 / tool.share - 1.0)
+            yield SunAnswer(
+                HORIZON, f"{dem.name}, {place}", tool.name, tool.ours, compute_s + more_s,
+                float(np.median([run.whole_s for run in whole])) + more_s, float(np.median([run.cpu_s for run in whole])) + more_s,
+                float(wrong.mean()), float(np.percentile(wrong, 99)), float(as_is.mean()), tool.share < 1.0,
+            )  # fmt: skip

@@ -1,0 +1,132 @@
+"""Programs that ask one tool a question of sun: what `sun_questions` runs as a process of its own, in any interpreter.
+
+    PYTHON programs.py sunhours dem.tif hours.tif DATE MINUTES
+    PYTHON programs.py time_in_daylight dem.tif share.tif DAY DEGREES
+    PYTHON programs.py r.sun dem.tif hours.tif DAY MINUTES [DEGREES]
+    PYTHON programs.py point dem.tif horizon.npy X Y
+    PYTHON programs.py topocalc dem.tif horizon.npy X Y DEGREES
+    PYTHON programs.py r.horizon dem.tif horizon.csv X Y DEGREES DISTANCE
+
+A program reads the raster, lets compiled loops be compiled or read, computes and writes; it prints the seconds that computing took.
+``r.sun`` and ``r.horizon`` run inside a GRASS session. Nothing of Skugga is imported but for Skugga's own rows.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+def sunhours(path: str, out: str, date: str, minutes: str) -> float:
+    """Skugga's hours of sun as an array, without a file: the second time, when loops are compiled and heights are read."""
+    import numpy as np
+
+    from skugga import open_level
+
+    with open_level(path) as level:
+        level.sun_hours(date, step_min=60.0)
+        start = time.perf_counter()
+        hours = level.sun_hours(date, step_min=float(minutes))
+        taken_s = time.perf_counter() - start
+    np.save(out, np.asarray(hours))
+    return taken_s
+
+
+def time_in_daylight(path: str, out: str, day: str, degrees: str) -> float:
+    """Whitebox's share of the day's sun."""
+    import numpy as np
+    from whitebox_workflows import WbEnvironment
+
+    environment = WbEnvironment()
+    raster = environment.read_raster(path)
+    start = time.perf_counter()
+    share = environment.time_in_daylight(raster, az_fraction=float(degrees), start_day=int(day), end_day=int(day))
+    taken_s = time.perf_counter() - start
+    np.save(out, np.asarray(share.to_numpy(), np.float32))
+    return taken_s
+
+
+def _grass(*arguments: str) -> str:
+    return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout
+
+
+def _dem(path: str) -> None:
+    _grass("r.in.gdal", "--quiet", f"input={path}", "output=dem")
+    _grass("g.region", "raster=dem")
+
+
+def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> float:
+    """Hours of insolation of GRASS, on two threads; by maps of the horizon every so many degrees, or by a walk of its own."""
+    _dem(path)
+    options = ["elevation=dem", f"day={day}", f"step={float(minutes) / 60.0:.6f}", "insol_time=hours", "nprocs=2"]
+    start = time.perf_counter()
+    if degrees:
+        _grass("r.horizon", "--quiet", "elevation=dem", f"step={degrees}", "output=horizon")
+        options += ["horizon_basename=horizon", f"horizon_step={degrees}"]
+    _grass("r.sun", "--quiet", *options)
+    taken_s = time.perf_counter() - start
+    _grass("r.out.gdal", "-c", "--quiet", "--overwrite", "input=hours", f"output={out}", "type=Float32")
+    return taken_s
+
+
+def point(path: str, out: str, x: str, y: str) -> float:
+    """Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
+    import numpy as np
+
+    from api.shade import raster_view
+    from shadows.point.horizon import horizon_round, surroundings
+    from shadows.point.place import place_at
+    from terrain.level.level import load_level
+    from terrain.scene import build_scene
+
+    scene = build_scene(load_level(Path(path)))
+    crs, view = scene.elevation.crs, raster_view(scene)
+    elsewhere = view.grid.x(view.cols / 3.0), view.grid.y(view.rows / 3.0)
+    horizon_round(surroundings(scene, place_at(scene, elsewhere, crs)))
+    start = time.perf_counter()
+    found = horizon_round(surroundings(scene, place_at(scene, (float(x), float(y)), crs)))
+    taken_s = time.perf_counter() - start
+    np.save(out, np.stack([found.azimuth_deg, found.elevation_deg]))
+    scene.close()
+    return taken_s
+
+
+def topocalc(path: str, out: str, x: str, y: str, degrees: str) -> float:
+    """Horizons of a whole raster towards azimuths so many degrees apart, of which a cell's are kept: it knows no single points."""
+    import numpy as np
+    import rasterio
+    from topocalc.horizon import horizon
+
+    with rasterio.open(path) as source:
+        height_m, cell_m, (row, col) = source.read(1).astype(np.float64), source.transform.a, source.index(float(x), float(y))
+    azimuths, sines = np.arange(float(degrees) / 4.0, 360.0, float(degrees)), []
+    start = time.perf_counter()
+    for azimuth in azimuths:
+        sines.append(horizon((360.0 - azimuth) % 360.0 - 180.0, height_m, cell_m)[row, col])
+    taken_s = time.perf_counter() - start
+    np.save(out, np.stack([azimuths, np.degrees(np.arcsin(sines))]))
+    return taken_s
+
+
+def r_horizon(path: str, out: str, x: str, y: str, degrees: str, distance: str) -> float:
+    """The horizon of GRASS round a point, sampled at such a share of a cell's side; directions run from east by way of north."""
+    _dem(path)
+    start = time.perf_counter()
+    _grass("r.horizon", "-d", "--quiet", "--overwrite", "elevation=dem", "direction=0", f"step={degrees}", f"coordinates={x},{y}",
+           f"distance={distance}", f"file={out}")  # fmt: skip
+    return time.perf_counter() - start
+
+
+QUESTIONS_ASKED = {
+    "sunhours": sunhours,
+    "time_in_daylight": time_in_daylight,
+    "r.sun": r_sun,
+    "point": point,
+    "topocalc": topocalc,
+    "r.horizon": r_horizon,
+}
+
+if __name__ == "__main__":
+    print(f"\n{QUESTIONS_ASKED[sys.argv[1]](*sys.argv[2:]):.6f}")

@@ -1,0 +1,172 @@
+"""What `sun_questions` measured, put into words: tables and verdicts. Nothing is measured here, and no figure written down."""
+
+from __future__ import annotations
+
+from benchmarks.peers.figures import beaten_rows, unmatched_peers
+from benchmarks.peers.pages import percent, seconds
+from benchmarks.seeds.claims import table
+from benchmarks.sun_questions.day_hours import HOURS
+from benchmarks.sun_questions.figures import ANSWER_CLOCKS, SunAnswer, SunComparison, standings
+from benchmarks.sun_questions.many_masks import MASKS, NEAR_DEG
+from benchmarks.sun_questions.one_horizon import HORIZON, ROUND_DEG, TOPOCALC_DEG
+
+TITLES = {
+    HOURS: "1. Hours of sun of a day",
+    HORIZON: "2. The horizon at a point",
+    MASKS: "3. 31 masks of a day",
+}
+
+UNITS = {HOURS: "minutes", HORIZON: "degrees", MASKS: "% of the cells"}
+
+
+def amount(question: str, value: float | None) -> str:
+    """An error in the question's unit."""
+    if value is None:
+        return "-"
+    if question == MASKS:
+        return percent(value)
+    return f"{value:.2f}" if value >= 0.1 or value == 0.0 else f"{value:.1g}"
+
+
+def _taken(value: float | None, answer: SunAnswer) -> str:
+    return "-" if value is None else f"{'~ ' if answer.scaled else ''}{seconds(value)}"
+
+
+def answer_table(found: SunComparison, question: str) -> list[str]:
+    """A line for each tool in each case."""
+    rows = []
+    for answer in found.of(question):
+        name = f"**{answer.tool}**" if answer.ours else answer.tool
+        row = {"case": answer.case, "tool": name}
+        if any(each.compute_s is not None for each in found.of(question)):
+            row["computing, s"] = _taken(answer.compute_s, answer)
+        row["whole process, s"], row["its CPU time, s"] = _taken(answer.whole_s, answer), _taken(answer.cpu_s, answer)
+        row[f"wrong, {UNITS[question]}"] = amount(question, answer.wrong)
+        if any(each.wrong_p99 is not None for each in found.of(question)):
+            row["99 % under"] = amount(question, answer.wrong_p99)
+        row["wrong as it is"] = amount(question, answer.wrong_as_is)
+        rows.append(row)
+    return table(rows)
+
+
+def question_verdict(found: SunComparison, question: str) -> str:
+    """Whether a peer is both faster and more accurate than rows of Skugga's, by each clock; and who is faster, or more accurate."""
+    peers = {answer.tool for answer in found.of(question) if not answer.ours and answer.wrong is not None}
+    if not peers or not any(answer.ours for answer in found.of(question)):
+        return "Open: there was nothing to compare with."
+    lines = []
+    for clock in ANSWER_CLOCKS:
+        places = standings(found, question, clock)
+        if not places:
+            continue
+        lost, over = beaten_rows(places), unmatched_peers(places)
+        where = "; ".join(f"{own} by {peer} ({case})" for own, peer, case in lost)
+        said = (
+            f"in {len(places)} case{'s' * (len(places) > 1)} no peer is both faster and more accurate than any row of Skugga's."
+            if not lost
+            else f"beaten in both at once: {where}. "
+            + (
+                "**Not** on the front: " + "; ".join(f"{peer} beats every row ({case})" for peer, case in over) + "."
+                if over
+                else "No peer beats all of its rows in any case."
+            )
+        )
+        lines.append(f"- **By {clock}:** {said}")
+    return "\n".join([*lines, *_behind(found, question)])
+
+
+def _behind(found: SunComparison, question: str) -> list[str]:
+    """What peers are ahead of every row of Skugga's in one of the two: more accurate, or faster."""
+    lines = [_ahead(found, question, "wrong", "the whole process", "more accurate")]
+    return lines + [_ahead(found, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
+
+
+def _ahead(found: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
+    """The peers that have less of a merit than Skugga's best row, in how many cases and at most how many times less."""
+    places_of = standings(found, question, clock)
+    if not places_of:
+        return f"- {word[0].upper()}{word[1:]}: not measured."
+    times: dict[str, list[float]] = {}
+    for places in places_of.values():
+        own = min(getattr(place, merit) for place in places if place.tool.ours)
+        for place in places:
+            value = getattr(place, merit)
+            if not place.tool.ours and value < own:
+                times.setdefault(place.tool.name, []).append(own / value if value else float("inf"))
+    if not times:
+        return f"- {word[0].upper()}{word[1:]} than Skugga's best row: no peer, in any case."
+    who = "; ".join(f"{name} in {len(more)} of {len(places_of)} cases, up to {max(more):.2g} times" for name, more in times.items())
+    return f"- {word[0].upper()}{word[1:]} than Skugga's best row: {who}."
+
+
+def check_table(found: SunComparison) -> list[str]:
+    """A line for each tool: what it makes of a level floor and of a cliff."""
+    return table([
+        {
+            "tool": check.tool,
+            "level floor, h": f"{check.floor_h:.3f}",
+            "its sun's day, h": f"{check.day_h:.3f}",
+            "floor is off, minutes": f"{(check.floor_h - check.day_h) * 60.0:+.1f}",
+            "before a cliff wrong, minutes": f"{check.cliff_wrong_min:.1f}",
+        }
+        for check in found.checks
+    ])  # fmt: skip
+
+
+HOW = {
+    HOURS: """21 March, rasters of which every tool gets the same GeoTIFF. Truth are rays every 10 seconds. `Wrong` is the mean over
+the sampled cells of the minutes by which a tool differs from rays under *its own* sun, earth and horizon, so that only shadows
+and steps of time are judged; `wrong as it is` the same beside astronomy's sun (NREL's, with refraction) on the round earth,
+which is what a user gets. Computing: Skugga's `level.sun_hours` as an array, the second time; the call of `time_in_daylight`,
+without reading; the modules r.sun and r.horizon on two threads, without import and export. Whitebox's share of the day is made
+hours by the length of its own day.""",
+    HORIZON: f"""720 directions, every half degree, from a cell's middle on the ground. Truth is the exact profile in float64: every
+crossing of the direction with the triangles' edges, to the raster's rim, on the round earth (for topocalc, which knows none, in
+a flat world). Computing: one point of a level that is open and whose loops are compiled; the module r.horizon. Whole process:
+`skugga point` with a horizon file, which reports the day as well. topocalc computes whole rasters:
+{360.0 / TOPOCALC_DEG:.0f} directions are measured, and the seconds multiplied by {TOPOCALC_DEG / ROUND_DEG:.0f} (`~`).
+r.horizon takes a sample every `distance` cells' sides; 1 is its default.""",
+    MASKS: f"""31 times from the morning to the evening of 21 March, each mask written as a GeoTIFF. Other tools get each time's
+azimuth and altitude, one process a mask. Wrong: per cent of the answers that are certain (the same under suns {NEAR_DEG:g} degrees
+lower and higher) at the sampled cells, beside rays: of each cell's sun on the round earth for Skugga, of the given angles in a flat
+world for the others. *One process at best* is a bound, not a run: the computing of all masks and the least of everything else,
+once. gdaldem hillshade casts no shadows, and is what a process costs. `~`: some of the suns were measured, and their seconds
+multiplied; of *31 runs* one in three or five.""",
+}
+
+CONVENTIONS = """What "hours" mean differs, and was looked at before: on a level floor a tool's hours must be the length of its day,
+and to the west of a long cliff of 300 m those of the closed form.
+
+- **Skugga**: NREL's sun, refraction included, the middle of its disc above the level plane through the cell; round earth; true
+  north.
+- **GRASS r.sun**: true solar time, one declination all day, no refraction; round earth; true north. 21 March is day 80.
+- **Whitebox time_in_daylight**: the share of the day in which the sun's altitude at the middle of an azimuth's bin exceeds the
+  horizon. The sun is that of suncalc in 2020 (21 March is day 81), whose equinox is that of 2000: it is up to 0.2 degrees off. The
+  day begins and ends at -0.5 degrees without refraction; flat earth; the grid's north. The program is closed: that its sun is
+  taken right was checked by its shares on a level floor.
+
+The sun's path of each is made again for truth. What is left on the level floor is a tool's own: steps of time or of azimuth."""
+
+
+def sun_page(found: SunComparison) -> str:
+    """The page, in Markdown."""
+    versions = ", ".join(f"{name} {number}" for name, number in found.versions.items())
+    parts = [
+        "# Questions of sun: Skugga beside other tools",
+        "Made by `python -m benchmarks.sun_questions DATA --python PATH` (`DATA`: a folder with the rasters named below; `PATH`:\n"
+        "an interpreter that has the others' packages), which writes every number and verdict. Masks of one sun, by more tools:\n"
+        "[peers.md](peers.md).",
+        f"{versions}. {found.where}; {found.took_s / 60.0:.0f} minutes. **The machine was shared** with other work (load "
+        f"{found.load:.1f} at the end): wall-clock seconds are comparable only with each other, and CPU time of a process and its\n"
+        "children, which suffers less, stands beside them. Every tool runs as a process of its own, one at a time.",
+    ]
+    for question in TITLES:
+        if found.of(question):
+            cases = "\n".join(f"- *{each.case}*: {each.about}" for each in found.cases if each.question == question)
+            parts += [f"## {TITLES[question]}", question_verdict(found, question), cases, HOW[question]]
+            parts.append("\n".join(answer_table(found, question)))
+            if question == HOURS and found.checks:
+                parts += ["### Conventions", CONVENTIONS, "\n".join(check_table(found))]
+    if found.left_out:
+        parts += ["## Left out", "\n".join(f"- {name}: {why}" for name, why in found.left_out.items())]
+    return "\n\n".join(parts) + "\n"

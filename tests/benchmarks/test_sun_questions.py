@@ -1,0 +1,136 @@
+"""The benchmark of questions of sun: the suns of other tools, exact horizons, and verdicts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.sun_questions.figures import SunAnswer, SunComparison, standings
+from benchmarks.sun_questions.many_masks import MASK_COUNT, mask_times, wrong_share
+from benchmarks.sun_questions.one_horizon import exact_horizon, surface_at
+from benchmarks.sun_questions.sun_paths import hours_before_cliff, r_sun_path, suncalc
+from benchmarks.sun_questions.words import answer_table, question_verdict
+from terrain.geo.sun_path import sun_path
+
+
+def answer(tool: str, ours: bool, seconds: float, wrong: float, question: str = "hours of a day") -> SunAnswer:
+    return SunAnswer(question, "somewhere", tool, ours, seconds, seconds + 1.0, seconds, wrong, wrong, wrong)
+
+
+def comparison(*answers: SunAnswer) -> SunComparison:
+    return SunComparison("here", 1.0, 60.0, {}, {}, [], [], list(answers))
+
+
+def test_suncalc_is_nearly_the_sun_of_its_date():
+    """Beside NREL's sun of the same moments, without refraction: it keeps the equinox of 2000, and is up to 0.2 degrees off."""
+    azimuth, altitude = suncalc(9.0, 46.95, 600.0)
+    noon = np.datetime64("2020-03-21T11:24:00")
+    times = noon + np.round(np.arange(-43200.0 + 300.0, 43200.0, 600.0)).astype("timedelta64[s]")
+    path = sun_path(times, 9.0, 46.95)
+    assert np.abs(altitude - (path.altitude_deg - path.lift_deg)).max() < 0.25
+    assert np.abs((azimuth - path.azimuth_deg + 180.0) % 360.0 - 180.0).max() < 0.3
+
+
+def test_suncalc_gives_the_share_of_a_level_floor_that_whitebox_gives():
+    """Whitebox Workflows 2.0.6 at 9 degrees east, 46.9535 north, by azimuths of 2 degrees: a bin is lit if the sun is over the
+    horizon at its middle."""
+    azimuth, altitude = suncalc(9.0, 46.95353, 10.0)
+    number = np.rint(azimuth / 2.0)
+    day = dark = 0
+    for each in np.unique(number):
+        inside = np.flatnonzero(number == each)
+        up = int((altitude[inside] >= -0.5).sum())
+        middle = inside[np.argmin(np.abs(azimuth[inside] - 2.0 * each))]
+        day, dark = day + up, dark + (up if altitude[middle] < 0.0 else 0)
+    assert 1.0 - dark / day == pytest.approx(12.126666 / 12.15, abs=2e-4)
+
+
+def test_the_sun_of_a_solar_day_stands_highest_at_noon_in_the_south():
+    azimuth, altitude = r_sun_path(46.95, 60.0)
+    highest = int(np.argmax(altitude))
+    assert altitude[highest] == pytest.approx(90.0 - 46.95 + np.degrees(0.004235), abs=1e-3)  # r.sun's declination of day 80
+    assert azimuth[highest] == pytest.approx(180.0, abs=0.3)
+    assert np.allclose(altitude, altitude[::-1])
+    assert azimuth[len(azimuth) // 4] == pytest.approx(90.0, abs=1.0)
+
+
+def test_before_a_cliff_in_the_east_the_morning_is_lost():
+    azimuth, altitude = np.array([90.0, 90.0, 180.0, 270.0]), np.array([10.0, 46.0, 30.0, 1.0])
+    hours = hours_before_cliff(azimuth, altitude, 3600.0, 300.0, np.array([300.0, 1e9]))
+    assert hours.tolist() == [3.0, 4.0]  # under the edge, which stands at 45 degrees: the first hour
+
+
+def test_a_surface_is_linear_on_its_triangles():
+    height_m = np.array([[0.0, 1.0], [1.0, 4.0]])  # cut from corner to corner of 0 and 4: the higher diagonal
+    assert surface_at(height_m, np.array([0.5, 0.25]), np.array([0.5, 0.75])).tolist() == [2.0, 0.75 + 0.25 * 3.0]
+    height_m = np.array([[0.0, 1.0], [1.0, 1.0]])
+    assert surface_at(height_m, np.array([0.5]), np.array([0.5])).tolist() == [1.0]
+
+
+def test_the_horizon_of_a_ridge_lies_where_its_crest_is_crossed():
+    """A crest along a column: towards an azimuth between two cells it stands farther away by the secant."""
+    height_m = np.zeros((41, 41))
+    height_m[:, 30] = 50.0
+    for angle in (0.0, 0.3, 0.5):
+        found = exact_horizon(height_m, 20, 10, np.cos(angle), np.sin(angle), 10.0)
+        assert found == pytest.approx(np.degrees(np.arctan(50.0 * np.cos(angle) / 200.0)))
+
+
+def test_a_peak_beside_the_way_counts_by_the_height_of_the_edge_that_is_crossed():
+    """The way from column 1 to row 2.5, column 3 meets the diagonal that falls from the peak at six tenths of a column: its height
+    there is six tenths of the peak's."""
+    height_m = np.zeros((5, 5))
+    height_m[2, 3] = 8.0
+    way = np.array([2.0, 0.5]) / np.hypot(2.0, 0.5)
+    found = exact_horizon(height_m, 2, 1, way[0], way[1], 1.0)
+    assert found == pytest.approx(np.degrees(np.arctan(4.8 / np.hypot(1.6, 0.4))))
+
+
+def test_on_the_round_earth_far_ground_sinks():
+    height_m = np.zeros((3, 2001))
+    found = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
+    assert found == pytest.approx(np.degrees(-10.0 / 2 / 6_371_000.0), rel=1e-3)  # the nearest ground is the highest
+    height_m[1, 2000] = 100.0
+    found = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
+    assert np.tan(np.radians(found)) == pytest.approx((100.0 - 20_000.0**2 / 2 / 6_371_000.0) / 20_000.0, rel=1e-3)
+
+
+def test_times_of_masks_lie_about_noon():
+    times = mask_times(-117.0)
+    assert len(times) == MASK_COUNT
+    assert times[MASK_COUNT // 2].isoformat() == "2024-03-21T19:48:00+00:00"
+
+
+def test_answers_that_are_not_certain_do_not_count():
+    lit, truth, sure = np.array([1, 1, 0, 0], bool), np.array([1, 0, 0, 1], bool), np.array([1, 1, 1, 0], bool)
+    assert wrong_share(lit, truth, sure) == pytest.approx(1 / 3)
+
+
+def test_a_row_that_is_slower_and_worse_than_a_peer_is_told_and_so_is_a_lost_front():
+    own, better = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
+    lost = question_verdict(comparison(own, better), "hours of a day")
+    assert "own by peer (somewhere)" in lost and "peer beats every row (somewhere)" in lost
+    assert "More accurate than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in lost
+    assert "Faster by computing than Skugga's best row: peer in 1 of 1 cases, up to 2 times." in lost
+    saved = question_verdict(comparison(own, answer("exact", True, 9.0, 0.1), better), "hours of a day")
+    assert "No peer beats all of its rows" in saved
+    assert "More accurate than Skugga's best row: no peer" in saved
+
+
+def test_a_peer_that_is_only_faster_beats_nobody_but_is_named():
+    said = question_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
+    assert said.count("no peer is both faster and more accurate") == 3
+    assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in said
+
+
+def test_without_seconds_or_errors_a_tool_has_no_place():
+    untimed = SunAnswer("masks", "somewhere", "bound", False, None, 1.0, None, 0.1, None)
+    silent = SunAnswer("masks", "somewhere", "casts none", False, None, 1.0, 1.0, None, None)
+    found = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))
+    assert [place.tool.name for place in standings(found, "masks", "the whole process")["somewhere"]] == ["bound", "own"]
+    assert [place.tool.name for place in standings(found, "masks", "computing")["somewhere"]] == ["own"]
+
+
+def test_multiplied_seconds_are_marked():
+    scaled = SunAnswer("horizon at a point", "somewhere", "slow", False, 3.0, 3.0, 3.0, 0.25, 1.0, 0.25, scaled=True)
+    assert "| ~ 3.0 |" in "\n".join(answer_table(comparison(scaled), "horizon at a point"))
