@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
@@ -22,7 +21,8 @@ CLIENT_BYTES = 32 * 1024
 class _Client:
     left: float
     seen_s: float
-    suns: OrderedDict[Hashable, None] = field(default_factory=OrderedDict)
+    suns: dict[Hashable, None] = field(default_factory=dict)
+    """The one asked for last at the end."""
 
 
 class NewSuns:
@@ -44,7 +44,7 @@ class NewSuns:
         if isinstance(found, Missing):
             self._clients.put(key, value=client)
         if sun in client.suns:
-            client.suns.move_to_end(sun)
+            client.suns[sun] = client.suns.pop(sun)
             return
         if client.left < 1.0:
             wait_s = int((1.0 - client.left) * 60.0 / self._a_minute) + 1
@@ -52,7 +52,7 @@ class NewSuns:
         client.left -= 1.0
         client.suns[sun] = None
         while len(client.suns) > REMEMBERED:
-            client.suns.popitem(last=False)
+            client.suns.pop(next(iter(client.suns)))
 
 
 def network_of(address: str) -> str:
