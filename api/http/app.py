@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import TooLargeError
 from api.http import (
     problems,
+    routes_docs,
     routes_health,
     routes_level_page,
     routes_levels,
@@ -62,7 +63,7 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
 
     app = FastAPI(
         title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles and pictures.",
-        lifespan=lifespan, redoc_url=None,
+        lifespan=lifespan, docs_url=None, redoc_url=None,
     )  # fmt: skip
     app.state.service = service
     app.add_middleware(SentBefore, service=service)
@@ -83,6 +84,7 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
         routes_snapshot, routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
+    routes_docs.install_docs(app)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
     return app
 

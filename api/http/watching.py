@@ -30,12 +30,6 @@ PAGES = (
 )
 """What the service's pages may load: nothing from elsewhere. The map draws in workers that it makes of its own code."""
 
-INTERFACE = (
-    "default-src 'self'; script-src 'self' 'unsafe-inline' https://cdn.jsdelivr.net; style-src 'self' 'unsafe-inline' "
-    "https://cdn.jsdelivr.net; img-src 'self' data: https://fastapi.tiangolo.com; object-src 'none'; frame-ancestors 'self'"
-)
-"""The same of ``/docs``, whose scripts FastAPI has from there."""
-
 CLIENT_GONE = 499
 """Status in logs and metrics of a request whose client has gone, as nginx has it; nobody reads it."""
 
@@ -145,7 +139,7 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
     if headers.get("Content-Type", "").startswith("text/html"):
-        headers["Content-Security-Policy"] = INTERFACE if scope["path"].startswith("/docs") else PAGES
+        headers["Content-Security-Policy"] = PAGES
         headers["Referrer-Policy"] = "same-origin"
 
 

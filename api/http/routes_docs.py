@@ -1,0 +1,51 @@
+"""The interface on ``/docs``: Swagger UI, of files that the service has itself."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+from fastapi.responses import HTMLResponse, Response
+from starlette.staticfiles import StaticFiles
+
+SWAGGER_UI = "fastapi_offline", "static"
+"""The package that carries the files of Swagger UI, and their folder in it."""
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Skugga, the interface</title>
+<link rel="icon" href="data:,">
+<link rel="stylesheet" href="docs/assets/swagger-ui.css">
+</head>
+<body>
+<div id="swagger-ui"><noscript>The interface is in <a href="openapi.json">openapi.json</a>.</noscript></div>
+<script src="docs/assets/swagger-ui-bundle.js"></script>
+<script src="docs/start.js"></script>
+</body>
+</html>
+"""
+"""Its addresses are relative, so that it works behind any path prefix."""
+
+_START = """SwaggerUIBundle({
+  url: 'openapi.json',
+  dom_id: '#swagger-ui',
+  presets: [SwaggerUIBundle.presets.apis],
+  deepLinking: true,
+  validatorUrl: null, // no service elsewhere is asked what it thinks of the document
+});
+"""
+"""A file of its own: the pages' content security policy runs no script that is written in a page."""
+
+
+def install_docs(app: FastAPI) -> None:
+    """Serve the page on ``/docs``, its parts below it."""
+
+    @app.get("/docs", include_in_schema=False)
+    async def interface() -> Response:
+        return HTMLResponse(_PAGE)
+
+    @app.get("/docs/start.js", include_in_schema=False)
+    async def start() -> Response:
+        return Response(_START, media_type="text/javascript")
+
+    app.mount("/docs/assets", StaticFiles(packages=[SWAGGER_UI]), name="docs")

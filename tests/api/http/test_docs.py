@@ -1,0 +1,41 @@
+"""The interface on ``/docs``, and where its parts come from."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import urljoin, urlsplit
+
+import pytest
+
+from tests.api.conftest import Client
+from tests.api.http.test_level_page import Links
+from tests.api.workers import fake_workers
+
+
+def test_the_page_and_all_its_parts_come_from_the_service(serve_with):
+    client: Client = serve_with(fake_workers.obedient)
+    page = client.get("/docs")
+    assert page.status_code == 200 and page.headers["content-type"].startswith("text/html")
+    parts = [part for part in Links(page.text).found if not part.startswith("data:")]
+    assert {part.rpartition(".")[2] for part in parts} == {"css", "js", "json"}
+    for part in parts:
+        assert not urlsplit(part).netloc, "it is relative"
+        answer = client.get(urljoin(str(page.url), part))
+        assert answer.status_code == 200, part
+        if part.endswith(".css"):
+            loaded = re.findall(r"url\(\s*['\"]?([^'\")]+)", answer.text)
+            assert all(address.startswith(("data:", "#")) for address in loaded)
+            assert "@import" not in answer.text
+
+
+@pytest.mark.parametrize("address", ["/docs", "/docs/start.js"])
+def test_it_names_no_other_host(serve_with, address: str):
+    assert not re.search(r"https?:|//[a-z]", serve_with(fake_workers.obedient).get(address).text)
+
+
+def test_its_policy_is_that_of_all_pages(serve_with):
+    client: Client = serve_with(fake_workers.obedient)
+    policy = client.get("/docs").headers["content-security-policy"]
+    assert policy == client.get("/").headers["content-security-policy"]
+    directives = dict(directive.split(maxsplit=1) for directive in policy.split("; "))
+    assert directives["default-src"] == "'self'" and "script-src" not in directives
