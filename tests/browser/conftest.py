@@ -1,4 +1,4 @@
-"""The viewer in a real browser: Debian's Chromium, without a window, before a real service of one bundled level.
+"""Debian's Chromium, without a window, before a real service of one bundled level: its own pages, and map clients that read it.
 
 What is wrong on a page that nobody asked for (an error in its console, a request that fails) fails every test of it. The page of
 a failed test lies in ``tests/output``.
@@ -13,21 +13,21 @@ import time
 from collections.abc import Generator, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import NoReturn
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
-from PIL import Image
-from playwright.sync_api import Browser, ConsoleMessage, Error, FloatRect, Page, Request, Response, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Error, FloatRect, Page, ViewportSize, sync_playwright
 
 from api.catalogue import find_level
 from api.http.app import create_app
 from api.http.routes_viewer import STATIC_FOLDER
 from api.settings import Settings
 from tests.api.conftest import Client, running
+from tests.browser.map_clients import CLIENTS, LIBRARIES, WINDOW_PX, MapClient, served_folder
+from tests.browser.watched_page import WatchedPage
 from tests.golden import OUTPUT
 
 HERE = Path(__file__).parent
@@ -48,12 +48,6 @@ STILL = 3
 MARGIN_PX = 6
 """Left off all round: the address of a view is rounded."""
 
-MOST_TOLD = 4
-"""A map has dozens of tiles, which go wrong together."""
-
-GIVEN_UP = "net::ERR_ABORTED"
-"""What Chromium says of requests that the page itself no longer wants."""
-
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """All tests of this folder need a browser, also one that does not say so."""
@@ -66,14 +60,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Take a picture of the page of a failed test while it is open."""
     report = yield
-    viewer = getattr(item, "funcargs", {}).get("viewer")
-    if viewer is not None and report.when == "call" and report.failed:
+    shown = [value for value in getattr(item, "funcargs", {}).values() if isinstance(value, WatchedPage)]
+    if report.when == "call" and report.failed:
         OUTPUT.mkdir(exist_ok=True)
-        path = OUTPUT / f"{item.name}.png"
-        # A page that is gone has no picture, and that is no other failure.
-        with suppress(Error):
-            viewer.page.screenshot(path=path)
-            report.sections.append(("the page", f"see {path}"))
+        path = OUTPUT / f"{re.sub('[^A-Za-z0-9_.-]+', '-', item.name)}.png"
+        for watched in shown:
+            # A page that is gone has no picture, and that is no other failure.
+            with suppress(Error):
+                watched.page.screenshot(path=path)
+                report.sections.append(("the page", f"see {path}"))
     return report
 
 
@@ -95,32 +90,18 @@ class Shown:
     """The queries of the tiles that were asked for since the picture before."""
 
 
-class Viewer:
-    """The viewer on a page, and what goes wrong there."""
+class Viewer(WatchedPage):
+    """The viewer on a page."""
 
     def __init__(self, page: Page, client: Client) -> None:
-        self.page = page
-        self.wrong: list[str] = []
         self._address = str(client.base_url)
+        super().__init__(page, [self._address])
         self._bounds: list[float] = next(level["bounds"] for level in client.get("/levels").json() if level["name"] == LEVEL)
-        self._tiles: list[str] = []
-        self._waiting: set[Request] = set()
-        page.on("console", self._said)
-        page.on("pageerror", lambda error: self.wrong.append(f"uncaught: {error}"))
-        page.on("request", self._asked)
-        page.on("response", self._answered)
-        page.on("requestfinished", lambda request: self._waiting.discard(request))
-        page.on("requestfailed", self._failed)
 
     def open(self) -> Shown:
         """Open the page, and wait for its map."""
         self.page.goto(self._address)
         return self.shown()
-
-    def check(self) -> None:
-        """Fail if anything has gone wrong on the page."""
-        if self.wrong:
-            pytest.fail("\n".join(["on the page:", *self.wrong[:MOST_TOLD]]), pytrace=False)
 
     def shown(self) -> Shown:
         """The map, once tiles have been asked for since the last time, all are there, and the picture stands still."""
@@ -131,23 +112,20 @@ class Viewer:
             failed = self.page.locator("#status.failed:visible")
             if failed.count():
                 pytest.fail(f"the page says: {failed.inner_text()}", pytrace=False)
-            busy = self.page.locator("#status").is_visible() or bool(self._waiting)
+            busy = self.page.locator("#status").is_visible() or bool(self.waiting)
+            tiles = [address for address in self.asked if "/tiles/" in address]
             if time.monotonic() > end:
-                pytest.fail(f"not drawn after {DRAWN_S} s: {len(self._tiles)} tiles asked for, {busy=}")
+                pytest.fail(f"not drawn after {DRAWN_S} s: {len(tiles)} tiles asked for, {busy=}")
             self.page.evaluate("() => new Promise(requestAnimationFrame)")
-            if busy or not self._tiles:
+            if busy or not tiles:
                 before, alike = None, 0
                 continue
-            pixels = self._pixels()
+            pixels = self.pixels(self._place())
             alike = alike + 1 if before is not None and np.array_equal(before, pixels) else 1
             before = pixels
-        tiles, self._tiles = self._tiles, []
+        self.asked.clear()
         assert before is not None
         return Shown(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
-
-    def _pixels(self) -> np.ndarray:
-        png = self.page.screenshot(clip=self._place())
-        return np.asarray(Image.open(BytesIO(png)).convert("RGB"))
 
     def _place(self) -> FloatRect:
         """Where the level lies in the window, by the view in the page's address."""
@@ -161,28 +139,6 @@ class Viewer:
         assert 0 <= left < right <= WINDOW["width"] and 0 <= top < bottom <= WINDOW["height"], "the level fits the window"
         x, y = round(left) + MARGIN_PX, round(top) + MARGIN_PX
         return FloatRect(x=x, y=y, width=round(right) - MARGIN_PX - x, height=round(bottom) - MARGIN_PX - y)
-
-    def _said(self, message: ConsoleMessage) -> None:
-        if message.type == "error":
-            self.wrong.append(f"console: {message.text}")
-
-    def _asked(self, request: Request) -> None:
-        if request.url.startswith(("data:", "blob:")):
-            return
-        self._waiting.add(request)
-        if not request.url.startswith(f"{self._address}/"):
-            self.wrong.append(f"not from the service: {request.url}")
-        if "/tiles/" in request.url:
-            self._tiles.append(request.url)
-
-    def _answered(self, response: Response) -> None:
-        if response.status >= 400:
-            self.wrong.append(f"{response.status}: {response.url}")
-
-    def _failed(self, request: Request) -> None:
-        self._waiting.discard(request)
-        if request.failure != GIVEN_UP:
-            self.wrong.append(f"{request.failure}: {request.url}")
 
 
 def _down(latitude: float) -> float:
@@ -205,9 +161,7 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def service() -> Iterator[Client]:
-    """A service of the level with one render process that is ready: what is slow then is the viewer."""
-    if not (STATIC_FOLDER / "index.html").is_file():
-        missing("the viewer is not built: 'make viewer' does it")
+    """A service of the level with one render process that is ready: what is slow then is the page."""
     with running(create_app(Settings(workers=1), [find_level(LEVEL)])) as client:
         end = time.monotonic() + READY_S
         while client.get("/readyz").status_code != 200:
@@ -219,10 +173,37 @@ def service() -> Iterator[Client]:
 @pytest.fixture
 def viewer(chromium: Browser, service: Client) -> Iterator[Viewer]:
     """A viewer in a window of its own, not yet opened."""
-    context = chromium.new_context(viewport=WINDOW)
-    try:
+    if not (STATIC_FOLDER / "index.html").is_file():
+        missing("the viewer is not built: 'make viewer' does it")
+    with chromium.new_context(viewport=WINDOW) as context:
         viewer = Viewer(context.new_page(), service)
         yield viewer
         viewer.check()
-    finally:
-        context.close()
+
+
+@pytest.fixture
+def own_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
+    """A page that asks the service alone, not yet opened."""
+    with chromium.new_context(viewport=WINDOW, base_url=str(service.base_url)) as context:
+        watched = WatchedPage(context.new_page(), [str(service.base_url)])
+        yield watched
+        watched.check()
+
+
+@pytest.fixture(scope="session")
+def clients_address() -> Iterator[str]:
+    """Where pages with map clients are: not on the service, but as on somebody's own site."""
+    lacking = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
+    if lacking:
+        missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
+    with served_folder(CLIENTS) as address:
+        yield address
+
+
+@pytest.fixture
+def map_client(chromium: Browser, service: Client, clients_address: str) -> Iterator[MapClient]:
+    """A page for a map client, not yet opened."""
+    with chromium.new_context(viewport=ViewportSize(width=WINDOW_PX, height=WINDOW_PX)) as context:
+        client = MapClient(context.new_page(), service, clients_address)
+        yield client
+        client.check()

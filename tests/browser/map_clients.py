@@ -1,0 +1,130 @@
+"""Map clients that are not ours on pages that are not the service's, and the pictures that they should show."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Page
+
+from tests.api.conftest import Client
+from tests.browser.watched_page import WatchedPage
+
+CLIENTS = Path(__file__).parent / "clients"
+"""The pages, and the libraries that npm installs beside them."""
+
+LIBRARIES = ("leaflet", "maplibre-gl", "ol")
+
+LEVEL = "jacksboro"
+
+TILE_PX = 256
+WINDOW_PX = 2 * TILE_PX
+"""A window shows the four tiles round a corner, pixel for pixel."""
+
+MERCATOR_M = 6378137.0 * math.pi
+"""Half of the way round the earth in Web Mercator."""
+
+TIMES = "2024-10-21T14:00:00Z", "2024-10-21T21:30:00Z"
+"""A morning and an evening, ten in the morning and half past five in Tennessee."""
+
+
+class MapClient(WatchedPage):
+    """A page with a map client that reads the service."""
+
+    def __init__(self, page: Page, service: Client, address: str) -> None:
+        self.service_address = str(service.base_url)
+        super().__init__(page, [address, self.service_address])
+        self._address = address
+
+    def open(self, library: str) -> None:
+        """Open the page of a library, and wait until it is loaded."""
+        self.page.goto(f"{self._address}/{library}.html")
+        self.page.wait_for_function("() => window.loaded")
+        self.check()
+
+    def run(self, script: str, **arguments: Any) -> Any:
+        """Run a function of JavaScript on the page; it gets one object of the arguments, and what it returns is awaited."""
+        try:
+            return self.page.evaluate(script, arguments)
+        finally:
+            self.check()
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    """Serves files without a log."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing."""
+
+
+@contextmanager
+def served_folder(folder: Path) -> Iterator[str]:
+    """The address of a server of a folder's files."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder))) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+class Corner:
+    """A corner of four tiles that lie on the level, in Web Mercator or, where ``tms`` says so, in degrees.
+
+    Where tiles lie is reckoned here, and not as the service does it or says that it does.
+    """
+
+    def __init__(self, tms: str, zoom: int, lon: float = -84.24, lat: float = 36.31) -> None:
+        self.tms, self.zoom = tms, zoom
+        mercator = tms == "WebMercatorQuad"
+        if mercator:
+            x, y = lon / 180 * MERCATOR_M, math.asinh(math.tan(math.radians(lat))) / math.pi * MERCATOR_M
+            left, top, size = -MERCATOR_M, MERCATOR_M, 2 * MERCATOR_M / 2**zoom
+        else:
+            x, y, left, top, size = lon, lat, -180.0, 90.0, 180.0 / 2**zoom
+        self.column, self.row = round((x - left) / size), round((top - y) / size)
+        self.projection = "EPSG:3857" if mercator else "EPSG:4326"
+        self.resolution = size / TILE_PX
+        self.center = left + self.column * size, top - self.row * size
+        x, y = self.center
+        self.lon_lat = (x / MERCATOR_M * 180, math.degrees(math.atan(math.sinh(y / MERCATOR_M * math.pi)))) if mercator else (x, y)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east and north of the four tiles."""
+        (x, y), half = self.center, TILE_PX * self.resolution
+        return x - half, y - half, x + half, y + half
+
+    def tiles(self, service: Client, **query: str) -> np.ndarray:
+        """The four tiles, (rows, cols, 3) uint8."""
+        rows = []
+        for row in (self.row - 1, self.row):
+            addresses = [f"/levels/{LEVEL}/tiles/{self.tms}/{self.zoom}/{col}/{row}.png" for col in (self.column - 1, self.column)]
+            rows.append(np.hstack([fetched_picture(service, address, **query) for address in addresses]))
+        return np.vstack(rows)
+
+
+def fetched_picture(service: Client, address: str, **query: str) -> np.ndarray:
+    """A picture of the service's that is opaque, (rows, cols, 3) uint8."""
+    answer = service.get(address, params=query)
+    assert answer.status_code == 200, answer.text
+    picture = np.asarray(Image.open(BytesIO(answer.content)).convert("RGBA"))
+    assert (picture[..., 3] == 255).all(), "it lies on the level"
+    return picture[..., :3]
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """By how much each pixel of two pictures differs, in the channel that differs most."""
+    assert one.shape == other.shape
+    return np.abs(one.astype(int) - other).max(axis=2)

@@ -1,0 +1,29 @@
+"""The interface on ``/docs`` as a person sees it."""
+
+from __future__ import annotations
+
+from playwright.sync_api import expect
+
+from tests.api.conftest import Client
+from tests.browser.watched_page import WatchedPage
+
+WAIT_MS = 60_000
+
+
+def test_its_operations_are_shown_and_can_be_tried(own_page: WatchedPage, service: Client):
+    document = service.get("/openapi.json").json()
+    operations = [method for path in document["paths"].values() for method in path]
+    own_page.page.goto("/docs")
+    expect(own_page.page.locator(".opblock")).to_have_count(len(operations), timeout=WAIT_MS)
+    expect(own_page.page.locator("h2.title")).to_contain_text("Skugga")
+
+    levels = own_page.page.locator("#operations-levels-levels_levels_get")
+    levels.locator(".opblock-summary-control").click()
+    levels.get_by_role("button", name="Try it out").click()
+    levels.get_by_role("button", name="Execute").click()
+    answer = levels.locator(".live-responses-table .response")
+    expect(answer.locator(".response-col_status")).to_contain_text("200", timeout=WAIT_MS)
+    expect(answer).to_contain_text("Jacksboro fault")
+    assert {address.partition("?")[0].removeprefix(str(service.base_url)) for address in own_page.asked} == {
+        "/docs", "/docs/assets/swagger-ui.css", "/docs/assets/swagger-ui-bundle.js", "/docs/start.js", "/openapi.json", "/levels",
+    }  # fmt: skip

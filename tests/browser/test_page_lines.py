@@ -1,0 +1,90 @@
+"""The lines of a level's page, as they stand there, run by the map clients that they are for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from tests.api.conftest import Client
+from tests.browser.map_clients import LEVEL, Corner, MapClient, difference
+from tests.browser.watched_page import WatchedPage
+
+CORNER = Corner("WebMercatorQuad", 12)
+
+
+@dataclass(frozen=True)
+class Library:
+    """How a library makes the ``map`` that the lines speak of, and how it says that all is drawn."""
+
+    page: str
+    make: str
+    drawn: str
+
+
+MAPS = {
+    "MapLibre": Library(
+        "maplibre",
+        # Its zooms are of tiles of 512 pixels.
+        """({lonLat, zoom}) => {
+          window.map = new maplibregl.Map({container: 'map', center: lonLat, zoom: zoom - 1, attributionControl: false,
+            fadeDuration: 0, style: {version: 8, sources: {}, layers: []}});
+          window.idle = () => new Promise(resolve => { map.once('idle', resolve); map.triggerRepaint(); });
+          return map.once('load').then(() => null);
+        }""",
+        "() => idle()",
+    ),
+    "Leaflet": Library(
+        "leaflet",
+        """({lonLat: [lon, lat], zoom}) => {
+          window.map = L.map('map', {center: [lat, lon], zoom, zoomControl: false, attributionControl: false, fadeAnimation: false});
+        }""",
+        """() => new Promise(resolve => map.eachLayer(layer => layer.isLoading() ? layer.once('load', resolve) : resolve()))""",
+    ),
+    "OpenLayers": Library(
+        "openlayers",
+        """({lonLat, zoom}) => {
+          window.map = new ol.Map({target: 'map', controls: [], view: new ol.View({center: ol.proj.fromLonLat(lonLat), zoom})});
+        }""",
+        "() => new Promise(resolve => { map.once('rendercomplete', resolve); map.render(); })",
+    ),
+}
+
+FLAT = ["MapLibre", "Leaflet", "OpenLayers", "OpenLayers, by WMTS"]
+"""Headings of lines that show tiles as they are."""
+
+SOLID = "MapLibre, in three dimensions"
+"""The heading of the line that ``test_maplibre.py`` tries."""
+
+
+def lines_of_page(own_page: WatchedPage) -> dict[str, str]:
+    """The lines of the level's page by their headings, as a person copies them."""
+    own_page.page.goto(f"/levels/{LEVEL}.html")
+    headings = own_page.page.locator("h2").all_inner_texts()
+    return dict(zip(headings, own_page.page.locator("pre").all_inner_texts(), strict=True))
+
+
+def run_line(client: MapClient, line: str) -> None:
+    """Run a line on a page of a map client as in a module, where it may await."""
+    client.run("({line}) => new (async () => {}).constructor(line)().then(() => null)", line=line)
+
+
+def test_all_lines_for_pages_are_tried(own_page: WatchedPage):
+    lines = lines_of_page(own_page)
+    assert {heading for heading in lines if heading.partition(",")[0] in MAPS} == {*FLAT, SOLID}
+
+
+def test_the_page_has_its_picture(own_page: WatchedPage):
+    own_page.page.goto(f"/levels/{LEVEL}.html", wait_until="load")
+    assert own_page.page.locator("img").evaluate("picture => picture.naturalWidth") > 500
+
+
+@pytest.mark.parametrize("heading", FLAT)
+def test_a_line_shows_the_level(own_page: WatchedPage, map_client: MapClient, service: Client, heading: str):
+    line = lines_of_page(own_page)[heading]
+    library = MAPS[heading.partition(",")[0]]
+    map_client.open(library.page)
+    map_client.run(library.make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
+    run_line(map_client, line)
+    map_client.run(library.drawn)
+    assert difference(map_client.pixels(), CORNER.tiles(service)).max() == 0

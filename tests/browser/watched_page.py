@@ -1,0 +1,64 @@
+"""A page in a browser of which everything is noticed that goes wrong: errors in its console, requests that fail or go elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import ConsoleMessage, FloatRect, Page, Request, Response
+
+MOST_TOLD = 4
+"""A map has dozens of tiles, which go wrong together."""
+
+GIVEN_UP = "net::ERR_ABORTED"
+"""What Chromium says of requests that the page itself no longer wants."""
+
+
+class WatchedPage:
+    """A page, what it has asked for, and what goes wrong there. Only some origins may be asked for anything."""
+
+    def __init__(self, page: Page, origins: Sequence[str]) -> None:
+        self.page = page
+        self.wrong: list[str] = []
+        self.asked: list[str] = []
+        self.waiting: set[Request] = set()
+        self._origins = tuple(f"{origin}/" for origin in origins)
+        page.on("console", self._said)
+        page.on("pageerror", lambda error: self.wrong.append(f"uncaught: {error}"))
+        page.on("request", self._requested)
+        page.on("response", self._answered)
+        page.on("requestfinished", lambda request: self.waiting.discard(request))
+        page.on("requestfailed", self._failed)
+
+    def check(self) -> None:
+        """Fail if anything has gone wrong on the page."""
+        if self.wrong:
+            pytest.fail("\n".join(["on the page:", *self.wrong[:MOST_TOLD]]), pytrace=False)
+
+    def pixels(self, clip: FloatRect | None = None) -> np.ndarray:
+        """What a person sees of the page, or of a part of it, (rows, cols, 3) uint8."""
+        return np.asarray(Image.open(BytesIO(self.page.screenshot(clip=clip))).convert("RGB"))
+
+    def _said(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            self.wrong.append(f"console: {message.text}")
+
+    def _requested(self, request: Request) -> None:
+        if request.url.startswith(("data:", "blob:")):
+            return
+        self.waiting.add(request)
+        self.asked.append(request.url)
+        if not request.url.startswith(self._origins):
+            self.wrong.append(f"not from the service: {request.url}")
+
+    def _answered(self, response: Response) -> None:
+        if response.status >= 400:
+            self.wrong.append(f"{response.status}: {response.url}")
+
+    def _failed(self, request: Request) -> None:
+        self.waiting.discard(request)
+        if request.failure != GIVEN_UP:
+            self.wrong.append(f"{request.failure}: {request.url}")
