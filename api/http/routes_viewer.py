@@ -17,7 +17,8 @@ from api.http.service import TheService
 STATIC_FOLDER = Path(__file__).parents[1] / "static"
 
 _PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head><body>
+<html lang="en"><head><meta charset="utf-8"><title>Skugga</title>
+<link rel="icon" href="data:,"></head><body>
 <h1>Skugga</h1>
 <p>The viewer was not built (<code>make viewer</code> builds it); the service works without it.</p>
 <ul>{items}</ul>

@@ -58,13 +58,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Take a picture of the page of a failed test while it is open."""
+    """Take a picture of each page of a failed test while it is open."""
     report = yield
     shown = [value for value in getattr(item, "funcargs", {}).values() if isinstance(value, WatchedPage)]
     if report.when == "call" and report.failed:
         OUTPUT.mkdir(exist_ok=True)
-        path = OUTPUT / f"{re.sub('[^A-Za-z0-9_.-]+', '-', item.name)}.png"
-        for watched in shown:
+        name = re.sub("[^A-Za-z0-9_.-]+", "-", item.name)
+        for number, watched in enumerate(dict.fromkeys(shown)):
+            path = OUTPUT / f"{name}-{number}.png"
             # A page that is gone has no picture, and that is no other failure.
             with suppress(Error):
                 watched.page.screenshot(path=path)

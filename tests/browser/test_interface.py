@@ -15,7 +15,7 @@ def test_its_operations_are_shown_and_can_be_tried(own_page: WatchedPage, servic
     operations = [method for path in document["paths"].values() for method in path]
     own_page.page.goto("/docs")
     expect(own_page.page.locator(".opblock")).to_have_count(len(operations), timeout=WAIT_MS)
-    expect(own_page.page.locator("h2.title")).to_contain_text("Skugga")
+    expect(own_page.page.locator(".info .title")).to_contain_text("Skugga")
 
     levels = own_page.page.locator("#operations-levels-levels_levels_get")
     levels.locator(".opblock-summary-control").click()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,10 +10,15 @@ import pytest
 
 from tests.api.conftest import Client
 from tests.browser.map_clients import LEVEL, TIMES, Corner, MapClient, difference
-from tests.browser.test_page_lines import MAPS, lines_of_page, run_line
+from tests.browser.test_page_lines import MAPS, SOLID, lines_of_page, run_line
 from tests.browser.watched_page import WatchedPage
 
 CORNER = Corner("WebMercatorQuad", 12)
+
+MAX_ZOOM = 14
+CELLS_PER_DEG = 1200
+TOLD_TO_M = 0.01
+"""The greatest zoom of the level's tiles, the nodes of its raster, and what the service rounds heights of points to."""
 
 
 @pytest.fixture
@@ -41,33 +47,65 @@ def test_tilejson_is_a_source_of_tiles(maplibre: MapClient, service: Client, tim
     assert difference(maplibre.pixels(), CORNER.tiles(service, time=time)).max() == 0
 
 
-def heights_of_map(maplibre: MapClient, points: Sequence[tuple[float, float]]) -> np.ndarray:
-    """The heights of points on the map's ground, once it is there."""
-    heights = maplibre.run("async ({points}) => { await idle(); return points.map(p => map.queryTerrainElevation(p)); }", points=points)
-    assert None not in heights
-    return np.array(heights)
+def pixel_centers() -> list[tuple[float, float]]:
+    """Longitudes and latitudes of some pixels round the corner, of tiles of the greatest zoom: there a tile tells a height itself."""
+    round_the_earth_px = 256 * 2**MAX_ZOOM
+    middle = 256 * 2 ** (MAX_ZOOM - CORNER.zoom) * np.array([CORNER.column, CORNER.row])
+    centers = []
+    for across in range(-50, 51, 25):
+        for down in range(-50, 51, 25):
+            x, y = (middle + (across + 0.5, down + 0.5)) / round_the_earth_px
+            centers.append((float(x) * 360 - 180, math.degrees(math.atan(math.sinh(math.pi * (1 - 2 * float(y)))))))
+    return centers
 
 
-@pytest.mark.parametrize("source", ["the page's line", "terrain-rgb"])
-def test_heights_are_ground(maplibre: MapClient, service: Client, own_page: WatchedPage, source: str):
-    lon, lat = CORNER.lon_lat
-    maplibre.run("({center}) => map.jumpTo({center, zoom: 14})", center=(lon, lat))
-    if source == "terrain-rgb":
-        # What MapLibre takes heights for that say nothing else.
-        url = f"{maplibre.service_address}/levels/{LEVEL}/WebMercatorQuad/tilejson.json?layer=terrain-rgb"
+def heights_of_api(service: Client, points: Sequence[tuple[float, float]]) -> np.ndarray:
+    """What the service says that heights of points are, to a centimetre."""
+    asked = {"points": [{"lon": lon, "lat": lat} for lon, lat in points]}
+    answer = service.post(f"/levels/{LEVEL}/point", json=asked)
+    assert answer.status_code == 200, answer.text
+    return np.array([point["elevation_m"] for point in answer.json()["points"]])
+
+
+def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of points that lie bilinearly between the four nodes of the level's raster round each, and by how much two triangles
+    over the same nodes may differ from that.
+    """
+    west, _, _, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
+    places = [((lon - west) * CELLS_PER_DEG - 0.5, (north - lat) * CELLS_PER_DEG - 0.5) for lon, lat in points]
+    nodes = [
+        (west + (math.floor(x) + right + 0.5) / CELLS_PER_DEG, north - (math.floor(y) + down + 0.5) / CELLS_PER_DEG)
+        for x, y in places
+        for down in (0, 1)
+        for right in (0, 1)
+    ]
+    corners = heights_of_api(service, nodes).reshape(-1, 2, 2)
+    shares = np.array([[[(1 - y % 1) * (1 - x % 1), (1 - y % 1) * (x % 1)], [y % 1 * (1 - x % 1), y % 1 * (x % 1)]] for x, y in places])
+    twist = corners[:, 0, 0] - corners[:, 0, 1] - corners[:, 1, 0] + corners[:, 1, 1]
+    return (corners * shares).sum(axis=(1, 2)), np.abs(twist) / 4
+
+
+@pytest.mark.parametrize(("encoding", "step_m"), [("terrarium", 1 / 256), ("terrain-rgb", 0.1)])
+def test_heights_are_ground(maplibre: MapClient, service: Client, own_page: WatchedPage, encoding: str, step_m: float):
+    """The page's line, and the encoding that MapLibre expects of a source that names none.
+
+    Tiles lie bilinearly between the nodes of the raster; the ground that casts, which the service tells of points, is made of
+    triangles.
+    """
+    maplibre.run("({center}) => map.jumpTo({center, zoom: 16})", center=CORNER.lon_lat)
+    if encoding == "terrarium":
+        run_line(maplibre, lines_of_page(own_page)[SOLID])
+    else:
         maplibre.run(
             "({url}) => { map.addSource('heights', {type: 'raster-dem', url, tileSize: 256}); map.setTerrain({source: 'heights'}); }",
-            url=url,
+            url=f"{maplibre.service_address}/levels/{LEVEL}/WebMercatorQuad/tilejson.json?layer={encoding}",
         )
-    else:
-        run_line(maplibre, lines_of_page(own_page)["MapLibre, in three dimensions"])
-    points = [(lon + east, lat + south) for east in np.linspace(-0.008, 0.008, 5) for south in np.linspace(-0.006, 0.006, 5)]
-    on_map = heights_of_map(maplibre, points)
-    asked = {"points": [{"lon": lon, "lat": lat} for lon, lat in points]}
-    answer = service.post(f"/levels/{LEVEL}/points", json=asked)
-    assert answer.status_code == 200, answer.text
-    print(answer.text[:600])
-    elevations = np.array([point["elevation_m"] for point in answer.json()["points"]])
-    print(on_map, elevations)
-    assert np.ptp(elevations) > 50
-    assert np.abs(on_map - elevations).max() < 0.5
+    points = pixel_centers()
+    on_map = maplibre.run(
+        "async ({points}) => { await idle(); return points.map(point => map.queryTerrainElevation(point)); }", points=points
+    )
+    assert None not in on_map and np.ptp(on_map) > 50
+    between, triangles_m = between_nodes(service, points)
+    told_m = TOLD_TO_M / 2 + step_m / 2
+    assert np.abs(on_map - between).max() < 1.01 * told_m
+    assert (np.abs(on_map - heights_of_api(service, points)) < TOLD_TO_M / 2 + 1.01 * told_m + triangles_m).all()

@@ -13,13 +13,13 @@ from tests.browser.map_clients import LEVEL, TIMES, WINDOW_PX, Corner, MapClient
 CORNERS = [Corner("WebMercatorQuad", 12), Corner("WGS1984Quad", 11)]
 """In metres, and in degrees, of which the latitude comes first."""
 
-SHOW = """
+SHOW = """() => {
   window.drawn = map => new Promise(resolve => { map.once('rendercomplete', resolve); map.render(); });
   window.show = (layer, {projection, center, resolution}) => {
     window.map = new ol.Map({target: 'map', controls: [], layers: [layer], view: new ol.View({projection, center, resolution})});
     return drawn(map);
   };
-"""
+}"""
 
 
 @pytest.fixture(params=CORNERS, ids=lambda corner: corner.projection)

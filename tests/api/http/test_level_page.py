@@ -21,7 +21,7 @@ X, Y = CORNER
 
 
 class Links(HTMLParser):
-    """Addresses that a page names, and that every element is closed."""
+    """Addresses that a page names, apart from data that it carries itself, and that every element is closed."""
 
     VOID = ("meta", "link", "img")
 
@@ -32,7 +32,7 @@ class Links(HTMLParser):
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found += [value for name, value in attrs if name in ("href", "src") and value]
+        self.found += [value for name, value in attrs if name in ("href", "src") and value and not value.startswith("data:")]
         if tag not in self.VOID:
             self.open.append(tag)
 
