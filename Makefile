@@ -8,9 +8,10 @@ SYSTEM    := $(VENV)/.system-libraries
 VIEWER    := api/static/index.html
 
 MODULES        := viewer/node_modules/.package-lock.json
+MAP_CLIENTS    := tests/browser/clients/node_modules/.package-lock.json
 VIEWER_SOURCES := $(wildcard viewer/*.html viewer/*.js viewer/src/*)
 # Node comes from the wheel in the virtual environment, also where another one is installed: the same build everywhere.
-NPM := cd viewer && PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-fund --no-update-notifier
+NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-fund --no-update-notifier
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -21,7 +22,7 @@ help:
 	@echo "make run           set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
-	@echo "make test-browser  the viewer in Chromium, which is installed where it is missing"
+	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff and mypy"
@@ -43,8 +44,8 @@ test: setup $(if $(CI),viewer,viewer-if-possible)
 test-long: setup
 	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "long and not browser" $(ARGS)
 
-# Without the viewer there is nothing to test: here it has to build.
-test-browser: setup viewer chromium
+# Without the viewer and the map clients there is nothing to test: here they have to be had.
+test-browser: setup viewer $(MAP_CLIENTS) chromium
 	$(PYTEST) -m browser $(or $(ARGS),tests/browser)
 
 # One process: what is measured is the service's time, not that of other tests.
@@ -72,7 +73,7 @@ viewer-if-possible: $(INSTALLED)
 	    echo "skugga: the viewer was not built ('make viewer' says why); all else works without it" >&2
 
 clean:
-	rm -rf $(VENV) api/static viewer/node_modules build dist *.egg-info
+	rm -rf $(VENV) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
 
 $(INSTALLED): pyproject.toml
 	@scripts/make-venv.sh $(VENV)
@@ -90,11 +91,11 @@ chromium:
 	@test -x /usr/bin/chromium || scripts/install-system-packages.sh "the tests of the viewer need Chromium" chromium
 
 # One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
-$(MODULES): viewer/package.json viewer/package-lock.json | $(INSTALLED)
-	@echo "skugga: building the viewer"
-	@$(NPM) ci --prefer-offline --fetch-retries=1 --fetch-retry-mintimeout=1000 --fetch-retry-maxtimeout=3000
+$(MODULES) $(MAP_CLIENTS): %/node_modules/.package-lock.json: %/package.json %/package-lock.json | $(INSTALLED)
+	@echo "skugga: installing what $* needs"
+	@cd $* && $(NPM) ci --prefer-offline --fetch-retries=1 --fetch-retry-mintimeout=1000 --fetch-retry-maxtimeout=3000
 	@touch $@
 
 $(VIEWER): $(MODULES) $(VIEWER_SOURCES)
-	@$(NPM) run --silent build -- --logLevel warn
+	@cd viewer && $(NPM) run --silent build -- --logLevel warn
 	@touch $@
