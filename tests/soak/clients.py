@@ -43,11 +43,13 @@ class Connection:
 
     def __init__(self, port: int) -> None:
         self._port = port
+        self.body = b""
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def get(self, path: str, answers: Answers, headers: str = "") -> dict[str, str]:
-        """Ask once; what goes wrong counts as status 0."""
+        """Ask once, and keep the answer's ``body``; what goes wrong counts as status 0."""
         began = time.perf_counter()
+        self.body = b""
         found: dict[str, str] = {}
         request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
@@ -62,7 +64,7 @@ class Connection:
                 name, _, value = line.partition(":")
                 found[name.lower()] = value.strip()
             if status != 304:
-                await reader.readexactly(int(found.get("content-length", 0)))
+                self.body = await reader.readexactly(int(found.get("content-length", 0)))
         except (OSError, EOFError, IndexError, ValueError, asyncio.IncompleteReadError):
             status = 0
             self.close()

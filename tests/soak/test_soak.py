@@ -7,6 +7,7 @@ done is refused with a time to come back, and the service is whole afterwards.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import itertools
 import json
 import os
@@ -32,6 +33,12 @@ pytestmark = pytest.mark.soak
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = float(os.environ.get("SOAK_SECONDS", "20"))
+TILES = int(os.environ.get("SOAK_TILES", "2000"))
+"""How many tiles the long walk asks for; its figures are told for 100,000."""
+
+KILLS, CLIENTS, WALK = 12, 4, 16
+"""Render processes killed on the way; who asks at a time, and for how many neighbours under one sun before looking elsewhere."""
+
 SETTLED_S = 15.0
 """How long an overload lasts before it is measured: a burst is let in, and has to be worked off first."""
 
@@ -70,6 +77,12 @@ def _ready(port: int) -> bool:
 def _workers(port: int) -> int:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=5) as answer:
         return int(json.load(answer)["workers"])
+
+
+def resident_mib(pid: int) -> float:
+    """Memory that a process takes now."""
+    pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
+    return int(pages) * resource.getpagesize() / 2**20
 
 
 def new_suns() -> Iterator[str]:
@@ -152,6 +165,66 @@ def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.
     assert set(tiles.statuses) <= KNOWN and tiles.count(200) > 0
     assert set(health.statuses) == {200}
     assert not left, "processes outlived a service that was killed"
+
+
+def test_many_tiles_under_the_suns_of_a_day(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """Clients that look around under 24 suns while render processes are killed: a tile is the same to the byte whenever it is asked
+    for and whoever draws it, nothing fails, and memory does not grow.
+    """
+    chosen, known, answers = random.Random(11), {}, Answers()
+    suns = [(60.0 + 10.0 * hour, 4.0 + 2.0 * min(hour, 23 - hour)) for hour in range(24)]
+    with service(tmp_path, SKUGGA_RECYCLE_BLOCKS="300") as (port, process, _):
+        left = itertools.count()
+
+        async def look_around() -> None:
+            connection = Connection(port)
+            while next(left) * WALK < TILES:
+                zoom, sun = chosen.choice((ZOOM - 1, ZOOM, ZOOM, ZOOM + 1, ZOOM + 1, ZOOM + 1)), chosen.choice(suns)
+                scale = 2.0 ** (zoom - ZOOM)
+                x0, y0 = (int((corner + chosen.uniform(-2.0, 2.0)) * scale) for corner in CORNER)
+                for n in range(WALK):
+                    x, y = x0 + n % 4, y0 + n // 4
+                    path = f"/levels/hills/tiles/WebMercatorQuad/{zoom}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
+                    for _ in range(20):  # a refusal says when to come back
+                        found = await connection.get(path, answers)
+                        if answers.statuses[-1] not in (503, 504):
+                            break
+                        await asyncio.sleep(float(found.get("retry-after", "1")))
+                    if connection.body and answers.statuses[-1] == 200:
+                        digest = hashlib.blake2b(connection.body, digest_size=16).digest()
+                        assert known.setdefault(path, digest) == digest, f"another picture of {path}"
+            connection.close()
+
+        async def harm() -> list[tuple[float, float]]:
+            """The memory of the service, and of its largest render process, each time before one is killed."""
+            memory = []
+            for number in range(1, KILLS + 1):
+                while len(answers.statuses) < number * TILES / (KILLS + 1):
+                    await asyncio.sleep(0.2)
+                workers = await asyncio.to_thread(_render_processes, process.pid)
+                memory.append((resident_mib(process.pid), max(map(resident_mib, workers), default=0.0)))
+                if workers:
+                    os.kill(chosen.choice(workers), signal.SIGKILL)
+            return memory
+
+        async def both() -> list[tuple[float, float]]:
+            *_, memory = await asyncio.gather(*(look_around() for _ in range(CLIENTS)), harm())
+            return memory
+
+        began = time.monotonic()
+        memory = asyncio.run(both())
+        seconds = time.monotonic() - began
+    service_mib, worker_mib = zip(*memory, strict=True)
+    with capsys.disabled():
+        print(
+            f"\n{answers.count(200)} tiles in {seconds:.0f} s, {len(known)} different ones, {KILLS} kills; " + answers.line("tiles")
+        )
+        print(f"service: {service_mib[0]:.0f} to {service_mib[-1]:.0f} MiB; largest render process: {max(worker_mib):.0f} MiB")
+    assert set(answers.statuses) <= {200, 503}, "nothing fails"
+    assert answers.count(200) >= TILES - CLIENTS * WALK
+    kept_mib = (64 + 256) * 1.3  # what the caches may fill on the way, with what stands around them
+    assert service_mib[-1] < service_mib[0] + kept_mib
+    assert max(worker_mib[KILLS // 2 :]) < 1.3 * max(worker_mib[: KILLS // 2]), "a render process does not grow"
 
 
 def _render_processes(service_pid: int) -> list[int]:
