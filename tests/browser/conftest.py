@@ -26,7 +26,7 @@ from api.http.app import create_app
 from api.http.routes_viewer import STATIC_FOLDER
 from api.settings import Settings
 from tests.api.conftest import Client, running
-from tests.browser.map_clients import CLIENTS, LIBRARIES, WINDOW_PX, MapClient, served_folder
+from tests.browser.map_clients import CLIENTS, LEVEL, LIBRARIES, WINDOW_PX, MapClient, served_folder
 from tests.browser.watched_page import WatchedPage
 from tests.golden import OUTPUT
 
@@ -36,7 +36,6 @@ CHROMIUM = Path("/usr/bin/chromium")
 IN_SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 """Root may have no sandbox; the map is drawn by the same rasteriser on every machine."""
 
-LEVEL = "jacksboro"
 WINDOW = ViewportSize(width=1280, height=800)
 
 READY_S, DRAWN_S = 180, 90
