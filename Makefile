@@ -15,7 +15,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser test-soak hunt check notebook viewer viewer-if-possible chromium clean
+.PHONY: help setup run test test-long test-browser test-clients test-soak hunt check notebook viewer viewer-if-possible chromium qgis clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
 	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
+	@echo "make test-clients  QGIS and GDAL's tools read a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff and mypy"
@@ -38,7 +39,7 @@ run: setup viewer-if-possible
 # Two processes (OpenGL has one thread in each), whole files to each: fixtures of a file are made once.
 # On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
 test: setup $(if $(CI),viewer,viewer-if-possible)
-	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser and not soak" $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser and not clients and not soak" $(ARGS)
 
 # The same two processes; files in the order of their names, but for the mutants, which go last.
 test-long: setup
@@ -47,6 +48,10 @@ test-long: setup
 # Without the viewer and the map clients there is nothing to test: here they have to be had.
 test-browser: setup viewer $(MAP_CLIENTS) chromium
 	$(PYTEST) -m browser $(or $(ARGS),tests/browser)
+
+# One process: one service for all clients. -s, to read which versions there were.
+test-clients: setup qgis
+	$(PYTEST) -s -m clients $(or $(ARGS),tests/clients)
 
 # One process: what is measured is the service's time, not that of other tests.
 test-soak: setup
@@ -89,6 +94,10 @@ $(SYSTEM): $(INSTALLED) scripts/check_system.py
 
 chromium:
 	@test -x /usr/bin/chromium || scripts/install-system-packages.sh "the tests of the viewer need Chromium" chromium
+
+qgis:
+	@/usr/bin/python3 -c "import qgis.core" 2>/dev/null && command -v gdal_translate >/dev/null || \
+	    scripts/install-system-packages.sh "the tests of map clients need QGIS and GDAL's tools" python3-qgis qgis-providers gdal-bin
 
 # One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
 $(MODULES) $(MAP_CLIENTS): %/node_modules/.package-lock.json: %/package.json %/package-lock.json | $(INSTALLED)

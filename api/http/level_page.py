@@ -8,8 +8,8 @@ from urllib.parse import quote
 
 from api.http.ogc_requests import layer_name
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.wms_capabilities import WMS_LAYERS
-from api.layers import LAYERS
+from api.http.wmts_capabilities import hangs_on_time
+from api.layers import LAYERS, MAP_LAYERS
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -120,7 +120,7 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
         zooms = level.zooms[DEFAULT_MATRIX_SET]
         yield "Zooms", f"{zooms.first} to {zooms.last} of {DEFAULT_MATRIX_SET}"
         yield "Tile matrix sets", escape(", ".join(level.zooms))
-        yield "Layers", "; ".join(_layer_link(name, layer) for layer in WMS_LAYERS if layer in LAYERS)
+        yield "Layers", "; ".join(_layer_link(name, layer) for layer in MAP_LAYERS if hangs_on_time(layer))
     views = [view for view, size in level.view_sizes.items() if size is not None]
     yield "Views", ", ".join(f'<a href="{name}/snapshot.png?view={quote(view)}">{escape(view)}</a>' for view in views)
     if not level.world.flat:

@@ -10,6 +10,7 @@ from api.http.moments import CURRENT, OWN_TIME
 from api.http.served_levels import ServedLevel
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.errors import InputError
+from terrain.level.level import parse_sun
 
 OFFERED_STEP = timedelta(minutes=10)
 """Between the times that clients are told of. Any other time is served as well; ``current`` is, but advertised
@@ -55,25 +56,35 @@ def date_asked(text: str | None, default: date) -> date:
 
 @dataclass(frozen=True)
 class TimeDimension:
-    """What clients are told of a layer's times: the default, and others as instants, dates or ``begin/end/period``."""
+    """What clients are told of a layer's times: the default, and all of them as one ``begin/end/period``."""
 
     default: str
-    values: tuple[str, ...]
+    span: str
 
 
-def time_dimension(level: ServedLevel, layer: str, year: int) -> TimeDimension:
+def time_dimension(level: ServedLevel, layer: str, year: int, asked: str | None = None) -> TimeDimension:
     """The times of a layer that changes with the sun.
 
     The default is the level's own time, or, where its sun has angles alone, ``default``; of hours of sun it is the date of that, or
-    the equinox. The others are those of its year, or of ``year``: the sun of any other is the same to a fraction of a degree.
+    the equinox. The others are those of its year, or of ``year``: the sun of any other is the same to a fraction of a degree. They
+    are counted so that the level's own time is among them: a time listed beside them QGIS takes for their begin. With ``asked``,
+    that is the default. Raises ``InputError``.
     """
     own, day = own_time(level), default_date(level, year)
     if layer == SUN_HOURS_LAYER:
-        return TimeDimension(day.isoformat(), (f"{day.year}-01-01/{day.year}-12-31/P1D",))
-    last = datetime(day.year, 12, 31, 23, 59, tzinfo=UTC)
-    span = f"{_written(datetime(day.year, 1, 1, tzinfo=UTC))}/{_written(_floored(last))}/PT{OFFERED_STEP.seconds // 60}M"
+        default = date_asked(None if asked == CURRENT else asked, day).isoformat()
+        return TimeDimension(default, f"{day.year}-01-01/{day.year}-12-31/P1D")
+    first = datetime(day.year, 1, 1, tzinfo=UTC) + _past_step(own)
+    last = datetime(day.year + 1, 1, 1, tzinfo=UTC) + _past_step(own) - OFFERED_STEP
+    span = f"{_written(first)}/{_written(last)}/PT{OFFERED_STEP.seconds // 60}M"
     default = OWN_TIME if own is None else _written(own.astimezone(UTC))
-    return TimeDimension(default, (default, span))
+    return TimeDimension(_default_asked(asked, level.world.anchor_lon_deg) or default, span)
+
+
+def _default_asked(text: str | None, lon_deg: float) -> str | None:
+    instant = instant_asked(text, lon_deg)
+    sun = None if instant == CURRENT else parse_sun(instant, None, None)
+    return instant if sun is None or sun.time is None else _written(sun.time.astimezone(UTC))
 
 
 def own_time(level: ServedLevel) -> datetime | None:
@@ -88,8 +99,9 @@ def default_date(level: ServedLevel, year: int) -> date:
     return date(year, *EQUINOX) if own is None else own.date()
 
 
-def _floored(moment: datetime) -> datetime:
-    return moment - timedelta(seconds=moment.timestamp() % OFFERED_STEP.total_seconds())
+def _past_step(own: datetime | None) -> timedelta:
+    """How long a time is past a whole multiple of the step, in whole seconds."""
+    return timedelta(seconds=0 if own is None else int(own.timestamp()) % OFFERED_STEP.seconds)
 
 
 def _written(moment: datetime) -> str:

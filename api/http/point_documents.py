@@ -1,7 +1,8 @@
-"""A point's report as text and as a page: what map clients show where somebody clicked."""
+"""A point's report as text, a page and a feature: what map clients show where somebody clicked."""
 
 from __future__ import annotations
 
+import json
 from datetime import datetime
 from html import escape
 from typing import Any
@@ -41,6 +42,16 @@ def report_page(rows: Rows) -> str:
     table = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
     head = '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head>'
     return f"{head}<body><table>{table}</table></body></html>\n"
+
+
+def report_features(place: tuple[float, float] | None, report: dict[str, Any]) -> str:
+    """A report as the one feature of a GeoJSON collection, at a place (longitude, latitude), if there is one. ``crs`` is for QGIS,
+    which takes the layer's without it.
+    """
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
+    geometry = None if place is None else {"type": "Point", "coordinates": place}
+    feature = {"type": "Feature", "geometry": geometry, "properties": report}
+    return json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]})
 
 
 def _caster(caster: dict[str, Any]) -> str:

@@ -35,6 +35,7 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
             f"skugga_{level.name}_{layer}",
             layer_title(level, layer),
             _wmts(level, layer, base_url, year),
+            _crs_of(qgis_matrix_set(level)),
             number == 0,
         )
     if DEFAULT_MATRIX_SET in level.zooms:
@@ -44,6 +45,7 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
             f"skugga_{level.name}_{HEIGHTS_TITLE}",
             layer_title(level, HEIGHTS_TITLE),
             _heights(level, base_url),
+            _crs_of(DEFAULT_MATRIX_SET),
             False,
         )
     indent(root)
@@ -55,15 +57,16 @@ def qgis_matrix_set(level: ServedLevel) -> str:
     return DEFAULT_MATRIX_SET if DEFAULT_MATRIX_SET in level.zooms else next(iter(level.zooms))
 
 
-def _crs_of(level: ServedLevel) -> str:
-    return ":".join(crs_of_tiles(matrix_set_of(qgis_matrix_set(level))).to_authority() or ("EPSG", "3857"))
+def _crs_of(matrix_set: str) -> str:
+    return ":".join(crs_of_tiles(matrix_set_of(matrix_set)).to_authority() or ("EPSG", "3857"))
 
 
 def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
     """A data source of QGIS's provider ``wms``."""
     return urlencode(
         {
-            "crs": _crs_of(level), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer), "styles": WMTS_STYLE,
+            "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
+            "styles": WMTS_STYLE,
             "tileDimensions": f"{TIME}={time_dimension(level, layer, year).default}", "tileMatrixSet": qgis_matrix_set(level),
             "url": f"{base_url}/levels/{quote(level.name)}/WMTSCapabilities.xml",
         },
@@ -78,7 +81,7 @@ def _heights(level: ServedLevel, base_url: str) -> str:
     return urlencode(options, safe=":/{}")
 
 
-def _add(group: Element, layers: Element, layer_id: str, title: str, source: str, shown: bool) -> None:
+def _add(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, shown: bool) -> None:
     add(
         group, "layer-tree-layer", id=layer_id, name=title, source=source, providerKey="wms",
         checked="Qt::Checked" if shown else "Qt::Unchecked", expanded="1",
@@ -86,3 +89,4 @@ def _add(group: Element, layers: Element, layer_id: str, title: str, source: str
     layer = add(layers, "maplayer", type="raster")
     for tag, text in (("id", layer_id), ("datasource", source), ("layername", title), ("provider", "wms")):
         add(layer, tag, text)
+    add(add(add(layer, "srs"), "spatialrefsys"), "authid", crs)  # QGIS takes it from here, and not from the source

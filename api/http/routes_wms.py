@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from pyproj import CRS
@@ -24,7 +25,7 @@ from api.http.ogc_requests import (
     this_year,
 )
 from api.http.ogc_xml import wms_exception
-from api.http.point_documents import Rows, report_page, report_rows, report_text
+from api.http.point_documents import Rows, report_features, report_page, report_rows, report_text
 from api.http.routes_levels import legend_answer
 from api.http.routes_point import run_point
 from api.http.served_levels import ServedLevel
@@ -164,7 +165,7 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
     day = sun_hours_asked(level, asked.get("TIME")).date if sun_hours else None
     sun = None if sun_hours else sun_at_time(request, level, asked)
     if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
-        return _reported([("Remark", "there is no place on earth there")], media_type, {"Cache-Control": "no-store"})
+        return _remark("there is no place on earth there", None, media_type, {"Cache-Control": "no-store"})
     job = PointJob(level=level.key, query=PointQuery(lon=lon, lat=lat, date=day), request=PictureRequest(sun=sun))
     tag = tag_of(level.version, level.name, "info", job.model_dump(exclude={"level"}, exclude_none=True), media_type)
     headers = cache_headers(tag, fresh_for(request, OWN_SUN_S if sun is None and day is None else GIVEN_SUN_S)) | time_headers(
@@ -177,15 +178,24 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
     except InputError as error:
         if error.name != "point":
             raise
-        return _reported([("Remark", f"no ground here: {error.allowed}")], media_type, headers)
+        return _remark(f"no ground here: {error.allowed}", (lon, lat), media_type, headers)
+    report = json.loads(body)
     if media_type == "application/json":
-        return Response(body, headers=headers, media_type=media_type)
-    return _reported(report_rows(json.loads(body)), media_type, headers)
+        return _features((report["lon"], report["lat"]), report, headers)
+    return _in_words(report_rows(report), media_type, headers)
 
 
-def _reported(rows: Rows, media_type: str, headers: dict[str, str]) -> Response:
+def _remark(remark: str, place: tuple[float, float] | None, media_type: str, headers: dict[str, str]) -> Response:
     if media_type == "application/json":
-        return Response(json.dumps({name.lower(): value for name, value in rows}), headers=headers, media_type=media_type)
+        return _features(place, {"remark": remark}, headers)
+    return _in_words([("Remark", remark)], media_type, headers)
+
+
+def _features(place: tuple[float, float] | None, report: dict[str, Any], headers: dict[str, str]) -> Response:
+    return Response(report_features(place, report), headers=headers, media_type="application/json")
+
+
+def _in_words(rows: Rows, media_type: str, headers: dict[str, str]) -> Response:
     return Response(report_page(rows) if media_type == "text/html" else report_text(rows), headers=headers, media_type=media_type)
 
 

@@ -34,7 +34,7 @@ async def wmts_of_all(request: Request, service: TheService) -> Response:
 
 @router.get("/levels/{level}/WMTSCapabilities.xml", summary="WMTS: what is served of a level")
 async def wmts_of_level(request: Request, service: TheService, level: str) -> Response:
-    """The capabilities of one level."""
+    """The capabilities of one level. With `time` that is the default of all layers, for clients that cannot ask for another one."""
     return await _capabilities(request, service, level)
 
 
@@ -90,7 +90,7 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
         base = base_url(request, service.settings.public_url)
         of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
         address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"
-        body = await run_in_threadpool(wmts_capabilities, on_earth, base, address, this_year())
+        body = await run_in_threadpool(wmts_capabilities, on_earth, base, address, this_year(), KeyValues(request).get("TIME"))
         return document_answer(request, body, "text/xml")
     except SkuggaError as error:
         return exception_answer(request, error, CODES, ows_exception)

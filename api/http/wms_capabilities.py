@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from urllib.parse import quote
 from xml.etree.ElementTree import Element
 
 from pyproj import CRS
@@ -12,20 +11,21 @@ from pyproj import CRS
 from api.color_scale import LEGEND_SIZE_PX
 from api.http.map_extents import bounds_in, crs_of_code, north_first
 from api.http.moments import OWN_TIME
-from api.http.ogc_requests import gis_formats, layer_name, layer_title, sun_hours_asked
+from api.http.ogc_requests import gis_formats, layer_name, layer_title
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
 from api.http.parameters import TILE_LAYERS
 from api.http.served_levels import ServedLevel
-from api.http.wmts_capabilities import layer_abstract
-from api.layers import LAYERS, MAP_MEDIA_TYPES
+from api.http.wmts_capabilities import hangs_on_time, layer_abstract, legend_url
+from api.layers import MAP_MEDIA_TYPES
 from api.sun_hours_layer import SUN_HOURS_LAYER
+from api.workers.block_tiles import map_formats_of
 from terrain.errors import InputError
 
 WMS_VERSION = "1.3.0"
 
-WMS_LAYERS = tuple(name for name in TILE_LAYERS if name == SUN_HOURS_LAYER or LAYERS[name].encoding is None)
-"""Layers of maps that are looked at or measured; heights in colours are for tiles."""
+WMS_LAYERS = tuple(name for name in TILE_LAYERS if hangs_on_time(name) and "png" in map_formats_of(name))
+"""Layers of maps that are looked at. Heights in colours are for tiles; data of floating point map clients cannot show."""
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
 INFO_MEDIA = ("application/json", "text/html", "text/plain")
@@ -34,10 +34,7 @@ LEGEND_MEDIA = ("image/png", "image/svg+xml")
 COMMON_CRS = ("EPSG:3857", "EPSG:4326", "CRS:84")
 """What every level has maps in; any other that PROJ knows by its code is understood as well."""
 
-SCHEMA_WMS = (
-    "http://www.opengis.net/wms http://schemas.opengis.net/wms/1.3.0/capabilities_1_3_0.xsd "
-    "http://www.opengis.net/sld http://schemas.opengis.net/sld/1.1.0/sld_capabilities.xsd"
-)
+SCHEMA_WMS = "http://www.opengis.net/wms http://schemas.opengis.net/wms/1.3.0/capabilities_1_3_0.xsd"
 
 
 def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str, max_pixels: int, year: int) -> bytes:
@@ -47,8 +44,8 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
     root = Element(
         "WMS_Capabilities",
         {
-            "xmlns": "http://www.opengis.net/wms", "xmlns:sld": "http://www.opengis.net/sld", "xmlns:xlink": XLINK,
-            "xmlns:xsi": XSI, "xsi:schemaLocation": SCHEMA_WMS, "version": WMS_VERSION,
+            "xmlns": "http://www.opengis.net/wms", "xmlns:xlink": XLINK, "xmlns:xsi": XSI, "xsi:schemaLocation": SCHEMA_WMS,
+            "version": WMS_VERSION,
         },
     )  # fmt: skip
     service = add(root, "Service")
@@ -59,10 +56,10 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
     for tag, value in (("Fees", "none"), ("AccessConstraints", "none"), ("LayerLimit", 1), ("MaxWidth", side), ("MaxHeight", side)):
         add(service, tag, value)
     capability = add(root, "Capability")
+    # GetLegendGraphic is not told of: QGIS would ask it for every layer. A layer that has a legend says where.
     request = add(capability, "Request")
     for name, media in (
         ("GetCapabilities", ("text/xml",)), ("GetMap", MAP_MEDIA), ("GetFeatureInfo", INFO_MEDIA),
-        ("sld:GetLegendGraphic", LEGEND_MEDIA),
     ):  # fmt: skip
         operation = add(request, name)
         for media_type in media:
@@ -108,8 +105,7 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
             _bounding_box(element, level, code, crs)
         times = time_dimension(level, layer, year)
         default = {} if times.default == OWN_TIME else {"default": times.default}
-        values = ",".join(value for value in times.values if value != OWN_TIME)
-        add(element, "Dimension", values, name="time", units="ISO8601", **default)
+        add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
         if level.loaded.level.attribution:
             add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
         style = add(element, "Style")
@@ -118,8 +114,7 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
         if layer == SUN_HOURS_LAYER:
             legend = add(style, "LegendURL", width=str(LEGEND_SIZE_PX[0]), height=str(LEGEND_SIZE_PX[1]))
             add(legend, "Format", "image/png")
-            query = f"layer={layer}&{sun_hours_asked(level, None).query()}"
-            _online(legend, f"{base_url}/levels/{quote(level.name)}/legend.png?{query}")
+            _online(legend, legend_url(level, layer, address, year))
 
 
 def _bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:

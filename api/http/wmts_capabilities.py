@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 from xml.etree.ElementTree import Element
 
 from morecantile import TileMatrixSet
 from pyproj import CRS
 
 from api.http.matrices import matrix_set_of, tile_limits
-from api.http.ogc_requests import gis_formats, layer_name, layer_title, sun_hours_asked
+from api.http.ogc_requests import gis_formats, layer_name, layer_title
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
 from api.http.parameters import TILE_LAYERS
@@ -29,8 +29,10 @@ TIME = "Time"
 SCHEMA_WMTS = "http://www.opengis.net/wmts/1.0 http://schemas.opengis.net/wmts/1.0/wmtsGetCapabilities_response.xsd"
 
 
-def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url: str, year: int) -> bytes:
-    """The document of levels that lie on earth, under a base URL; a ``year`` is that of the times of levels that have none."""
+def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url: str, year: int, time: str | None = None) -> bytes:
+    """The document of levels that lie on earth, under a base URL; a ``year`` is that of the times of levels that have none. With a
+    ``time``, that is the default of all layers. Raises ``InputError``.
+    """
     root = Element(
         "Capabilities",
         {
@@ -48,9 +50,9 @@ def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url
     contents = add(root, "Contents")
     for level in levels:
         for layer in TILE_LAYERS:
-            _layer(contents, level, layer, base_url, year)
+            _layer(contents, level, layer, base_url, year, time)
     for name in dict.fromkeys(name for level in levels for name in level.zooms):
-        _matrix_set(contents, matrix_set_of(name))
+        _matrix_set(contents, matrix_set_of(name), max(level.zooms[name].last for level in levels if name in level.zooms))
     add(root, "ServiceMetadataURL", xlink_href=document_url)
     return document(root)
 
@@ -64,7 +66,7 @@ def _operations(root: Element, base_url: str, document_url: str) -> None:
             add(add(constraint, "ows:AllowedValues"), "ows:Value", encoding)
 
 
-def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int) -> None:
+def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int, time: str | None) -> None:
     assert level.bounds is not None
     west, south, east, north = lon_lat_box(level.bounds)
     element = add(contents, "Layer")
@@ -78,18 +80,17 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
     style = add(element, "Style", isDefault="true")
     add(style, "ows:Identifier", WMTS_STYLE)
     if layer == SUN_HOURS_LAYER:
-        query = f"layer={layer}&{sun_hours_asked(level, None).query()}"
-        add(style, "LegendURL", format="image/png", xlink_href=f"{address}/legend.png?{query}")
+        add(style, "LegendURL", format="image/png", xlink_href=legend_url(level, layer, f"{base_url}/wms", year))
     for format in gis_formats(layer):
         add(element, "Format", MAP_MEDIA_TYPES[format])
     timed = hangs_on_time(layer)
     if timed:
-        times = time_dimension(level, layer, year)
+        times = time_dimension(level, layer, year, time)
         dimension = add(element, "Dimension")
         add(dimension, "ows:Identifier", TIME)
         add(dimension, "ows:UOM", "ISO8601")
         add(dimension, "Default", times.default)
-        for value in times.values:
+        for value in (times.default, times.span):
             add(dimension, "Value", value)
     _links(element, level)
     query = "&".join(_query_of(layer))
@@ -99,6 +100,15 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
             element, "ResourceURL", format=MAP_MEDIA_TYPES[format], resourceType="tile",
             template=f"{template}?{query}" if query else template,
         )  # fmt: skip
+
+
+def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
+    """Where the legend of a layer is, at its default time: by WMS, since QGIS adds WMS's own keys to any address of a legend."""
+    asked = {
+        "SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png",
+        "LAYER": layer_name(level, layer), "TIME": time_dimension(level, layer, year).default,
+    }  # fmt: skip
+    return f"{wms_url}?{urlencode(asked, safe='/:')}"
 
 
 def layer_abstract(layer: str) -> str:
@@ -134,14 +144,16 @@ def _links(element: Element, level: ServedLevel) -> None:
                 add(one, tag, value)
 
 
-def _matrix_set(contents: Element, matrix_set: TileMatrixSet) -> None:
+def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
+    """A set down to the last zoom that is served: GDAL and QGIS take the finest one for the data's own, whatever the limits say."""
     element = add(contents, "TileMatrixSet")
     add(element, "ows:Identifier", matrix_set.id)
     add(element, "ows:SupportedCRS", crs_urn(crs_of_tiles(matrix_set)))
     if matrix_set.wellKnownScaleSet is not None:
         well_known = str(matrix_set.wellKnownScaleSet).rpartition("/")[2]
         add(element, "WellKnownScaleSet", f"urn:ogc:def:wkss:OGC:1.0:{well_known}")
-    for matrix in matrix_set.tileMatrices:
+    for zoom in range(matrix_set.minzoom, last_zoom + 1):
+        matrix = matrix_set.matrix(zoom)
         one = add(element, "TileMatrix")
         add(one, "ows:Identifier", matrix.id)
         add(one, "ScaleDenominator", written((matrix.scaleDenominator,)))

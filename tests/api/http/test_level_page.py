@@ -106,6 +106,7 @@ def test_layers_for_qgis(client: Client):
         "The timed: color"
     ]
     color, heights = parse_qs(sources["The timed: color"]), parse_qs(sources["The timed: heights"])
+    assert {each.findtext("srs/spatialrefsys/authid") for each in root.iterfind("maplayers/maplayer")} == {"EPSG:3857"}
     assert color["layers"] == ["timed:color"] and color["tileDimensions"] == ["Time=2024-06-21T16:00:00Z"]
     assert color["tileMatrixSet"] == ["WebMercatorQuad"] and color["crs"] == ["EPSG:3857"]
     assert client.get(color["url"][0]).status_code == 200

@@ -10,16 +10,18 @@ from xml.etree import ElementTree
 import httpx
 import numpy as np
 import pytest
-import rasterio
 from morecantile import tms
 from owslib.wmts import WebMapTileService
 from PIL import Image
 from pyproj import CRS
 
-from api.http.ogc_times import date_asked, instant_asked
+from api.http.app import create_app
+from api.http.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
 from api.http.ogc_xml import lon_lat_box
+from api.settings import Settings
 from terrain.errors import InputError
-from tests.api.conftest import CORNER, ZOOM, Client
+from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
+from tests.api.workers import fake_workers
 
 X, Y = CORNER
 ADDRESS = "/wmts/1.0.0/WMTSCapabilities.xml"
@@ -104,6 +106,15 @@ def test_matrix_sets_are_those_of_the_level_in_the_order_of_their_axes(client: C
     assert described["WGS1984Quad"].findtext("w:TileMatrix/w:TopLeftCorner", "", NAMES) == "90.0 -180.0"
 
 
+def test_matrix_sets_end_where_the_levels_do(client: Client, root: ElementTree.Element):
+    """GDAL opens a layer at the finest matrix, and QGIS asks it of tiles, whatever the limits say."""
+    last = {name: zooms["maxzoom"] for name, zooms in client.get("/levels/hills").json()["tile_matrix_sets"].items()}
+    for element in root.iterfind("w:Contents/w:TileMatrixSet", NAMES):
+        matrices = [each.text for each in element.iterfind("w:TileMatrix/o:Identifier", NAMES)]
+        name = element.findtext("o:Identifier", "", NAMES)
+        assert matrices == [str(zoom) for zoom in range(tms.get(name).minzoom, last[name] + 1)], name
+
+
 def test_limits_hold_the_tiles_that_have_data(client: Client, root: ElementTree.Element):
     """In every set, one twice as wide as high among them: those of the corners, by morecantile."""
     said = client.get("/levels/hills").json()
@@ -140,12 +151,34 @@ def test_times(root: ElementTree.Element):
     values = [each.text for each in own.iterfind("w:Value", NAMES)]
     assert values == ["2024-06-21T16:00:00Z", "2024-01-01T00:00:00Z/2024-12-31T23:50:00Z/PT10M"]
     assert angles.findtext("w:Default", "", NAMES) == "default"
-    assert (
-        hours.findtext("w:Default", "", NAMES) == "2024-06-21"
-        and hours.findtext("w:Value", "", NAMES) == "2024-01-01/2024-12-31/P1D"
-    )
+    assert hours.findtext("w:Default", "", NAMES) == "2024-06-21"
+    assert [each.text for each in hours.iterfind("w:Value", NAMES)] == ["2024-06-21", "2024-01-01/2024-12-31/P1D"]
     assert layer_of(root, "hills:terrain-rgb").find("w:Dimension", NAMES) is None
     assert b"current" not in ElementTree.tostring(root)
+
+
+def test_the_own_time_is_one_of_those_told(tmp_path):
+    """At 18:07:30 +02:00, too, which is no multiple of the step."""
+    level = write_level(tmp_path, "odd", sun={"time": "2024-06-21T18:07:30+02:00"})
+    with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
+        served = client.service.levels.get("odd")
+    assert time_dimension(served, "color", 2020) == TimeDimension(
+        "2024-06-21T16:07:30Z", "2024-01-01T00:07:30Z/2024-12-31T23:57:30Z/PT10M"
+    )
+
+
+def test_another_default_time(client: Client):
+    """GDAL knows no times but the document's own."""
+
+    def defaults(time: str) -> list[str]:
+        document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml", params={"time": time}).content)
+        names = ("timed:color", "timed:sunhours")
+        return [layer_of(document, name).findtext("w:Dimension/w:Default", "", NAMES) for name in names]
+
+    assert defaults("2024-12-21T10:00:00+02:00") == ["2024-12-21T08:00:00Z", "2024-12-21"]
+    assert defaults("current") == ["current", "2024-06-21"] and defaults("default") == ["2024-06-21T16:00:00Z", "2024-06-21"]
+    answer = client.get("/levels/timed/WMTSCapabilities.xml?time=soon")
+    assert answer.status_code == 422 and b'locator="time"' in answer.content
 
 
 def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
@@ -249,32 +282,6 @@ def test_owslib_reads_it(client: Client):
         style="default",
     )  # fmt: skip
     assert tile.read() == client.get(f"{TILE}?layer=mask").content
-
-
-def test_gdal_reads_it(client: Client, tmp_path):
-    """By its own driver, with the document's own default time: the pixels are the tile's, and the extent is the level's."""
-    if "WMTS" not in rasterio.drivers.raster_driver_extensions().values() and not gdal_has("WMTS"):
-        pytest.skip("this GDAL has no WMTS driver")
-    address = f"{client.base_url}/levels/hills/WMTSCapabilities.xml"
-    cached = {"GDAL_ENABLE_WMS_CACHE": "NO"}
-    with (
-        rasterio.Env(**cached),
-        rasterio.open(f"WMTS:{address},layer=hills:color,tilematrixset=WebMercatorQuad,zoom_level={ZOOM}") as source,
-    ):
-        assert source.crs.to_epsg() == 3857 and source.count == 4
-        bounds = tms.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM)
-        part = source.read(
-            window=source.window(bounds.left, bounds.bottom + 20, bounds.right - 20, bounds.top).round_offsets().round_lengths()
-        )
-    tile = np.moveaxis(pixels(client.get(TILE)), -1, 0)
-    rows, cols = part.shape[1:]
-    there = tile[3, :rows, :cols] == 255
-    assert there.sum() > 10000 and (part[:3, there] == tile[:3, :rows, :cols][:, there]).mean() > 0.999
-
-
-def gdal_has(driver: str) -> bool:
-    with rasterio.Env() as environment:
-        return driver in environment.drivers()
 
 
 # -- by arithmetic

@@ -1,0 +1,146 @@
+"""GDAL's own drivers of map services before a running service, in processes of their own: this one's GDAL may be forbidden to read
+from others, by what other tests ran in it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from morecantile import tms
+from PIL import Image
+
+from api.http.served_levels import DEFAULT_MATRIX_SET
+from terrain.level.gdal_guard import NO_REMOTE_READS
+from tests.api.conftest import CORNER, ZOOM, Client
+
+MATRIX_SET = tms.get(DEFAULT_MATRIX_SET)
+TILES = f"/levels/timed/tiles/{DEFAULT_MATRIX_SET}"
+BOUNDS = MATRIX_SET.xy_bounds(*CORNER, ZOOM)
+TIME = "2024-12-21T13:00:00Z"
+SIDE = 1024
+"""Pixels of a block of the driver of WMS."""
+
+READ = """
+import json, sys
+import numpy, rasterio
+from rasterio.windows import from_bounds
+driver, source, bounds, side, path = json.loads(sys.argv[1])
+with rasterio.Env() as environment:
+    if driver not in environment.drivers():
+        sys.exit(f"no driver {driver}")
+    with rasterio.open(source) as dataset:
+        window = bounds and from_bounds(*bounds, dataset.transform).round_offsets().round_lengths()
+        if dataset.count:
+            numpy.save(path, dataset.read(window=window, out_shape=side and (dataset.count, side, side)))
+        print(json.dumps({
+            "crs": dataset.crs and dataset.crs.to_epsg(), "bounds": dataset.bounds, "cell": dataset.res[0],
+            "subdatasets": dataset.subdatasets,
+        }))
+"""
+
+
+@dataclass(frozen=True)
+class Read:
+    """What GDAL has read: pixels (rows, cols, bands), and the data set's CRS, bounds and cell; or what it has in it."""
+
+    pixels: np.ndarray | None
+    crs: int | None
+    bounds: tuple[float, float, float, float]
+    cell: float
+    subdatasets: list[str]
+
+
+def read(folder: Path, driver: str, source: str, bounds: tuple[float, ...] | None = None, side: int | None = None) -> Read:
+    """A data set, or the part within bounds in its CRS; with a ``side`` in so many pixels."""
+    path = folder / "read.npy"
+    environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
+    done = subprocess.run(
+        [sys.executable, "-c", READ, json.dumps([driver, source, bounds, side, str(path)])],
+        env={**environment, "GDAL_ENABLE_WMS_CACHE": "NO"}, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    if done.stderr.strip() == f"no driver {driver}":
+        pytest.skip(f"this GDAL has no {driver} driver")
+    assert done.returncode == 0, done.stderr
+    pixels = np.moveaxis(np.load(path), 0, -1) if path.exists() else None
+    path.unlink(missing_ok=True)
+    return Read(pixels, **json.loads(done.stdout))
+
+
+def picture(client: Client, address: str, **query: str) -> np.ndarray:
+    answer = client.get(address, params=query)
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
+
+
+def wmts(client: Client, layer: str, query: str = "") -> str:
+    address = f"{client.base_url}/levels/timed/WMTSCapabilities.xml{query}"
+    return f"WMTS:{address},layer=timed:{layer},tilematrixset={DEFAULT_MATRIX_SET}"
+
+
+@pytest.mark.parametrize("layer", ["color", "shadow", "terrarium"])
+def test_wmts(client: Client, tmp_path, layer):
+    """The data set has the level's extent and its finest zoom; a tile of that is what GDAL reads, to the bit."""
+    zoom = client.get("/levels/timed").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]["maxzoom"]
+    x, y = (index * 2 ** (zoom - ZOOM) for index in CORNER)
+    seen = read(tmp_path, "WMTS", wmts(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
+    assert seen.crs == 3857 and seen.cell == pytest.approx(MATRIX_SET.matrix(zoom).cellSize)
+    west, south, east, north = seen.bounds
+    assert (east - west, north - south) == pytest.approx((12_000.0, 12_000.0), abs=2 * seen.cell)
+    assert np.array_equal(seen.pixels, picture(client, f"{TILES}/{zoom}/{x}/{y}.png", layer=layer))
+
+
+def test_wmts_of_another_time(client: Client, tmp_path):
+    """By the document whose default that is: the driver knows no other."""
+    bounds = (BOUNDS.left, BOUNDS.bottom + 1000, BOUNDS.right - 4000, BOUNDS.top)
+    source = f"{wmts(client, 'mask', f'?time={TIME}')},zoom_level={ZOOM}"
+    seen = read(tmp_path, "WMTS", source, bounds)
+    rows, cols = seen.pixels.shape[:2]
+    expected = picture(client, f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png", layer="mask", time=TIME)[:rows, :cols]
+    here = expected[..., 0] != 128
+    assert here.sum() > 10_000 and np.array_equal(seen.pixels[here], expected[here])
+    own = read(tmp_path, "WMTS", f"{wmts(client, 'mask')},zoom_level={ZOOM}", bounds)
+    assert (own.pixels[here] != seen.pixels[here]).any()
+
+
+@pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sunhours"])
+def test_wms(client: Client, tmp_path, layer):
+    """A layer of the capabilities, with a time, in PNG: it is the map of the same extent and size, to the bit."""
+    time = TIME[:10] if layer == "sunhours" else TIME
+    listed = read(tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE").subdatasets
+    assert [each.partition("LAYERS=")[2].partition("&")[0] for each in listed] == [
+        f"timed%3A{layer}" for layer in ("color", "shadow", "mask", "sunhours")
+    ]
+    whole = next(each for each in listed if f"timed%3A{layer}&" in each)
+    source = whole.replace(f"BBOX={whole.partition('BBOX=')[2].partition('&')[0]}", f"BBOX={','.join(map(repr, BOUNDS))}")
+    seen = read(tmp_path, "WMS", f"{source}&TIME={time}", side=SIDE)
+    assert seen.crs == 3857 and seen.bounds == pytest.approx(tuple(BOUNDS))
+    moment = {"date": time} if layer == "sunhours" else {"time": time}
+    asked = {"bbox": ",".join(map(repr, BOUNDS)), "crs": "EPSG:3857", "width": str(SIDE), "layer": layer, **moment}
+    expected = picture(client, "/levels/timed/map.png", **asked)
+    there = (expected[..., 3] == 255) if layer != "shadow" else np.ones(expected.shape[:2], bool)
+    assert there.sum() > 100_000 and np.array_equal(seen.pixels[there], expected[there])
+
+
+def test_wms_in_latitude_and_longitude(client: Client, tmp_path):
+    """In a CRS whose latitude comes first, as the driver is told."""
+    west, south, east, north = MATRIX_SET.bounds(*CORNER, ZOOM)
+    description = (
+        f'<GDAL_WMS><Service name="WMS"><Version>1.3.0</Version><ServerUrl>{client.base_url}/wms?</ServerUrl><CRS>EPSG:4326</CRS>'
+        "<BBoxOrder>yxYX</BBoxOrder><ImageFormat>image/png</ImageFormat><Layers>timed:color</Layers><Transparent>TRUE</Transparent>"
+        f"</Service><DataWindow><UpperLeftX>{west}</UpperLeftX><UpperLeftY>{north}</UpperLeftY><LowerRightX>{east}</LowerRightX>"
+        f"<LowerRightY>{south}</LowerRightY><SizeX>128</SizeX><SizeY>128</SizeY></DataWindow><BandsCount>4</BandsCount>"
+        "<BlockSizeX>128</BlockSizeX><BlockSizeY>128</BlockSizeY></GDAL_WMS>"
+    )
+    seen = read(tmp_path, "WMS", description)
+    asked = {"bbox": f"{west},{south},{east},{north}", "crs": "EPSG:4326", "width": "128", "height": "128"}
+    expected = picture(client, "/levels/timed/map.png", **asked)
+    there = expected[..., 3] == 255
+    assert there.sum() > 5_000 and np.array_equal(seen.pixels[there], expected[there])

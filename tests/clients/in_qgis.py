@@ -1,0 +1,171 @@
+"""What QGIS makes of a service, run by the Python that QGIS is installed for: ``python3 in_qgis.py ADDRESS LEVEL FOLDER < PLAN``.
+
+The plan (JSON) has ``bounds`` in EPSG:3857, ``degrees`` in EPSG:4326, ``deep`` (finer than any tile), a ``side`` in pixels and
+``times`` by name, each begin and end. Pictures go to the folder; what else was seen to ``found.json`` there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import urllib.request
+from pathlib import Path
+
+from qgis.core import (
+    Qgis,
+    QgsApplication,
+    QgsCoordinateReferenceSystem,
+    QgsDateTimeRange,
+    QgsLayerDefinition,
+    QgsLayerItem,
+    QgsMapRendererParallelJob,
+    QgsMapSettings,
+    QgsNetworkAccessManager,
+    QgsProject,
+    QgsRaster,
+    QgsRasterLayer,
+    QgsRectangle,
+    QgsSettings,
+)
+from qgis.PyQt.QtCore import QDateTime, QEventLoop, QSize, Qt, QTimer
+from qgis.PyQt.QtGui import QColor
+
+LEGEND_MS = 60_000
+
+address, level, folder = sys.argv[1], sys.argv[2], Path(sys.argv[3]).resolve()
+plan = json.load(sys.stdin)
+bounds, degrees, deep = (QgsRectangle(*plan[name]) for name in ("bounds", "degrees", "deep"))
+side = plan["side"]
+
+QgsApplication.setPrefixPath("/usr", True)
+application = QgsApplication([], False, str(folder / "profile"))
+application.initQgis()
+
+found = {"version": Qgis.QGIS_VERSION, "layers": {}, "requests": [], "log": [], "identified": {}, "legends": {}}
+QgsApplication.messageLog().messageReceived.connect(lambda text, tag, _: found["log"].append(f"{tag}: {text}"))
+QgsNetworkAccessManager.setRequestPreprocessor(lambda request: found["requests"].append(request.url().toString()))
+
+kept = []
+"""What QGIS frees if nobody holds it."""
+
+
+def in_browser(name: str, url: str) -> list[str]:
+    """The sources of the layers that QGIS's browser shows under a new connection, as it writes them itself."""
+    QgsSettings().setValue(f"qgis/connections-wms/{name}/url", url)
+    providers = QgsApplication.dataItemProviderRegistry().providers()
+    root = next(each for each in providers if each.name() == "WMS").createDataItem("", None)
+    root.populate(True)
+    return sources(next(each for each in root.children() if each.name() == name), root)
+
+
+def sources(item: object, *above: object) -> list[str]:
+    item.populate(True)
+    children = item.children()
+    kept.append((item, children, above))
+    own = [item.uri()] if isinstance(item, QgsLayerItem) else []
+    return own + [source for child in children for source in sources(child)]
+
+
+def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
+    """A layer under a name, with what QGIS says of it."""
+    kept.append(layer)
+    times = layer.dataProvider().temporalCapabilities() if layer.isValid() else None
+    span = times.availableTemporalRange() if times is not None and times.hasTemporalCapabilities() else None
+    found["layers"][name] = {
+        "valid": layer.isValid(),
+        "crs": layer.crs().authid(),
+        "times": span and [edge.toUTC().toString(Qt.ISODate) for edge in (span.begin(), span.end())],
+    }
+    return layer
+
+
+def draw(
+    name: str, layer: QgsRasterLayer, extent: QgsRectangle = bounds, crs: str = "EPSG:3857", times: list | None = None
+) -> None:
+    """A layer as the map canvas draws it, at a range of times as the temporal controller sets it."""
+    settings = QgsMapSettings()
+    settings.setLayers([layer])
+    settings.setDestinationCrs(QgsCoordinateReferenceSystem(crs))
+    settings.setExtent(extent)
+    settings.setOutputSize(QSize(side, side))
+    settings.setBackgroundColor(QColor(0, 0, 0, 0))
+    if times is not None:
+        settings.setIsTemporal(True)
+        settings.setTemporalRange(QgsDateTimeRange(*(QDateTime.fromString(each, Qt.ISODate) for each in times)))
+    job = QgsMapRendererParallelJob(settings)
+    job.start()
+    job.waitForFinished()
+    job.renderedImage().save(str(folder / f"{name}.png"))
+
+
+def legend(name: str, layer: QgsRasterLayer) -> None:
+    """The legend that the layer tree shows; ``None`` where QGIS asks for none."""
+    settings = QgsMapSettings()
+    settings.setExtent(bounds)
+    settings.setOutputSize(QSize(side, side))
+    fetcher = layer.dataProvider().getLegendGraphicFetcher(settings)
+    found["legends"][name] = None
+    if fetcher is None:
+        return
+    loop, images = QEventLoop(), []
+    fetcher.finish.connect(lambda image: (images.append(image), loop.quit()))
+    fetcher.error.connect(lambda text: (found["log"].append(f"legend: {text}"), loop.quit()))
+    QTimer.singleShot(LEGEND_MS, loop.quit)
+    fetcher.start()
+    if not images:
+        loop.exec_()
+    found["legends"][name] = [[image.width(), image.height()] for image in images]
+
+
+def by_wms() -> None:
+    layers = {}
+    for source in in_browser("wms", f"{address}/levels/{level}/wms"):
+        name = source.partition(f"layers={level}:")[2].partition("&")[0]
+        layers[name] = add(f"wms-{name}", QgsRasterLayer(source, name, "wms"))
+        draw(f"wms-{name}", layers[name])
+        legend(name, layers[name])
+        if name == "color":
+            in_degrees = add("wms-degrees", QgsRasterLayer(source.replace("crs=EPSG:3857", "crs=EPSG:4326"), name, "wms"))
+            draw("wms-degrees", in_degrees, degrees, "EPSG:4326")
+    for name, times in plan["times"].items():
+        draw(f"wms-{name}", layers["color"], times=times)
+    for name, format in (("html", QgsRaster.IdentifyFormatHtml), ("text", QgsRaster.IdentifyFormatText)):
+        result = layers["color"].dataProvider().identify(bounds.center(), format, bounds, side, side)
+        found["identified"][name] = result.results().get(0) if result.isValid() else None
+
+
+def by_wmts() -> None:
+    every = in_browser("wmts", f"{address}/levels/{level}/WMTSCapabilities.xml")
+    wanted = (f"layers={level}:color&", "tileMatrixSet=WebMercatorQuad", "format=image/png")
+    some = [each for each in every if all(part in each for part in wanted)]
+    source = next(each for each in some if "/" not in each.partition("tileDimensions=")[2].partition("&")[0])
+    layer = add("wmts", QgsRasterLayer(source, "color", "wms"))
+    draw("wmts", layer)
+    draw("wmts-deep", layer, deep)
+    span = next(each for each in some if each is not source and "PT" in each)
+    draw("wmts-span", add("wmts-span", QgsRasterLayer(span, "color", "wms")))
+
+
+def by_xyz() -> None:
+    template = f"{address}/levels/{level}/tiles/WebMercatorQuad/{{z}}/{{x}}/{{y}}.png"
+    layer = add("xyz", QgsRasterLayer(f"type=xyz&zmin={plan['zooms'][0]}&zmax={plan['zooms'][1]}&url={template}", "xyz", "wms"))
+    draw("xyz", layer)
+    draw("xyz-deep", layer, deep)
+
+
+def by_definition() -> None:
+    path = folder / f"{level}.qlr"
+    urllib.request.urlretrieve(f"{address}/levels/{level}.qlr", path)
+    project = QgsProject.instance()
+    loaded, words = QgsLayerDefinition.loadLayerDefinition(str(path), project, project.layerTreeRoot())
+    assert loaded, words
+    for node in project.layerTreeRoot().findLayers():
+        name = f"qlr-{node.name().rpartition(' ')[2]}"
+        draw(name, add(name, node.layer()))
+
+
+for part in (by_wms, by_wmts, by_xyz, by_definition):
+    part()
+(folder / "found.json").write_text(json.dumps(found, indent=1))
+os._exit(0)  # QGIS's own end frees what Python still holds, and crashes

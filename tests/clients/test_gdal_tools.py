@@ -1,0 +1,82 @@
+"""GDAL's tools, as Debian has them, read the service: the line of a level's page, and WMS with a time."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shutil
+import subprocess
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+
+from terrain.level.gdal_guard import NO_REMOTE_READS
+from tests.api.conftest import Client
+from tests.clients.conftest import LEVEL, MATRIX_SET
+
+TIME = "2024-12-21T15:00:00Z"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def tools() -> None:
+    """Said once, with the version."""
+    if shutil.which("gdal_translate") is None:
+        pytest.skip("there is no gdal_translate: 'make test-clients' installs it, or 'apt-get install gdal-bin'")
+    print(subprocess.run(["gdal_translate", "--version"], capture_output=True, text=True, check=True).stdout.strip())
+
+
+def translated(folder: Path, source: str, *options: str) -> np.ndarray:
+    """What ``gdal_translate`` makes of a source, (rows, cols, bands)."""
+    environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
+    path = folder / "translated.tif"
+    done = subprocess.run(
+        ["gdal_translate", "-q", *options, source, path],
+        env={**environment, "GDAL_ENABLE_WMS_CACHE": "NO"}, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    with rasterio.open(path) as dataset:
+        return np.moveaxis(dataset.read(), 0, -1)
+
+
+def picture(client: Client, address: str, **query: str) -> np.ndarray:
+    answer = client.get(address, params=query)
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
+
+
+def test_the_line_of_the_page(service: Client, tmp_path):
+    """Cut to a tile, which it is to the bit."""
+    line = re.search(r'gdal_translate "(WMTS:[^"]+)"', unescape(service.get(f"/levels/{LEVEL}.html").text))
+    assert line is not None
+    served = service.get(f"/levels/{LEVEL}").json()
+    west, south, east, north = served["bounds"]
+    zoom = served["tile_matrix_sets"]["WebMercatorQuad"]["maxzoom"]
+    tile = MATRIX_SET.tile((west + east) / 2, (south + north) / 2, zoom)
+    box = MATRIX_SET.xy_bounds(tile)
+    cut = ("-projwin", *map(repr, (box.left, box.top, box.right, box.bottom)))
+    seen = translated(tmp_path, f"{line[1]},tilematrixset=WebMercatorQuad", *cut)
+    expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png")
+    assert seen.shape == (256, 256, 4) and np.array_equal(seen, expected)
+    later = translated(tmp_path, f"{line[1].replace('.xml', f'.xml?time={TIME}')},tilematrixset=WebMercatorQuad", *cut)
+    expected = picture(service, f"/levels/{LEVEL}/tiles/WebMercatorQuad/{zoom}/{tile.x}/{tile.y}.png", time=TIME)
+    assert np.array_equal(later, expected) and not np.array_equal(later, seen)
+
+
+def test_wms_with_a_time(service: Client, tmp_path):
+    """The tool asks for blocks of 1024 x 1024."""
+    west, south, east, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
+    box = MATRIX_SET.xy_bounds(MATRIX_SET.tile((west + east) / 2, (south + north) / 2, 12))
+    bbox = ",".join(map(repr, box))
+    source = (
+        f"WMS:{service.base_url}/levels/{LEVEL}/wms?SERVICE=WMS&VERSION=1.3.0&REQUEST=GetMap&LAYERS={LEVEL}:shadow"
+        f"&CRS=EPSG:3857&BBOX={bbox}&FORMAT=image/png&TRANSPARENT=TRUE&TIME={TIME}"
+    )
+    seen = translated(tmp_path, source, "-outsize", "1024", "1024")
+    asked = {"bbox": bbox, "crs": "EPSG:3857", "width": "1024", "height": "1024", "layer": "shadow", "time": TIME}
+    expected = picture(service, f"/levels/{LEVEL}/map.png", **asked)
+    assert np.array_equal(seen, expected) and 0.05 < (seen[..., 3] > 0).mean() < 0.95
