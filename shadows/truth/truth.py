@@ -86,9 +86,7 @@ def fill(
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
         rays = ray_scene(buffer, scene, casters, kinds)
-        if light != SUN or settings.sun_samples == 1:
-            return lit_from(buffer, scene, light, rays).astype(np.float32)
-        return _disc_visibility(buffer, scene, rays, settings.sun_samples)
+        return area_visibility(buffer, scene, light, rays, settings.sun_samples)
 
 
 def truth_of(
@@ -115,7 +113,13 @@ def truth_of(
     return Truth(lit, turned, decidable, buffer.there)
 
 
-def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
+def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+    """Visibility (rows, cols) float32 of a light as the area that it is, the sun's disc, by so many directions; 1: its middle.
+
+    Attached shadow is in it, by the facing of each direction; 0 off the surface. A lamp is a point.
+    """
+    if light != SUN or samples == 1:
+        return lit_from(buffer, scene, light, rays).astype(np.float32)
     assert scene.sun is not None
     visibility = np.zeros(buffer.there.shape, np.float32)
     for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
