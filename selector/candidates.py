@@ -30,9 +30,9 @@ TAPS_OF_DEFAULT: tuple[dict[str, Any], ...] = ({}, {"filter": 1}, {"filter": 3},
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
     """The plans to compare under a light, at most ``MAX_CANDIDATES``, no two of one name.
 
-    First comes what is taken where nothing more is asked, and the same with other taps, by which its edges are judged; then the
-    algorithms as they are by themselves, texels and taps, mixes of algorithms by kind of casters, and what is turned one at a time. An algorithm that cannot serve everything takes on
-    the sun's relief and meshes, or relief alone, beside shadow maps.
+    First comes what is taken where nothing more is asked, and the same with other taps, by which its edges are judged; then
+    algorithms as they are by themselves, texels and taps, mixes by kind of casters, and what is turned one at a time. An algorithm
+    that cannot serve everything takes on the sun's relief and meshes, or relief alone, beside shadow maps.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     plans: dict[str, Plan] = {}

@@ -39,9 +39,7 @@ _COLOURS = {
 }
 
 
-def write_report(
-    path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()
-) -> None:
+def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()) -> None:
     """Write the page of a comparison.
 
     ``base`` is the view without cast shadows, uint8 (rows, cols, 3); ``about`` is what the page says of the run, in order; its
@@ -72,7 +70,9 @@ def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str],
             *(
                 tag("li", text)
                 for text in [
-                    *map(escape, format_summary(comparison)), *map(_remark, comparison.remarks), *_left_out(commands),
+                    *map(escape, format_summary(comparison)),
+                    *map(_remark, comparison.remarks),
+                    *_left_out(commands),
                 ]  # fmt: skip
             ),
         ),

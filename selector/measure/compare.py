@@ -61,7 +61,8 @@ class Comparison:
 
     ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``surface`` the share of pixels that the
     drawn grid's simplification changes, ``noise_floor`` the ``error`` of truth's own sub-samples, ``remarks`` what a reader must
-    know (no surface, night, nothing casts), ``left_out`` the names of the candidates for which there was no time.
+    know (no surface, night, nothing casts), ``left_out`` the names of the candidates for which there was no time, ``default`` the
+    name of the row that is taken where nothing more is asked (empty: not among them).
     """
 
     view: View
@@ -74,6 +75,7 @@ class Comparison:
     noise_floor: float
     remarks: list[str]
     left_out: tuple[str, ...] = ()
+    default: str = ""
 
 
 Times = tuple[float, dict[str, float]]
@@ -124,8 +126,11 @@ def compare(
     """
     start = time.perf_counter()
     light = _light(scene, light)
-    given = plans is not None or bool(only)
-    plans = _named(candidates(scene, view, name, light), light, only) if plans is None else plans
+    given, default = plans is not None or bool(only), ""
+    if plans is None:
+        plans = candidates(scene, view, name, light)
+        default = name_of(plans[0], light) if plans else ""
+        plans = _named(plans, light, only)
     total = len(plans) + ROW_REPEATS + 2
     step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.runs for plan in plans))
@@ -161,7 +166,7 @@ def compare(
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
         view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks,
-        tuple(left_out),
+        tuple(left_out), default,
     )  # fmt: skip
 
 

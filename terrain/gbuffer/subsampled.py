@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -27,5 +28,7 @@ def subsampled_view(view: MapView | PerspectiveView, every: int) -> MapView | Pe
 def subsampled_points(buffer: GeometryBuffer, every: int) -> GeometryBuffer:
     """A buffer's points in every n-th pixel, just as they are, to look from for a light. Colours and columns are left out."""
     arrays = {name: getattr(buffer, name) for name in _OF_PIXELS}
-    fewer = {name: None if array is None else np.ascontiguousarray(array[::every, ::every]) for name, array in arrays.items()}
+    fewer: dict[str, Any] = {
+        name: None if array is None else np.ascontiguousarray(array[::every, ::every]) for name, array in arrays.items()
+    }
     return replace(buffer, view=subsampled_view(buffer.view, every), columns=None, albedo=None, **fewer)
