@@ -16,7 +16,7 @@ from shadows.render import bands_of
 from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
 from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
-from shadows.truth.truth import ALL_KINDS, Truth, area_visibility, coverage_truth, ray_scene
+from shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
 from shadows.visibility import without_hidden_points
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -34,8 +34,8 @@ ErrorName = Literal["wrong_cast", "coverage"]
 TRUTH_SAMPLES = 4
 """Sub-samples of a pixel that truth's classes must agree at."""
 
-SOFT_PIXELS, SOFT_SAMPLES = 40_000, 64
-"""Pixels of a view, about, at which the visibility of a light as an area is known (evenly spaced), and the rays to it from each."""
+SOFT_PIXELS = 40_000
+"""Pixels of a view, about, at which the visibility of a light as an area is known, evenly spaced."""
 
 FOGGY = 0.5
 """Where more of the surface than this is not decidable, coverage is the error that counts."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from shadows.area_light import LIGHT_SAMPLES
 from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.windows import MAP_BORDER_TEXELS
 from terrain.cache import MIB, cached
@@ -41,6 +42,8 @@ CALIBRATED_SIZES = (512, 1024, 2048, 4096)
 
 PERSPECTIVE_TEXELS = 1024
 """Texels a side of a perspective map, unless the level says otherwise: they go where the eye sees them, so that few do."""
+
+Taps = Literal[1, 2, 3, 5, "sun"]
 
 NO_CHOICE = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
@@ -80,7 +83,8 @@ def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | L
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
-    return lamp_map_settings(request.descriptor, lamp, request.shadows)
+    taps, why = _taps(request)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, why)
 
 
 def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
@@ -135,7 +139,26 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
+def _taps(request: SettingsRequest) -> tuple[Taps, list[Reasoned]]:
+    """The taps of a lamp's map, or of a perspective one, and why. Raises ``UnsupportedError`` for the penumbra of a point."""
+    light, descriptor, taps = request.light, request.descriptor, request.sharpened.filter
+    who = "" if light == SUN else f"{light}: "
+    if request.is_area:
+        what = "the sun's disc" if light == SUN else "the lamp's ball"
+        return "sun", [Reasoned(name=f"{who}filter sun", reason=f"the mean of maps from {LIGHT_SAMPLES} points of {what}")]
+    if taps == "sun" and descriptor.highest_sun_deg is None:
+        reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
+        raise UnsupportedError("filter", "sun", reason)
+    if taps == "sun":
+        return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
+    if taps == "auto":
+        return 3, [Reasoned(name=f"{who}filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges")]
+    return taps, []
+
+
+def lamp_map_settings(
+    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: Taps, why_taps: list[Reasoned]
+) -> tuple[LampMapSettings, list[Reasoned]]:
     """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
@@ -148,25 +171,13 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows)
     if shadows.depth_bits == "auto":
         why = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
-    taps = 3 if shadows.filter == "auto" else shadows.filter
-    if taps == "sun" and descriptor.highest_sun_deg is None:
-        reason = f"filter sun is for the sun only; the lamp '{lamp.name}' takes 1, 2, 3 or 5 taps a side"
-        raise UnsupportedError("filter", "sun", reason)
-    if taps == "sun":
-        taps = 3
-        reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="filter sun is for the sun only"))
+    reasons += why_taps
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(shadows)), reasons
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of a light's perspective shadow map, and the reasons for what was left to choose.
-
-    Raises ``UnsupportedError`` for the penumbra of the sun's disc.
-    """
+    """Settings of a light's perspective shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
     light, asked = request.light, request.sharpened
-    if asked.filter == "sun":
-        reason = "texels of a perspective map differ in size: 1, 2, 3 or 5 taps a side; shadow_map can filter over the sun's disc"
-        raise UnsupportedError("filter", "sun", reason)
     who = "" if light == SUN else f"{light}: "
     reasons = [
         *request.why_sharpened,
@@ -176,7 +187,8 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
             if getattr(asked, key) not in ("auto", only)
         ),
     ]
-    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
+    size, bits = asked.map_size, asked.depth_bits
+    taps, why_taps = _taps(request)
     if size == "auto":
         size = PERSPECTIVE_TEXELS
         reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small near the eye: few are enough"))
@@ -184,10 +196,7 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         bits = 24 if light == SUN else 32
         why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
         reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
-    if taps == "auto":
-        taps = 3
-        reasons.append(Reasoned(name=f"{who}filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
-    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), [*reasons, *why_taps]
 
 
 def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:

@@ -61,11 +61,13 @@ class ShadowMapSettings(AlgorithmSettings):
 
 
 class LampMapSettings(AlgorithmSettings):
-    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side."""
+    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side, or ``sun`` for
+    the penumbra of the lamp's ball: a map from each of many points of it.
+    """
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
+    filter: Literal[1, 2, 3, 5, "sun"]
     bias: MapBias = "receiver_plane"
     culling: Culling = "none"
     bias_scale: float = Field(default=1.0, ge=0)
@@ -77,7 +79,8 @@ class LampMapSettings(AlgorithmSettings):
 
 
 class PerspectiveMapSettings(AlgorithmSettings):
-    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side.
+    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side, or ``sun`` for the penumbra of the light's
+    disc or ball: a map for each of many points of it.
 
     It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.
     """
@@ -87,7 +90,7 @@ class PerspectiveMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
+    filter: Literal[1, 2, 3, 5, "sun"]
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property

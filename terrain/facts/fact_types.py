@@ -39,7 +39,7 @@ class Facts(BaseModel):
 
 class LampFacts(Facts):
     """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether any of
-    its light can be seen in the view.
+    its light can be seen in the view; ``radius_m`` is that of the ball that shines (0: a point).
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -47,6 +47,7 @@ class LampFacts(Facts):
     cutoff_deg: Annotated[float, Field(gt=0, le=180, allow_inf_nan=False)]
     reference_m: Positive
     reaches: bool = True
+    radius_m: AtLeastZero = 0.0
 
 
 class Band(Facts):
