@@ -11,6 +11,7 @@ import numpy as np
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
 from shadows.area_light import LIGHT_SAMPLES
 from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.maps.taps import sun_taps
 from shadows.maps.windows import MAP_BORDER_TEXELS
 from terrain.cache import MIB, cached
 from terrain.errors import UnsupportedError
@@ -117,14 +118,14 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
             reason=f"a 16-bit step of {ranges_m[worst] / (2**16 - 1):.3g} m shifts a shadow by {shifts_px[worst]:.2g} pixels, "
             f"{verdict} {DEPTH_PX} allowed",
         ))  # fmt: skip
-    if taps == "auto":
-        taps = 3
-        reasons.append(Reasoned(name="filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
     steps = 2**16 - 1 if bits == 16 else 2**24 - 1
     cascades = tuple(
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
         for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
     )
+    if taps == "auto":
+        taps, why = sun_taps(descriptor, cascades)
+        reasons.append(Reasoned(name=f"filter {taps}", reason=why))
     fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
     if shadows.fit == "auto":
         why = "texels stay fixed to the ground when the view moves"

@@ -121,12 +121,14 @@ class CastBand(Facts):
 
 class Casting(Facts):
     """The cast shadows of one kind of casters: their ``share`` of all that is seen, how much of that lies ``on_bodies`` and not on
-    the ground (a share of all that is seen, too; ``None``: not known), and by distance, nearest first.
+    the ground (a share of all that is seen, too; ``None``: not known), by distance, nearest first, and how far they are thrown:
+    ``thrown_m`` is the median distance from a point in shadow to what stands before the light (``None``: not known).
     """
 
     share: Share
     on_bodies: Share | None = None
     bands: tuple[CastBand, ...] = ()
+    thrown_m: AtLeastZero | None = None
 
     @model_validator(mode="after")
     def _in_order(self) -> Casting:
