@@ -30,7 +30,7 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
     """Taps a side for the cascades of a sun's map, and why."""
     share = fine_share(descriptor, cascades)
     if share is None:
-        return 3, "3 x 3 taps smooth the texel stairs along shadow edges"
+        return 3, "it is not known how wide penumbrae are: 3 x 3 taps smooth the texel stairs along shadow edges"
     words = f"texels are finer than penumbrae in {100.0 * share:.0f} % of the cast shadow"
     if share >= 0.5:
         return 3, f"by soft_error: {words}, so 3 x 3 taps come nearer to the sun's disc than one"
