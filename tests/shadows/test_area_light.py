@@ -122,13 +122,13 @@ def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
 
 
 def test_a_map_view_has_the_same_penumbrae(gl, tmp_path):
-    scene = figure(tmp_path, lights=LAMPS)
-    view = scene.view(bounds=(-14, -14, 14, 14), size=(140, 140))
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
+    view = scene.view(bounds=(-14, -14, 14, 14), size=(90, 90))
     buffer = geometry_of(scene, view)
-    for light in ("sun", "spot", "omni"):
-        algorithm = {"sun": "shadow_volume", "spot": "shadow_map", "omni": "shadow_map"}
-        found = seen(scene, view, light, algorithm=algorithm, filter="sun", map_size=1024)
-        assert soft_error(found, soft(buffer, scene, light)) <= MOST_SOFT_ERROR
+    plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "shadow_map"}, filter="sun", map_size=1024)
+    found = render_frame(scene, view, plan).visibilities
+    for light in ("sun", "spot"):
+        assert soft_error(found[light], soft(buffer, scene, light)) <= MOST_SOFT_ERROR
 
 
 def test_truth_is_of_the_area_too(gl, tmp_path):
@@ -136,7 +136,9 @@ def test_truth_is_of_the_area_too(gl, tmp_path):
     view = scene.view("eye")
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="truth", filter="sun"))
     for light in ("sun", "omni"):
-        assert soft_error(frame.visibilities[light], soft(geometry_of(scene, view), scene, light)) < 0.002
+        real = soft(geometry_of(scene, view), scene, light)
+        partly = np.nanmean((real > 0.0) & (real < 1.0))
+        assert soft_error(frame.visibilities[light], real) < partly / 32  # 64 rays, each an equal part
 
 
 def test_a_radius_of_nothing_is_a_point(gl, tmp_path):
@@ -160,8 +162,8 @@ def test_the_plan_and_the_record_say_what_runs(gl, tmp_path):
     assert str(LIGHT_SAMPLES) in reasons["filter sun"] and str(LIGHT_SAMPLES) in reasons["spot: filter sun"]
     frame = render_frame(scene, view, plan)
     assert "soft_edges" in plan.runs and "soft_edges" in executed_effects(frame.passes)
-    points = {record.name: record.light_points for record in frame.passes}
-    assert points["sun/meshes: stencil"] == points["spot/meshes: depth map"] == LIGHT_SAMPLES
+    points = {(record.name.split("/")[0], record.name.split(": ")[-1]): record.light_points for record in frame.passes}
+    assert points["sun", "stencil"] == points["spot", "depth map"] == LIGHT_SAMPLES
     hard = render_frame(scene, view, plan_of(scene, view, algorithm="shadow_volume", filter=1))
     assert {record.light_points for record in hard.passes} == {1} and "soft_edges" not in executed_effects(hard.passes)
 

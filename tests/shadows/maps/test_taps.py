@@ -18,7 +18,8 @@ from terrain.scene import build_scene
 def seen(**casts: Casting) -> Descriptor:
     """What a map shows under a sun whose shadows are these."""
     return Descriptor(
-        view="map", view_kind="map", flat_world=True, pixel_m=1.0, node_m=1.0, casters=tuple(casts), relief_m=0.0, block_relief_m=0.0,
+        view="map", view_kind="map", flat_world=True, pixel_m=1.0, node_m=1.0, casters=tuple(casts), relief_m=0.0,
+        block_relief_m=0.0,
         sun_azimuth_deg=200.0, sun_altitude_deg=30.0, highest_sun_deg=30.0, receivers_light_m=(100.0, 100.0, 100.0),
         lights={"sun": LightFacts(casts=casts)},
     )  # fmt: skip
