@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
 from shadows.area_light import LIGHT_SAMPLES
-from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.taps import sun_taps
 from shadows.maps.windows import MAP_BORDER_TEXELS
 from terrain.cache import MIB, cached
@@ -43,8 +43,6 @@ CALIBRATED_SIZES = (512, 1024, 2048, 4096)
 
 PERSPECTIVE_TEXELS = 1024
 """Texels a side of a perspective map, unless the level says otherwise: they go where the eye sees them, so that few do."""
-
-Taps = Literal[1, 2, 3, 5, "sun"]
 
 NO_CHOICE = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
@@ -140,7 +138,7 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def _taps(request: SettingsRequest) -> tuple[Taps, list[Reasoned]]:
+def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
     """The taps of a lamp's map, or of a perspective one, and why. Raises ``UnsupportedError`` for the penumbra of a point."""
     light, descriptor, taps = request.light, request.descriptor, request.sharpened.filter
     who = "" if light == SUN else f"{light}: "
@@ -159,7 +157,7 @@ def _taps(request: SettingsRequest) -> tuple[Taps, list[Reasoned]]:
 
 
 def lamp_map_settings(
-    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: Taps, why_taps: list[Reasoned]
+    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned]
 ) -> tuple[LampMapSettings, list[Reasoned]]:
     """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))

@@ -14,6 +14,9 @@ MapFit = Literal["stable", "tight"]
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
 """What keeps a surface from shading itself: derived in ``docs/shadow-maps.md``."""
 
+MapFilter = Literal[1, 2, 3, 5, "sun"]
+"""Taps a side of a map's look-up, or the penumbra of the light's disc or ball."""
+
 Culling = Literal["none", "front"]
 """Faces of closed casters that are left out of a map."""
 
@@ -41,7 +44,7 @@ class ShadowMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5, "sun"]
+    filter: MapFilter
     fit: MapFit = "stable"
     bias: MapBias = "receiver_plane"
     culling: Culling = "none"
@@ -67,7 +70,7 @@ class LampMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5, "sun"]
+    filter: MapFilter
     bias: MapBias = "receiver_plane"
     culling: Culling = "none"
     bias_scale: float = Field(default=1.0, ge=0)
@@ -90,7 +93,7 @@ class PerspectiveMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5, "sun"]
+    filter: MapFilter
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
