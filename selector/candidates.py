@@ -23,13 +23,16 @@ from terrain.scene import Scene
 MAX_CANDIDATES = 40
 """Candidates of a view, at most."""
 
+TAPS_OF_DEFAULT: tuple[dict[str, Any], ...] = ({}, {"filter": 1}, {"filter": 3}, {"filter": "sun"})
+"""What is asked of the plan that is taken where nothing more is asked: nothing, then taps."""
+
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
     """The plans to compare under a light, at most ``MAX_CANDIDATES``, no two of one name.
 
-    First comes what is taken where nothing more is asked, and the algorithms as they are by themselves; then texels and taps,
-    mixes of algorithms by kind of casters, and what is turned one at a time. An algorithm that cannot serve everything takes on
-    the sun's relief and meshes, or relief alone, beside shadow maps.
+    First comes what is taken where nothing more is asked, and the same with other taps, by which its edges are judged; then
+    algorithms as they are by themselves, texels and taps, mixes by kind of casters, and what is turned one at a time. An algorithm
+    that cannot serve everything takes on the sun's relief and meshes, or relief alone, beside shadow maps.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     plans: dict[str, Plan] = {}
@@ -53,8 +56,9 @@ def name_of(plan: Plan, light: str = SUN) -> str:
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
-    with suppress(UnsupportedError):  # what the level asks for may not serve this view
-        yield make_plan(descriptor, level)
+    for taps in TAPS_OF_DEFAULT:
+        with suppress(UnsupportedError):  # what the level asks for may not serve this view, nor every filter this light
+            yield make_plan(descriptor, level, taps)
     served = [each for each in ALGORITHMS.values() if each.served]
     compared = [{"algorithm": each.name, **overrides} for each in served for overrides in each.search.compared]
     for asked in [*({"algorithm": each.name} for each in served), *compared]:

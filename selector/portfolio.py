@@ -12,7 +12,7 @@ from shadows.algorithm import Algorithm
 from shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
+from terrain.level.level import CasterKind, Shadows
 
 MAX_CHOICES = 40
 """Picks of a light, at most; the last of ``combinations`` is cut off first."""
@@ -35,9 +35,11 @@ def tuned_settings() -> tuple[str, ...]:
     return tuple(dict.fromkeys(key for each in selectable_algorithms() for key in each.search.tuned))
 
 
-def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind]) -> list[Choice]:
-    """The choices for a light and the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same."""
-    return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds]), MAX_CHOICES))
+def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind], asked: Shadows | None = None) -> list[Choice]:
+    """The choices for a light and the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same, all
+    of which can do what is ``asked`` of the shadows.
+    """
+    return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], asked), MAX_CHOICES))
 
 
 def _alone(algorithm: Algorithm) -> str:
@@ -45,11 +47,11 @@ def _alone(algorithm: Algorithm) -> str:
     return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refuses else algorithm.name
 
 
-def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind]) -> Iterator[Choice]:
+def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind], asked: Shadows | None) -> Iterator[Choice]:
     yielded = set()
     for combination, named in combinations():
         algorithm = {kind: named.get(kind, FALLBACK) for kind in kinds}
-        if not all(can_serve(name, descriptor, light, kind) for kind, name in algorithm.items()):
+        if not all(can_serve(name, descriptor, light, kind, asked) for kind, name in algorithm.items()):
             continue
         if any(ALGORITHMS[name].search.hopeless(descriptor, kind) for kind, name in algorithm.items()):
             continue

@@ -126,7 +126,7 @@ def predicted_choices(
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}
     known: dict[object, tuple[float, float]] = {}
-    for choice in portfolio(descriptor, light, kinds):
+    for choice in portfolio(descriptor, light, kinds, planner.asked):
         steps = planner.steps(light, choice)
         # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)

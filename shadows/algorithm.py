@@ -30,8 +30,11 @@ GroundKind = Literal["level", "uneven"]
 RayKind = Literal["bent rays"]
 """``bent rays``: what is drawn at once is so wide that the sun's rays are no straight lines in it."""
 
-Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind
-"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground, rays."""
+ExtentKind = Literal["area light"]
+"""``area light``: one that is to be shown as the disc or ball that it is, with penumbrae."""
+
+Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind | ExtentKind
+"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground, rays, a light's extent."""
 
 FALLS_BACK_FOR: Requirement = "bent rays"
 """What an algorithm that is asked for by name falls back for, to ``shadow_map``, and is no error. For it depends on how far one
@@ -49,14 +52,25 @@ FEW_MAP_SIZES = (1024, 2048, 4096)
 """Sizes of maps that are tried beside an algorithm without maps, so that candidates do not become too many."""
 
 
-def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind) -> tuple[Requirement, ...]:
-    """What an algorithm is asked to serve, for a light of a kind and a kind of casters."""
+def is_area(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
+    """Whether a light is to be shown as the area that it is: the sun's disc if that is asked for, a lamp's ball if it has a radius
+    and no taps are asked for.
+    """
+    if light == SUN:
+        return shadows.filter == "sun"
+    radius_m = next((lamp.radius_m for lamp in descriptor.lamps if lamp.name == light), 0.0)
+    return radius_m > 0.0 and shadows.filter in ("auto", "sun")
+
+
+def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind, area: bool = False) -> tuple[Requirement, ...]:
+    """What an algorithm is asked to serve, for a light of a kind (as an ``area``) and a kind of casters."""
     level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
     view: tuple[Requirement, ...] = (
         (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
     )
     rays: tuple[Requirement, ...] = ("bent rays",) if light == "sun" and rays_bend(descriptor) else ()
-    return (*view, light, caster, "level" if level_ground else "uneven", *rays)
+    extent: tuple[Requirement, ...] = ("area light",) if area else ()
+    return (*view, light, caster, "level" if level_ground else "uneven", *rays, *extent)
 
 
 class Reasoned(BaseModel):
@@ -111,6 +125,11 @@ class SettingsRequest:
     def why_sharpened(self) -> list[Reasoned]:
         """The reason for that, for an algorithm that would filter otherwise."""
         return [Reasoned(name="filter 1", reason=f"hard edges: {self.sharp_because}")] if self._is_sharpened else []
+
+    @property
+    def is_area(self) -> bool:
+        """Whether the light is to be shown as the area that it is."""
+        return is_area(self.descriptor, self.light, self.sharpened)
 
     def without_filter(self, name: str, *filters: int | str) -> list[Reasoned]:
         """Of an algorithm without filters other than these: what is said where one is asked for."""

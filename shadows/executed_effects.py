@@ -20,7 +20,8 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
 
     An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if one took
     it on (also where none stood in the light's way) or a program that looks its texture up drew depths, and edges were soft if the
-    sun's maps were looked up by more than one tap. Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of that.
+    sun's maps were looked up by more than one tap, or what is filled is the mean of many points of its disc. Algorithms that draw
+    nothing (``sweep``, ``truth``) leave no trace of that.
     """
     ran: set[EffectName] = set()
     for record in passes:
@@ -34,6 +35,6 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
         if words & FOLIAGE_PARTS or "forest" in work.partition(":")[0].split("+"):
             ran.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}
-        if light == SUN and (taps - {"taps=1"} or DISC_PART in words):
+        if light == SUN and (taps - {"taps=1"} or DISC_PART in words or record.light_points > 1):
             ran.add("soft_edges")
     return frozenset(ran)

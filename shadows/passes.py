@@ -31,8 +31,9 @@ OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes"
 class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
-    and tiles that hold one, and what else there is to say of it; labels of the programs that it drew with, in the order of
-    their first use, and the textures that these can read, by the alphabet (``terrain.gl.programs``).
+    and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
+    programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
+    (``terrain.gl.programs``).
     """
 
     name: str
@@ -45,6 +46,7 @@ class PassRecord:
     edges: int = 0
     marked: int = 0
     tiles: int = 0
+    light_points: int = 1
     note: str = ""
     programs: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()

@@ -209,7 +209,10 @@ ALGORITHM = Algorithm(
     plural="planar",
     fill=fill,
     passes=PASSES,
-    refuses={"uneven": "the ground is not flat: planar projects casters onto one plane"},
+    refuses={
+        "uneven": "the ground is not flat: planar projects casters onto one plane",
+        "area light": "planar projects casters from one point, into a stencil that is dark or not: it has hard edges only",
+    },
     layers=("stencil",),
     resolve=_resolve,
     search=Search(map_sizes_beside=FEW_MAP_SIZES),

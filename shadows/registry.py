@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from shadows import none, planar
-from shadows.algorithm import Algorithm, Requirement, requirements_of
+from shadows.algorithm import Algorithm, Requirement, is_area, requirements_of
 from shadows.hybrid import hybrid
 from shadows.maps import perspective_shadow_map, shadow_map
 from shadows.sweep import sweep
@@ -13,7 +13,7 @@ from shadows.truth import truth
 from shadows.volumes import shadow_volume
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
-from terrain.level.level import CasterKind
+from terrain.level.level import CasterKind, Shadows
 
 MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
 """Those that come with Skugga."""
@@ -51,6 +51,7 @@ def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
     return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(parts) is None]
 
 
-def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind) -> bool:
-    """Whether an algorithm can take on a kind of casters under a light of a view."""
-    return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster)) is None
+def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind, asked: Shadows | None = None) -> bool:
+    """Whether an algorithm can take on a kind of casters under a light of a view, if that is ``asked`` of its shadows."""
+    area = is_area(descriptor, light, asked or Shadows())
+    return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster, area)) is None

@@ -36,7 +36,7 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
-            reaches=lamp_reaches(scene, lamp, view, coarse_view),
+            reaches=lamp_reaches(scene, lamp, view, coarse_view), radius_m=lamp.radius_m,
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip

@@ -51,6 +51,8 @@ class Lamp:
         float64 (3, 3), columns right, down and forward (to the target; straight down for an omni light).
     cutoff_deg
         Half angle of the cone; 180 for an omni light.
+    radius_m
+        Of the ball that shines; 0: a point.
     color, intensity
         Linear colour, and irradiance at normal incidence in units of the sun's at the distance ``reference_m``.
     """
@@ -63,6 +65,7 @@ class Lamp:
     color: tuple[float, float, float]
     intensity: float
     reference_m: float
+    radius_m: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> LampInFrame:
         """Where it stands in a frame, and how it is turned there."""
@@ -85,7 +88,7 @@ def lamp_of(name: str, spec: LightSpec, place: Geolocator, where: str) -> Lamp:
         if not reference_m > 1e-6:
             raise LevelError(f"{where}.target", spec.target, "a point other than the position")
         forward, cutoff = to_target / reference_m, spec.cutoff
-    return Lamp(name, spec.kind, position, axes_along(forward, up), cutoff, spec.color, spec.intensity, reference_m)
+    return Lamp(name, spec.kind, position, axes_along(forward, up), cutoff, spec.color, spec.intensity, reference_m, spec.radius)
 
 
 def axes_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:

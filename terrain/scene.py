@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,13 +46,17 @@ PLACES_A_SIDE = 33
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A level's ground and light. Immutable; ``with_sun`` gives another one over the same ground."""
+    """A level's ground and light. Immutable; ``with_sun`` and ``with_lamp`` give another one over the same ground.
+
+    ``moved_lamps`` are its lamps where they are not those of the level.
+    """
 
     loaded: LoadedLevel
     world: World
     elevation: Elevation
     sun: Sun | None
     objects: SceneObjects
+    moved_lamps: Mapping[str, Lamp] = field(default_factory=dict)
 
     @property
     def place(self) -> Geolocator:
@@ -61,6 +66,8 @@ class Scene:
     @cached_property
     def lamps(self) -> dict[str, Lamp]:
         """The lights besides the sun by name."""
+        if self.moved_lamps:
+            return dict(self.moved_lamps)
         where = f"{self.loaded.path}: lights"
         return {name: lamp_of(name, spec, self.place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
 
@@ -99,6 +106,10 @@ class Scene:
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""
         return self if spec is None else replace(self, sun=sun_of(spec, self.world))
+
+    def with_lamp(self, lamp: Lamp) -> Scene:
+        """The same scene with another lamp in the place of the one of its name."""
+        return replace(self, moved_lamps={**self.lamps, lamp.name: lamp})
 
     @cached_property
     def light(self) -> LightSpace | None:

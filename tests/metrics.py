@@ -1,4 +1,4 @@
-"""Metrics that tests alone hold the engine to: soft shadows against truth, and flicker from frame to frame."""
+"""What tests alone hold the engine to: the visibility of the sun's disc at every pixel, and flicker from frame to frame."""
 
 from __future__ import annotations
 
@@ -15,14 +15,8 @@ from terrain.scene import Scene
 
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
     """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
-    visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(sun_samples=samples), PassLog())
+    visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(light_samples=samples), PassLog())
     return np.where(buffer.there, visibility, np.nan)
-
-
-def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
-    """Mean absolute difference of sun visibility over the surface (NaN off it)."""
-    difference = np.abs(visibility - true_visibility)
-    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
 def flicker(

@@ -18,6 +18,7 @@ from api.cli import doctor as doctor_checks
 from api.cli.level_argument import takes_level
 from api.cli.options import overrides_of, with_shadow_options
 from api.cli.outputs import check_targets
+from api.cli.same_command import same_command
 from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
@@ -305,6 +306,7 @@ def calibrate(as_json: JsonOption = False) -> None:
 @takes_level
 def compare(
     level: LevelSource,
+    context: typer.Context,
     view: ViewOption = "map",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
@@ -321,6 +323,9 @@ def compare(
     time_limit: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Time limit for all rows and repeats, seconds; default: 70.")
     ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="ROW", help="Only the row of this name; may be given several times.")
+    ] = None,
 ) -> None:
     """Compare algorithms and settings with ray-traced truth: error against time."""
     from api.cli.snapshot import scene_and_view
@@ -334,10 +339,12 @@ def compare(
     check_targets(level, [("--json", json_file), *(("--output", each) for each in pictures)])
     scene, view_value = scene_and_view(level, view, sun, shape, _bounds(bounds), crs)
     with _progress("Comparing") as advance:
-        comparison = measure(scene, view_value, view, fine, advance, light, TIME_LIMIT_S if time_limit is None else time_limit)
-    show(comparison)
+        limit_s = TIME_LIMIT_S if time_limit is None else time_limit
+        comparison = measure(scene, view_value, view, fine, advance, light, limit_s, only=only or ())
+    again = same_command(context, "output", "json_file", "time_limit", "only")
+    show(comparison, again)
     if output is not None:
-        write(scene, comparison, output, view)
+        write(scene, comparison, output, view, again)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
         write_whole(json_file, json.dumps(rows, indent=2) + "\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -11,7 +12,7 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from api.report.report import write_report, write_scatter
+from api.report.report import LEFT_OUT, write_report, write_scatter
 from api.report.summary import format_summary
 from selector.measure.compare import Comparison, ComparisonRow, false_colours
 from selector.planner.planner import make_plan
@@ -36,14 +37,18 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
         raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
-def show(comparison: Comparison) -> None:
-    """Print the rows, best first by ``wrong_cast``, and what holds for all of them."""
+def show(comparison: Comparison, again: str) -> None:
+    """Print the rows, best first by ``wrong_cast``, and what holds for all of them.
+
+    ``again`` is the command line of the comparison, to which the names of rows can be added.
+    """
     console = Console(width=140)
     table = Table(box=None, header_style="bold")
     table.add_column("algorithm-texels-taps-bits", overflow="fold")
     for title in (
         "ms",
         "wrong cast %",
+        "soft %",
         "wrong %",
         "false %",
         "missed %",
@@ -68,19 +73,30 @@ def show(comparison: Comparison) -> None:
         console.print(sentence)
     for remark in comparison.remarks:
         console.print(f"note: {remark}")
+    if comparison.left_out:
+        console.print(f"note: {LEFT_OUT}; each of them is measured by:")
+        for command in commands_of_left_out(comparison, again):
+            console.print(f"  {command}", soft_wrap=True, highlight=False, markup=False)
 
 
-def write(scene: Scene, comparison: Comparison, folder: Path, view: str = "map") -> None:
-    """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue."""
+def write(scene: Scene, comparison: Comparison, folder: Path, view: str, again: str) -> None:
+    """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue;
+    ``again`` as in ``show``.
+    """
     plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
     about = _about(scene, comparison, view)
-    write_report(folder / "report.html", comparison, base, about)
+    write_report(folder / "report.html", comparison, base, about, commands_of_left_out(comparison, again))
     title = [f"{scene.loaded.name}, {view}", f"{about['light']}; {about['size']}; {about['device']}"]
     write_scatter(folder / "scatter.svg", comparison, title)
     for row in comparison.rows:
         with replaced_whole(folder / f"{row.figures['name']}.png") as part:
             Image.fromarray(false_colours(base.mean(axis=2), row)).save(part)
+
+
+def commands_of_left_out(comparison: Comparison, again: str) -> list[str]:
+    """The command line that measures each row for which there was no time."""
+    return [f"{again} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
 def _about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
@@ -108,6 +124,7 @@ def _cells(row: ComparisonRow) -> list[str]:
         f["name"],
         f"{f['ms_median']:.0f}" + ("?" if f["cold"] else ""),
         f"{100 * f['wrong_cast']:.2f}",
+        f"{100 * f['soft_error']:.2f}",
         f"{100 * f['wrong']:.3f}",
         f"{100 * f['false_shadow']:.3f}",
         f"{100 * f['missed_shadow']:.3f}",

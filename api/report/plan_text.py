@@ -199,7 +199,7 @@ def _setting(key: str, value: object) -> str:
         case "filter", 1:
             return "one tap, so that edges are sharp"
         case "filter", "sun":
-            return "the penumbra of the sun's disc"
+            return "the penumbra of the light's extent"
         case "filter", _:
             return f"{value} x {value} taps"
         case "culling", "none":

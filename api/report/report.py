@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
@@ -27,6 +28,9 @@ MAX_PAGE_BYTES = 5_000_000
 LONG = 240
 """Characters from which on a remark is folded."""
 
+LEFT_OUT = "some rows were left out by the time limit"
+"""What is said where some were."""
+
 _COLOURS = {
     "false": "false shadow: lit in truth",
     "missed": "missed shadow: dark in truth",
@@ -35,18 +39,19 @@ _COLOURS = {
 }
 
 
-def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> None:
+def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()) -> None:
     """Write the page of a comparison.
 
     ``base`` is the view without cast shadows, uint8 (rows, cols, 3); ``about`` is what the page says of the run, in order; its
-    first two values are the title. The same input gives the same page, byte for byte.
+    first two values are the title; ``commands`` are the command lines of the rows that were left out. The same input gives the
+    same page, byte for byte.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    write_whole(path, report_html(comparison, base, about))
+    write_whole(path, report_html(comparison, base, about, commands))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
@@ -54,14 +59,22 @@ def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     write_whole(path, still(comparison, title, _part("report.css")))
 
 
-def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str]) -> str:
+def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()) -> str:
     """The page as text; see ``write_report``."""
     style, script = _part("report.css"), _part("report.js")
     parts = {
         "title": escape(" · ".join(list(about.values())[:2])),
         "about": definitions(about, class_="about"),
         "summary": tag(
-            "ul", *(tag("li", text) for text in [*map(escape, format_summary(comparison)), *map(_remark, comparison.remarks)])
+            "ul",
+            *(
+                tag("li", text)
+                for text in [
+                    *map(escape, format_summary(comparison)),
+                    *map(_remark, comparison.remarks),
+                    *_left_out(commands),
+                ]  # fmt: skip
+            ),
         ),
         "shares": definitions(_shares(comparison), class_="shares"),
         "glossary": definitions(GLOSSARY),
@@ -95,6 +108,14 @@ def _remark(remark: str) -> str:
     sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
     head, colon, tail = sentence.partition(": ")
     return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > LONG else sentence
+
+
+def _left_out(commands: Sequence[str]) -> list[str]:
+    """What is said of rows that were left out: how each is measured."""
+    if not commands:
+        return []
+    lines = "".join(tag("div", tag("code", escape(command))) for command in commands)
+    return [tag("details", tag("summary", f"{LEFT_OUT[:1].upper()}{LEFT_OUT[1:]}; each of them is measured by"), lines)]
 
 
 def _shares(comparison: Comparison) -> dict[str, str]:

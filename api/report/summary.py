@@ -32,7 +32,10 @@ def format_summary(comparison: Comparison) -> list[str]:
         return []
     summary = _SummaryText(comparison.error, FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.of(f)))
-    return [*summary.extremes(rows), *summary.prices(front), *summary.failures(rows), *_never_on_the_front(rows, comparison.light)]
+    return [
+        *summary.extremes(rows), *summary.prices(front), *_default(rows, comparison), *_softest(rows, comparison.error),
+        *summary.failures(rows), *_never_on_the_front(rows, comparison.light),
+    ]  # fmt: skip
 
 
 def casts(figures: RowFigures, light: str) -> bool:
@@ -116,6 +119,33 @@ class _SummaryText:
         error_phrase = "of the cast shadow wrong" if self.error == "wrong_cast" else "difference in shadow share"
         wrong = "exact within the noise of truth" if self.exact(figures) else f"{format_percent(self.of(figures))} {error_phrase}"
         return f"{wrong}, in {format_duration(figures['ms_median'])}"
+
+
+def _default(rows: list[RowFigures], comparison: Comparison) -> list[str]:
+    """Whether something is better than what is taken where nothing is asked: quicker, and more accurate by either error."""
+    default = next((f for f in rows if f["name"] == comparison.default), None)
+    if default is None:
+        return []
+    if default["pareto"] or default["pareto_soft"]:
+        fronts = [by for front, by in (("pareto", comparison.error), ("pareto_soft", "soft_error")) if default[front]]
+        return [f"The default, {default['name']}, is on the front by {format_list(fronts)}: nothing is better in no more time."]
+    better = min(
+        (f for f in rows if f["pareto"] and f["ms_median"] <= default["ms_median"]),
+        key=lambda f: (f[comparison.error], f["ms_median"]),
+        default=None,
+    )
+    if better is None:
+        return []
+    return [f"Better than the default, {default['name']}, in no more time is {better['name']}."]
+
+
+def _softest(rows: list[RowFigures], error: str) -> list[str]:
+    """What comes nearest to the light as an area, where that is not what is most accurate anyway."""
+    softest, best = (min(rows, key=lambda f: (f[by], f["ms_median"])) for by in ("soft_error", error))
+    if softest is best:
+        return []
+    soft_error, time = format_percent(softest["soft_error"]), format_duration(softest["ms_median"])
+    return [f"Nearest to the soft edges of truth is {softest['name']}: {soft_error} soft error, in {time}."]
 
 
 def _never_on_the_front(rows: list[RowFigures], light: str) -> list[str]:

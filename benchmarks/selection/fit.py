@@ -98,7 +98,7 @@ def cases_of(view: Figures) -> list[FitCase]:
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
     planner = planner_of(descriptor, asked_of(descriptor))
     found: dict[str, FitCase] = {}
-    for choice in portfolio(descriptor, light, planner.casting(light)):
+    for choice in portfolio(descriptor, light, planner.casting(light), planner.asked):
         name = view["picks"].get(choice.name)
         if name in view["rows"] and name not in found:
             found[name] = FitCase(view, descriptor, planner.steps(light, choice), view["rows"][name])

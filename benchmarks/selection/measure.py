@@ -38,7 +38,7 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
     """By name the plans of all choices of a light, and those that the rules lead to at each error that is asked for."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
-    choices = portfolio(descriptor, light, planner.casting(light))
+    choices = portfolio(descriptor, light, planner.casting(light), planner.asked)
     plans = {choice.name: planner.plan({light: choice}, {}) for choice in choices}
     return plans | {f"rules {goal.max_error:g}": make_plan(descriptor, level, {"max_error": goal.max_error}) for goal in GOALS}
 

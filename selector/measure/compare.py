@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -61,7 +61,8 @@ class Comparison:
 
     ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``surface`` the share of pixels that the
     drawn grid's simplification changes, ``noise_floor`` the ``error`` of truth's own sub-samples, ``remarks`` what a reader must
-    know (no surface, night, nothing casts, what was left out for want of time).
+    know (no surface, night, nothing casts), ``left_out`` the names of the candidates for which there was no time, ``default`` the
+    name of the row that is taken where nothing more is asked (empty: not among them).
     """
 
     view: View
@@ -73,6 +74,8 @@ class Comparison:
     surface: float
     noise_floor: float
     remarks: list[str]
+    left_out: tuple[str, ...] = ()
+    default: str = ""
 
 
 Times = tuple[float, dict[str, float]]
@@ -110,19 +113,24 @@ def compare(
     light: str | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     plans: Sequence[Plan] | None = None,
+    only: Collection[str] = (),
 ) -> Comparison:
-    """Measure every candidate (``plans``, or those of ``candidates``) on one geometry; ``on_step(done, total)`` is called as the
-    work goes on.
+    """Measure every candidate (``plans``, or those of ``candidates``, of these the ``only`` ones that are named, if any are) on one
+    geometry; ``on_step(done, total)`` is called as the work goes on.
 
     ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``. Every candidate is
     drawn once for its errors; then all are timed in turns, so that what else a machine does meets them alike, the quickest first.
-    What would end after ``time_limit_s`` seconds is left out, never an algorithm, and none of ``plans``: repeats, and after the
-    greater part of the time variants and mixes of algorithms that were drawn already.
+    What would end after ``time_limit_s`` seconds is left out, never an algorithm, none of ``plans``, and nothing that is named:
+    repeats, and after the greater part of the time variants and mixes of algorithms that were drawn already. Raises ``InputError``
+    for a name that is no candidate's.
     """
     start = time.perf_counter()
     light = _light(scene, light)
-    plans_given = plans is not None
-    plans = candidates(scene, view, name, light) if plans is None else plans
+    given, default = plans is not None or bool(only), ""
+    if plans is None:
+        plans = candidates(scene, view, name, light)
+        default = name_of(plans[0], light) if plans else ""
+        plans = _named(plans, light, only)
     total = len(plans) + ROW_REPEATS + 2
     step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.runs for plan in plans))
@@ -141,7 +149,7 @@ def compare(
     for done, plan in enumerate(plans, start=3):
         began_s, names = time.perf_counter() - start, set(plan.algorithm.get(light, {}).values())
         ends_s = began_s + max((took_s.get(algorithm, 0.0) for algorithm in names), default=0.0)
-        if not plans_given and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
+        if not given and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
             trials.append(_trial(scene, view_truth, pictures, plan, pixel_m))
@@ -156,11 +164,10 @@ def compare(
     rows = [_timed(trial) for trial in trials]
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
-    if left_out:
-        remarks.append(f"left out by the time limit ({time_limit_s:g} s): {', '.join(left_out)}")
     return Comparison(
-        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks
-    )
+        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks,
+        tuple(left_out), default,
+    )  # fmt: skip
 
 
 def measure_plan(
@@ -189,6 +196,15 @@ def _light(scene: Scene, light: str | None) -> str:
     return light or (*scene.light_names, SUN)[0]
 
 
+def _named(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
+    """Those of some names, or all of them if there are no names."""
+    by_name = {name_of(plan, light): plan for plan in plans}
+    for name in names:
+        if name not in by_name:
+            raise InputError("only", name, ", ".join(by_name))
+    return [plan for name, plan in by_name.items() if not names or name in names]
+
+
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     """The error of truth's own sub-samples of another seed (their majority, their share) against truth."""
     light = view_truth.grounds[0].light
@@ -214,7 +230,7 @@ def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], 
     for ground, part in zip(view_truth.grounds, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
-    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m)
+    errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft=True)
     shown_visibility = np.nan_to_num(view_truth.pasted(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()
@@ -269,16 +285,19 @@ def _timed(trial: TimedPlan) -> ComparisonRow:
         "cold": not trial.later,
         "stages": {name: round(ms, 3) for name, ms in runs[len(runs) // 2][1].items()},
         "pareto": False,
+        "pareto_soft": False,
     })  # fmt: skip
     return trial.row
 
 
 def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
-    """A row is on the front if no other is at least as good in both time and error and better in one."""
-    keys = [(row.figures["ms_median"], row.figures[error]) for row in rows]
-    for row, key in zip(rows, keys, strict=True):
-        beaten = any(other != key and other[0] <= key[0] and other[1] <= key[1] for other in keys)
-        row.figures["pareto"] = not beaten
+    """A row is on a front if no other is at least as good in both time and error and better in one: ``pareto`` by the error that
+    counts, ``pareto_soft`` by ``soft_error``.
+    """
+    for front, by in (("pareto", error), ("pareto_soft", "soft_error")):
+        keys = [(row.figures["ms_median"], row.figures[by]) for row in rows]
+        for row, key in zip(rows, keys, strict=True):
+            row.figures[front] = not any(other != key and other[0] <= key[0] and other[1] <= key[1] for other in keys)
 
 
 def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:

@@ -16,7 +16,7 @@ from selector.choices import Choice, PlanRequest
 from selector.formatting import format_duration, format_percent
 from selector.measure.trials import Candidate, Trial, TrialView, part_of, trial_view_of
 from selector.measure.view_truth import View
-from selector.planner.planner import make_plan
+from selector.planner.planner import make_plan, planner_of
 from selector.portfolio import portfolio
 from selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
 from shadows.algorithm import Reasoned
@@ -145,11 +145,12 @@ def candidates_of(
 ) -> dict[str, list[Candidate]]:
     """By light, what is to be measured: the portfolio as far as it is free, no two that come to the same plan."""
     default_plan = make_plan(descriptor, plan_request, overrides, choices={})
+    asked = planner_of(descriptor, plan_request, overrides).asked
     out: dict[str, list[Candidate]] = {}
     for light, per_kind in default_plan.algorithm.items():
         casting: set[CasterKind] = {kind for kind, algorithm in per_kind.items() if algorithm != NO_SHADOWS}
         distinct: dict[str, Candidate] = {}
-        for choice in portfolio(descriptor, light, casting) if casting else []:
+        for choice in portfolio(descriptor, light, casting, asked) if casting else []:
             plan = make_plan(descriptor, plan_request, overrides, choices={light: choice})
             distinct.setdefault(repr((plan.algorithm[light], plan.settings.get(light))), Candidate(light, choice, plan))
         out[light] = list(distinct.values())

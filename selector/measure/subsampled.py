@@ -1,4 +1,4 @@
-"""Views with fewer pixels, and their truth: every n-th pixel of a view as it is in the full one, nothing in between.
+"""The truth of views with fewer pixels (``terrain.gbuffer.subsampled``), and what is held against it.
 
 A pixel of a subsampled view is a pixel of the full view: as wide, and as far from the edges of shadows. So the shares of pixels
 that are wrong are the full view's but for chance. Were the pixels n times as wide instead, truth would not tell their class
@@ -9,19 +9,19 @@ wrong for 2.7 %.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
-from selector.measure.view_truth import View, ViewTruth
+from selector.measure.view_truth import ViewTruth
 from shadows.plan import Step
 from shadows.truth.metrics import INTERIOR_PX, from_edges_px
 from shadows.truth.truth import Truth
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.subsampled import subsampled_view
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 
@@ -64,14 +64,6 @@ class SubsampledTruth:
         if self.every > 1:
             spread = float(np.sqrt(share * (1.0 - share) / max(int(np.count_nonzero(cast)), 1)))
         return EstimatedErrors(_share(wrong, truth.decidable), share, _share(inside, truth.decidable), spread)
-
-
-def subsampled_view(view: View, every: int) -> View:
-    """Every n-th pixel of a view along rows and columns, from the first one on."""
-    rows, cols = -(-view.rows // every), -(-view.cols // every)
-    if isinstance(view, MapView):
-        return replace(view, row_step=view.row_step * every, col_step=view.col_step * every, rows=rows, cols=cols)
-    return replace(view, step=view.step * every, rows=rows, cols=cols)
 
 
 def subsampled_truth(view_truth: ViewTruth, every: int) -> SubsampledTruth:

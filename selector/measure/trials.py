@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from selector.choices import Choice
-from selector.measure.subsampled import SubsampledTruth, subsampled_truth, subsampled_view
+from selector.measure.subsampled import SubsampledTruth, subsampled_truth
 from selector.measure.view_truth import ErrorName, View, ViewTruth, truth_of_parts, truth_of_view
 from selector.ranking import CandidateFigures
 from shadows.plan import Plan, Step
 from shadows.render import Frame, bands_of, render_frame
 from shadows.visibility import with_apparent_sun
 from terrain.cache import clear_caches
+from terrain.gbuffer.subsampled import subsampled_view
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
 from terrain.scene import Scene

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -15,13 +16,15 @@ from shadows.render import bands_of
 from shadows.truth.cache import cached_truth
 from shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
 from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
-from shadows.truth.truth import Truth, coverage_truth
+from shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
 from shadows.visibility import without_hidden_points
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.subsampled import subsampled_points
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 View = MapView | PerspectiveView
@@ -30,6 +33,9 @@ ErrorName = Literal["wrong_cast", "coverage"]
 
 TRUTH_SAMPLES = 4
 """Sub-samples of a pixel that truth's classes must agree at."""
+
+SOFT_PIXELS = 40_000
+"""Pixels of a view, about, at which the visibility of a light as an area is known, evenly spaced."""
 
 FOGGY = 0.5
 """Where more of the surface than this is not decidable, coverage is the error that counts."""
@@ -61,6 +67,12 @@ class ViewTruth:
     whole: Truth
     true_shares: Sequence[np.ndarray] = ()
 
+    @cached_property
+    def true_visibility(self) -> np.ndarray:
+        """Visibility (rows, cols) of the light as an area, the reference of soft edges: in every n-th pixel, elsewhere NaN."""
+        every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
+        return self.pasted([_area_visibility(ground, every) for ground in self.grounds], np.nan)
+
     @property
     def error(self) -> ErrorName:
         return "coverage" if self.whole.boundary > FOGGY else "wrong_cast"
@@ -81,10 +93,14 @@ class ViewTruth:
             parts.append(part)
         return parts
 
-    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float) -> Errors:
-        """The figures of the blocks' visibilities (rows, cols), attached shadow included, that a plan's steps filled."""
+    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> Errors:
+        """The figures of the blocks' visibilities (rows, cols), attached shadow included, that a plan's steps filled.
+
+        ``soft``: ``soft_error`` is to be against the light as an area (that takes more rays), not as a point.
+        """
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.grounds]
-        return errors_of(self.pasted(parts, np.nan), self.whole, pixel_m, self.pasted(footprints_px, 0.0))
+        true_visibility = self.true_visibility if soft else None
+        return errors_of(self.pasted(parts, np.nan), self.whole, pixel_m, self.pasted(footprints_px, 0.0), true_visibility)
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
         """Mean difference of the shadow shares of the blocks' visibilities (rows, cols) from truth's."""
@@ -140,6 +156,19 @@ def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: 
     if buffer is not full_buffer:
         truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
     return TruthBlock(scene, buffer, light, casters, truth, attached(buffer, scene, light), row, col)
+
+
+def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
+    """A block's true visibility (rows, cols) of the light as an area in every n-th pixel; NaN elsewhere and off the surface."""
+    out = np.full(ground.truth.lit.shape, np.nan, np.float32)
+    if ground.light == SUN and not ground.scene.sun_is_up:
+        out[ground.truth.there] = 0.0
+    elif ground.truth.there.any():
+        points = subsampled_points(ground.buffer, every)
+        rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_KINDS)
+        seen = area_visibility(points, ground.scene, ground.light, rays, SOFT_SAMPLES)
+        out[::every, ::every] = np.where(points.there, seen, np.nan)
+    return out
 
 
 def _paste(view: View, grounds: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:

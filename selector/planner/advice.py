@@ -28,6 +28,6 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choi
 def _first(case: RuleInput) -> tuple[AlgorithmName, str]:
     """The algorithm of the first rule that applies and whose algorithm can serve the case, and the reason."""
     for rule in RULES:
-        if can_serve(rule.takes, case.descriptor, case.light, case.kind) and (why := rule.applies(case)) is not None:
+        if can_serve(rule.takes, case.descriptor, case.light, case.kind, case.asked) and (why := rule.applies(case)) is not None:
             return rule.takes, f"{why} ({rule.source})"
     return FALLBACK, NO_RULE

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
 from selector.planner.advice import choices_by_rules
-from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, requirements_of
+from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, is_area, requirements_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step, Target, plan_steps
 from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
@@ -147,7 +147,7 @@ class Planner:
         for caster in self.descriptor.casters:
             requested, parts = (
                 self.algorithm_override.get(light, {}).get(caster),
-                requirements_of(self.descriptor, kind_of_light, caster),
+                requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
             )
             name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
             asked_for, why_not = name, _falls_back(name, parts)
@@ -156,6 +156,10 @@ class Planner:
             _check(name, light, caster, parts, requester)
             assignments.append(_Assignment(light, caster, name, why, is_free, parts, asked_for))
         return assignments
+
+    def _is_area(self, light: str) -> bool:
+        """Whether a light is to be shown as the area that it is: not the sun, where its edges are to be sharp."""
+        return is_area(self.descriptor, light, self.asked) and not (light == SUN and "soft_edges" in self._missing)
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
         """The settings of a choice that the level and the request leave open."""

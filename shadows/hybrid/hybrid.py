@@ -117,7 +117,10 @@ ALGORITHM = Algorithm(
     plural="hybrid",
     fill=fill,
     passes=PASSES,
-    refuses=NO_VOLUME,
+    refuses={
+        **NO_VOLUME,
+        "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has none: shadow_volume can",
+    },
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     settings=(HybridSettings,),
     resolve=resolve_hybrid,

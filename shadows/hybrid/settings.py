@@ -7,13 +7,13 @@ from typing import Any, Literal
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
 from shadows.maps.resolve import resolve_uniform_map
 from shadows.maps.settings import LampMapSettings, ShadowMapSettings
-from shadows.volumes.settings import VolumeSettings, stencil_settings
+from shadows.volumes.settings import StencilSettings, stencil_settings
 
 HYBRID_TEXELS = 768
 """Texels a side of a hybrid's map, unless the level says otherwise: it need not be fine, since volumes decide at edges."""
 
 
-class HybridSettings(VolumeSettings):
+class HybridSettings(StencilSettings):
     """Settings of the hybrid: its map, how the pixels are found in which volumes decide (``original``: Chan and Durand's
     comparison of two by two texels), and those of its volumes.
     """

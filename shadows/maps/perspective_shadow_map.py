@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from shadows.area_light import mean_over_light
 from shadows.attached import attached
 from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
@@ -75,6 +76,8 @@ def fill(
 
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
+    if settings.filter == "sun":
+        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     visibility = np.ones(buffer.there.shape, np.float32)
     with log.run(depth_pass) as record:
@@ -125,7 +128,8 @@ def perspective_map(
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
     flat = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
-    low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, settings.filter / 2.0).min()))
+    taps = 1 if settings.filter == "sun" else settings.filter
+    low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, taps / 2.0).min()))
     clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, BEFORE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
-from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.area_light import LIGHT_SAMPLES
+from shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
+from shadows.maps.taps import sun_taps
 from shadows.maps.windows import MAP_BORDER_TEXELS
 from terrain.cache import MIB, cached
 from terrain.errors import UnsupportedError
@@ -80,7 +82,8 @@ def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | L
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
-    return lamp_map_settings(request.descriptor, lamp, request.shadows)
+    taps, why = _taps(request)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, why)
 
 
 def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
@@ -113,14 +116,14 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
             reason=f"a 16-bit step of {ranges_m[worst] / (2**16 - 1):.3g} m shifts a shadow by {shifts_px[worst]:.2g} pixels, "
             f"{verdict} {DEPTH_PX} allowed",
         ))  # fmt: skip
-    if taps == "auto":
-        taps = 3
-        reasons.append(Reasoned(name="filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
     steps = 2**16 - 1 if bits == 16 else 2**24 - 1
     cascades = tuple(
         Cascade(far_m=far_m, texel_m=(float(texel[0]), float(texel[1])), depth_step_m=float(range_m / steps))
         for (far_m, _, _), texel, range_m in zip(runs, texels, ranges_m, strict=True)
     )
+    if taps == "auto":
+        taps, why = sun_taps(descriptor, cascades)
+        reasons.append(Reasoned(name=f"filter {taps}", reason=why))
     fixed_settings = _bias_and_culling(shadows) | {"fit": "stable" if shadows.fit == "auto" else shadows.fit}
     if shadows.fit == "auto":
         why = "texels stay fixed to the ground when the view moves"
@@ -135,7 +138,27 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     return ShadowMapSettings(map_size=size, depth_bits=bits, filter=taps, cascades=cascades, **fixed_settings), reasons
 
 
-def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows) -> tuple[LampMapSettings, list[Reasoned]]:
+def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
+    """The taps of a lamp's map, or of a perspective one, and why. Raises ``UnsupportedError`` for the penumbra of a point."""
+    light, descriptor, taps = request.light, request.descriptor, request.sharpened.filter
+    who = "" if light == SUN else f"{light}: "
+    if request.is_area:
+        what = "the sun's disc" if light == SUN else "the lamp's ball"
+        return "sun", [Reasoned(name=f"{who}filter sun", reason=f"the mean of maps from {LIGHT_SAMPLES} points of {what}")]
+    if taps == "sun" and descriptor.highest_sun_deg is None:
+        reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
+        raise UnsupportedError("filter", "sun", reason)
+    if taps == "sun":
+        return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
+    if taps == "auto":
+        why = "by wrong_cast: 3 x 3 taps smooth the texel stairs along shadow edges"
+        return 3, [Reasoned(name=f"{who}filter 3", reason=why)]
+    return taps, []
+
+
+def lamp_map_settings(
+    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned]
+) -> tuple[LampMapSettings, list[Reasoned]]:
     """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
@@ -148,25 +171,13 @@ def lamp_map_settings(descriptor: Descriptor, lamp: LampFacts, shadows: Shadows)
     if shadows.depth_bits == "auto":
         why = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
-    taps = 3 if shadows.filter == "auto" else shadows.filter
-    if taps == "sun" and descriptor.highest_sun_deg is None:
-        reason = f"filter sun is for the sun only; the lamp '{lamp.name}' takes 1, 2, 3 or 5 taps a side"
-        raise UnsupportedError("filter", "sun", reason)
-    if taps == "sun":
-        taps = 3
-        reasons.append(Reasoned(name=f"{lamp.name}: filter 3", reason="filter sun is for the sun only"))
+    reasons += why_taps
     return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(shadows)), reasons
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of a light's perspective shadow map, and the reasons for what was left to choose.
-
-    Raises ``UnsupportedError`` for the penumbra of the sun's disc.
-    """
+    """Settings of a light's perspective shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
     light, asked = request.light, request.sharpened
-    if asked.filter == "sun":
-        reason = "texels of a perspective map differ in size: 1, 2, 3 or 5 taps a side; shadow_map can filter over the sun's disc"
-        raise UnsupportedError("filter", "sun", reason)
     who = "" if light == SUN else f"{light}: "
     reasons = [
         *request.why_sharpened,
@@ -176,7 +187,8 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
             if getattr(asked, key) not in ("auto", only)
         ),
     ]
-    size, bits, taps = asked.map_size, asked.depth_bits, asked.filter
+    size, bits = asked.map_size, asked.depth_bits
+    taps, why_taps = _taps(request)
     if size == "auto":
         size = PERSPECTIVE_TEXELS
         reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small near the eye: few are enough"))
@@ -184,10 +196,7 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         bits = 24 if light == SUN else 32
         why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
         reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
-    if taps == "auto":
-        taps = 3
-        reasons.append(Reasoned(name=f"{who}filter 3", reason="3 x 3 taps smooth the texel stairs along shadow edges"))
-    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), reasons
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), [*reasons, *why_taps]
 
 
 def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:

@@ -14,6 +14,9 @@ MapFit = Literal["stable", "tight"]
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
 """What keeps a surface from shading itself: derived in ``docs/shadow-maps.md``."""
 
+MapFilter = Literal[1, 2, 3, 5, "sun"]
+"""Taps a side of a map's look-up, or the penumbra of the light's disc or ball."""
+
 Culling = Literal["none", "front"]
 """Faces of closed casters that are left out of a map."""
 
@@ -41,7 +44,7 @@ class ShadowMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5, "sun"]
+    filter: MapFilter
     fit: MapFit = "stable"
     bias: MapBias = "receiver_plane"
     culling: Culling = "none"
@@ -61,11 +64,13 @@ class ShadowMapSettings(AlgorithmSettings):
 
 
 class LampMapSettings(AlgorithmSettings):
-    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side."""
+    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side, or ``sun`` for
+    the penumbra of the lamp's ball: a map from each of many points of it.
+    """
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
+    filter: MapFilter
     bias: MapBias = "receiver_plane"
     culling: Culling = "none"
     bias_scale: float = Field(default=1.0, ge=0)
@@ -77,7 +82,8 @@ class LampMapSettings(AlgorithmSettings):
 
 
 class PerspectiveMapSettings(AlgorithmSettings):
-    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side.
+    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side, or ``sun`` for the penumbra of the light's
+    disc or ball: a map for each of many points of it.
 
     It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.
     """
@@ -87,7 +93,7 @@ class PerspectiveMapSettings(AlgorithmSettings):
 
     map_size: int = Field(ge=64, le=8192)
     depth_bits: Literal[16, 24, 32]
-    filter: Literal[1, 2, 3, 5]
+    filter: MapFilter
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from shadows.area_light import mean_over_light
 from shadows.maps.drawing import depths, draw_map
 from shadows.maps.lookup import look_up
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
@@ -47,6 +48,8 @@ def fill(
 
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
+    if isinstance(settings, LampMapSettings) and settings.filter == "sun":
+        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []

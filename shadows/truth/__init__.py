@@ -1,4 +1,4 @@
 """The reference: `truth`, ray by ray, kept on disk; and the metrics that say how far a visibility is from it.
 
-May import: algorithm, attached, passes, work.
+May import: algorithm, area_light, attached, passes, work.
 """

@@ -51,6 +51,8 @@ class Errors:
         connected parts of 8 px or more.
     boundary
         Share of the surface that is not decidable.
+    soft_error
+        Mean absolute difference of visibility over the surface, from that of the light as an area where that is known.
     """
 
     wrong: float
@@ -64,14 +66,24 @@ class Errors:
     interior: float
     interior_parts: int
     boundary: float
+    soft_error: float
 
 
-def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footprint_px: float | np.ndarray = 0.0) -> Errors:
+def errors_of(
+    visibility: np.ndarray,
+    truth: Truth,
+    pixel_m: float,
+    texel_footprint_px: float | np.ndarray = 0.0,
+    true_visibility: np.ndarray | None = None,
+) -> Errors:
     """Hold a visibility (rows, cols) in [0, 1], attached shadow included, against truth.
 
     ``pixel_m`` is a pixel's side on the receiver; ``texel_footprint_px`` that of an algorithm's texel in pixels, if it has any:
-    one number, or one a pixel (rows, cols).
+    one number, or one a pixel (rows, cols). ``true_visibility`` (rows, cols) is that of the light as an area, NaN where it is not
+    known; ``None``: the light is a point.
     """
+    if true_visibility is None:
+        true_visibility = np.where(truth.there, truth.lit, np.nan)
     decidable = truth.decidable
     dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.there
     true_dark = ~truth.lit & truth.there
@@ -94,6 +106,7 @@ def errors_of(visibility: np.ndarray, truth: Truth, pixel_m: float, texel_footpr
         interior=_share(inside, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
         boundary=truth.boundary,
+        soft_error=soft_error(visibility, true_visibility),
     )
 
 
@@ -153,6 +166,12 @@ def block_shares(shadow_share: np.ndarray) -> np.ndarray:
 def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
     """Mean difference of the shadow shares of blocks (any shape), in [0, 1]; NaN blocks do not count."""
     difference = np.abs(share - true_share)
+    return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
+
+
+def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
+    """Mean absolute difference of visibilities in [0, 1] over the surface, as far as both are known (NaN: not)."""
+    difference = np.abs(visibility - true_visibility)
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 

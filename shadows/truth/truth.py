@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
+from shadows.area_light import disc_points, sun_disc
 from shadows.attached import attached, turned_away
 from shadows.passes import PassLog
 from shadows.work import Work, Workload
@@ -27,12 +28,11 @@ from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.shared_points import FacingNormals, facing_normals
+from terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
 from terrain.gbuffer.smooth_ground import on_smooth_ground
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.light_space import light_bounds
-from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import SUN, CasterKind
 from terrain.lights import light_position
 from terrain.scene import Scene
@@ -42,13 +42,16 @@ UNLIMITED_TRIANGLES = 2**31
 
 PASSES = ("rays",)
 
+SOFT_SAMPLES = 64
+"""Points of a light that is to be an area."""
+
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
 
 
 class TruthSettings(AlgorithmSettings):
-    """Settings of ray-traced truth: directions over the sun's disc (1: its middle alone)."""
+    """Settings of ray-traced truth: points over the sun's disc, or a lamp's ball (1: its middle alone)."""
 
-    sun_samples: int = Field(default=1, ge=1, le=1024)
+    light_samples: int = Field(default=1, ge=1, le=1024)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +84,12 @@ def fill(
 ) -> np.ndarray:
     """Visibility of a light (rows, cols), float32 in [0, 1]: the common interface of the algorithms.
 
-    With ``sun_samples`` over 1 the sun is a disc of that many stratified directions, and visibility their mean.
+    With ``light_samples`` over 1 the light is an area of that many stratified points, and visibility their mean.
     """
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
         rays = ray_scene(buffer, scene, casters, kinds)
-        if light != SUN or settings.sun_samples == 1:
-            return lit_from(buffer, scene, light, rays).astype(np.float32)
-        return _disc_visibility(buffer, scene, rays, settings.sun_samples)
+        return area_visibility(buffer, scene, light, rays, settings.light_samples)
 
 
 def truth_of(
@@ -115,11 +116,39 @@ def truth_of(
     return Truth(lit, turned, decidable, buffer.there)
 
 
-def _disc_visibility(buffer: GeometryBuffer, scene: Scene, rays: RayScene, samples: int) -> np.ndarray:
-    assert scene.sun is not None
+def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+    """Visibility (rows, cols) float32 of a light as the area that it is by so many points of the disc that is seen of it; 1: its
+    middle. Attached shadow is in it, by the facing of each point; 0 off the surface. A lamp without a radius is a point.
+    """
+    if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
+        return lit_from(buffer, scene, light, rays).astype(np.float32)
     visibility = np.zeros(buffer.there.shape, np.float32)
-    for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
-        visibility += lit_towards(buffer, rays, direction)
+    if light == SUN:
+        assert scene.sun is not None
+        for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
+            visibility += lit_towards(buffer, rays, direction)
+        return visibility / np.float32(samples)
+    return _ball_visibility(buffer, scene, light, rays, samples)
+
+
+def _ball_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+    """That of a lamp's ball, each point of which shines into the lamp's cone."""
+    lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
+    _, axis, _ = lamp.in_frame(buffer.frame)
+    buffer, visibility = on_smooth_ground(buffer, source), np.zeros(buffer.there.shape, np.float32)
+    to_lamp = np.array(source[:3]) - buffer.position_frame_m
+    towards = to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
+    right = np.cross(towards, np.where(np.abs(towards[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    up = np.cross(right, towards)
+    normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
+    for across, aside in lamp.radius_m * disc_points(samples):
+        way = to_lamp + across * right + aside * up
+        length = np.linalg.norm(way, axis=-1)
+        towards = (normals.normal_frame * way).sum(axis=-1)
+        facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > GRAZING * length
+        inside = buffer.there & facing & (-(way @ axis) >= cosine * length)
+        visibility += _lit_over(buffer, rays, inside, normals, way, 1.0)
     return visibility / np.float32(samples)
 
 
@@ -237,12 +266,20 @@ def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, o
     source = scene.light_position(light, buffer.frame)
     facing = buffer.there & ~attached(buffer, scene, light)
     buffer = on_smooth_ground(buffer, source)
-    to_light = np.array(source[:3]) - buffer.position_frame_m[facing]
-    length = np.linalg.norm(to_light, axis=-1)
-    to_light /= length[:, None]
-    start = _lifted(buffer, facing, facing_normals(buffer, source), to_light, offsets * rays.offset_m)
+    to_light = np.array(source[:3]) - buffer.position_frame_m
+    return _lit_over(buffer, rays, facing, facing_normals(buffer, source), to_light, offsets)
+
+
+def _lit_over(
+    buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offsets: float
+) -> np.ndarray:
+    """Where nothing stops the rays from those of a buffer's points that are ``facing``, over ways (rows, cols, 3) to a lamp."""
+    way = to_light[facing]
+    length = np.linalg.norm(way, axis=-1)
+    way /= length[:, None]
+    start = _lifted(buffer, facing, normals, way, offsets * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
-    out[facing] = ~rays.blocked(start, to_light, length)
+    out[facing] = ~rays.blocked(start, way, length)
     return out
 
 
@@ -277,23 +314,14 @@ def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> l
     return [view.shifted(row, col) for row, col in places]
 
 
-def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
-    """Unit directions (samples, 3) over the sun's disc, equal areas: Vogel's spiral (1979)."""
-    across = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
-    across /= np.linalg.norm(across)
-    aside = np.cross(across, to_sun)
-    number = np.arange(samples)
-    angle, distance = number * np.pi * (3.0 - 5.0**0.5), np.tan(np.radians(radius_deg)) * np.sqrt((number + 0.5) / samples)
-    directions = to_sun + distance[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * aside)
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
+    if request.is_area:
+        return TruthSettings(light_samples=SOFT_SAMPLES), []
     return TruthSettings(), request.without_filter("truth")
 
 
 def _work(task: Workload, settings: TruthSettings) -> Work:
-    rays = task.facing * settings.sun_samples
+    rays = task.facing * settings.light_samples
     return {"truth": {"blocks": 1.0, "seen": task.seen, "rays": rays, "triangles": task.all_triangles}}
 
 

@@ -1,4 +1,4 @@
 """Shadow volumes: `shadow_volume`; edges, silhouettes, the volumes' triangles, and counting them in the stencil.
 
-May import: algorithm, attached, passes, work.
+May import: algorithm, area_light, attached, passes, work.
 """

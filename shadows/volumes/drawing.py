@@ -22,7 +22,7 @@ from moderngl import Framebuffer
 
 from shadows.passes import PassRecord
 from shadows.volumes.layers import may_shade_near
-from shadows.volumes.settings import VolumeSettings
+from shadows.volumes.settings import StencilSettings
 from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
 from shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
 from shadows.volumes.volumes import Volumes
@@ -54,7 +54,7 @@ def count(
     scene: Scene,
     light: np.ndarray,
     volumes: list[Volumes],
-    settings: VolumeSettings,
+    settings: StencilSettings,
     wanted: np.ndarray,
     marked: bool,
     record: PassRecord,
@@ -143,7 +143,7 @@ def _counted(
     points: SeenPoints,
     light: np.ndarray,
     volumes: list[Volumes],
-    settings: VolumeSettings,
+    settings: StencilSettings,
     marked: bool,
     record: PassRecord,
 ) -> np.ndarray:
@@ -200,7 +200,7 @@ def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndar
         return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 0.0)).sum())
 
 
-def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: VolumeSettings) -> list[tuple[Counting, np.ndarray]]:
+def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: StencilSettings) -> list[tuple[Counting, np.ndarray]]:
     """The ways to count and the faces (m, 3) that are counted so."""
     if points.near_frame_m is None:
         return [("z_pass", volumes.faces)]

@@ -4,22 +4,41 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from shadows.algorithm import AlgorithmSettings, ResolvedSettings, SettingsRequest
+from shadows.algorithm import AlgorithmSettings, Reasoned, ResolvedSettings, SettingsRequest
+from shadows.area_light import LIGHT_SAMPLES
 from terrain.level.level import Shadows
 
 
-class VolumeSettings(AlgorithmSettings):
-    """Settings of shadow volumes: both sides of the volumes in one pass or in one each, and what is counted: ``auto`` takes
-    z-pass for casters whose volume provably misses the near plane and z-fail for the others.
+class StencilSettings(AlgorithmSettings):
+    """How volumes are counted: both sides of them in one pass or in one each, and what is counted: ``auto`` takes z-pass for
+    casters whose volume provably misses the near plane and z-fail for the others.
     """
 
     stencil: Literal["one_pass", "two_pass"] = "one_pass"
     counting: Literal["auto", "z_fail"] = "auto"
 
 
+class VolumeSettings(StencilSettings):
+    """Settings of shadow volumes: how they are counted; and ``filter``, 1 for the hard edges of a light that is a point, or ``sun``
+    for the penumbra of its disc or ball: the volumes of each of many points of it.
+    """
+
+    filter: Literal[1, "sun"] = 1
+
+    @property
+    def asked_as(self) -> dict[str, Any]:
+        """The same as a level's ``shadows`` would ask for them: hard edges need not be asked for."""
+        asked = super().asked_as
+        return asked if self.filter == "sun" else {key: value for key, value in asked.items() if key != "filter"}
+
+
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of shadow volumes; there is nothing to give reasons for."""
-    return VolumeSettings(**stencil_settings(request.shadows)), request.without_filter("shadow_volume")
+    """Settings of shadow volumes, and the reason for a penumbra."""
+    settings = stencil_settings(request.shadows)
+    if not request.is_area:
+        return VolumeSettings(**settings), request.without_filter("shadow_volume")
+    reason = f"the mean of the volumes of {LIGHT_SAMPLES} points of the light"
+    return VolumeSettings(**settings, filter="sun"), [Reasoned(name="filter sun", reason=reason)]
 
 
 def stencil_settings(shadows: Shadows) -> dict[str, Any]:

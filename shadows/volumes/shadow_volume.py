@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
+from shadows.area_light import mean_over_light
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before, silhouettes_seen
@@ -32,10 +33,12 @@ def fill(
     settings: VolumeSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32, 0 or 1, for a buffer's points past some kinds of casters.
+    """Visibility of a light (rows, cols), float32, 0 or 1, of an area in between, for a buffer's points past some kinds of casters.
 
     Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
     """
+    if settings.filter == "sun":
+        return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     silhouettes_pass, stencil_pass = log.named(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(silhouettes_pass) as record:

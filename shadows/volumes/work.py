@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.volumes.settings import VolumeSettings
+from shadows.area_light import times_points
+from shadows.volumes.settings import StencilSettings, VolumeSettings
 from shadows.volumes.tiles import CULLING_TILE_PX, LEAST_TILES, RECTANGLE_FACES
 from shadows.work import Counts, Work, Workload
 from terrain.casters.clip_space import AFFINE_PART_PX
@@ -20,7 +21,8 @@ SHEET_TRIANGLES = 2 * PATCH_QUADS**2
 
 def volume_work(task: Workload, settings: VolumeSettings) -> Work:
     """Of shadow volumes in all of the picture."""
-    return {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
+    counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
+    return times_points(counts) if settings.filter == "sun" else counts
 
 
 def silhouette_counts(task: Workload) -> Counts:
@@ -44,7 +46,7 @@ def volume_faces(task: Workload) -> tuple[float, float, float]:
     return ends * _mesh_edges(task), ends * caps, ends * ground
 
 
-def stencil_counts(task: Workload, settings: VolumeSettings, marked: float | None = None) -> Counts:
+def stencil_counts(task: Workload, settings: StencilSettings, marked: float | None = None) -> Counts:
     """Counting volumes in all of the picture, or in the share of its tiles that is ``marked``.
 
     Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not

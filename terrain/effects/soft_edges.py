@@ -19,7 +19,7 @@ DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
-        return Verdict(False, "no sun in the level, and lamps are points: no penumbra")
+        return Verdict(False, "no sun in the level")
     wide_m = penumbra_m(descriptor)
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:

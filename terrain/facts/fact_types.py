@@ -39,7 +39,7 @@ class Facts(BaseModel):
 
 class LampFacts(Facts):
     """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether any of
-    its light can be seen in the view.
+    its light can be seen in the view; ``radius_m`` is that of the ball that shines (0: a point).
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -47,6 +47,7 @@ class LampFacts(Facts):
     cutoff_deg: Annotated[float, Field(gt=0, le=180, allow_inf_nan=False)]
     reference_m: Positive
     reaches: bool = True
+    radius_m: AtLeastZero = 0.0
 
 
 class Band(Facts):
@@ -120,12 +121,14 @@ class CastBand(Facts):
 
 class Casting(Facts):
     """The cast shadows of one kind of casters: their ``share`` of all that is seen, how much of that lies ``on_bodies`` and not on
-    the ground (a share of all that is seen, too; ``None``: not known), and by distance, nearest first.
+    the ground (a share of all that is seen, too; ``None``: not known), by distance, nearest first, and how far they are thrown:
+    ``thrown_m`` is the median distance from a point in shadow to what stands before the light (``None``: not known).
     """
 
     share: Share
     on_bodies: Share | None = None
     bands: tuple[CastBand, ...] = ()
+    thrown_m: AtLeastZero | None = None
 
     @model_validator(mode="after")
     def _in_order(self) -> Casting:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.facts.leaf_rays import blocked_by_leaves
-from terrain.facts.mesh_rays import blocked_by_meshes
+from terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
+from terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
 from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
 from terrain.facts.relief_rays import blocked_by_relief, overview_probes
 from terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
@@ -36,6 +36,9 @@ EDGE_RUNG = 6
 ALL_ROUND_PARTS = 8
 """Parts a side of the faces of a cube round an omni light by which it is told how much of its sphere is seen."""
 
+
+MIN_THROW_M = 0.01
+"""A ray starts so far off the body that it comes from."""
 
 LEAF_PROBES = 160
 """Probes, at most, beside which rays are looked for that foliage stops: those cost most."""
@@ -118,22 +121,27 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
 @dataclass(frozen=True, eq=False)
 class BlockedRays:
     """Which rays a kind of casters stands in the way of: those of the probes ``itself`` (n,), and those from ``beside`` (k, m) the
-    probes ``which`` (m,), indices.
+    probes ``which`` (m,), indices. ``thrown_m`` is how far before those of the probes it is met, where that is known.
     """
 
     itself: np.ndarray
     beside: np.ndarray
     which: np.ndarray
+    thrown_m: np.ndarray | None = None
 
 
 def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> BlockedRays:
     scene, everyone = seen.scene, np.arange(len(probes))
     if kind == "forest" and seen.trees is not None and len(seen.trees):
         which = stratified_indices(len(probes), LEAF_PROBES)
-        itself = blocked_by_leaves(seen.trees, rays.some(slice(1), everyone))[0]
-        return BlockedRays(itself, blocked_by_leaves(seen.trees, rays.some(slice(1, None), which)), which)
+        met_m, _ = first_leaf_hits(seen.trees, *(np.ascontiguousarray(array[0]) for array in rays.arrays))
+        itself = np.isfinite(met_m)
+        return BlockedRays(itself, blocked_by_leaves(seen.trees, rays.some(slice(1, None), which)), which, met_m[itself])
     if kind == "meshes":
         met = blocked_by_meshes(scene.objects, probes, rays)
+        start, direction, length = (array[0][met[0]] for array in rays.arrays)
+        thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + MIN_THROW_M * direction, direction, length)
+        return BlockedRays(met[0], met[1:], everyone, thrown_m[np.isfinite(thrown_m)])
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
         met = blocked_by_relief(scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays)
     else:
@@ -169,7 +177,10 @@ def _casting(lit: LitProbes, blocked: BlockedRays, facing_share: float, by_dista
         for i, number in enumerate(octave.tolist())
     )  # fmt: skip
     on_bodies = float((blocked.itself & (probes.kind != RELIEF)).mean())
-    return Casting(share=facing_share * float(blocked.itself.mean()), on_bodies=facing_share * on_bodies, bands=bands)
+    thrown_m = float(np.median(blocked.thrown_m)) if blocked.thrown_m is not None and len(blocked.thrown_m) else None
+    return Casting(
+        share=facing_share * float(blocked.itself.mean()), on_bodies=facing_share * on_bodies, bands=bands, thrown_m=thrown_m
+    )
 
 
 def _to_view_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probes: Probes) -> float:

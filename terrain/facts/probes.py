@@ -73,9 +73,14 @@ class ProbeRays:
     direction_frame: np.ndarray
     length_m: np.ndarray
 
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts, directions and lengths."""
+        return self.start_frame_m, self.direction_frame, self.length_m
+
     def some(self, rows: slice, which: np.ndarray) -> ProbeRays:
         """The rays of some rows, of the probes at some indices."""
-        return ProbeRays(*(array[rows][:, which] for array in (self.start_frame_m, self.direction_frame, self.length_m)))
+        return ProbeRays(*(array[rows][:, which] for array in self.arrays))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:

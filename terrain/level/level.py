@@ -83,7 +83,8 @@ class Shadows(Model):
     )
     depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
     filter: Literal["auto", 1, 2, 3, 5, "sun"] = Field(
-        default="auto", description="Filter of a shadow map: taps a side, or `sun` for the penumbra of the sun's disc."
+        default="auto",
+        description="Filter of shadows: a map's taps a side, or `sun` for the penumbra of the sun's disc, or of a lamp's radius.",
     )
     fit: Annotated[Literal["auto", "stable", "tight"], Requests(take=("render", "select"))] = Field(
         default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight round the view."

@@ -271,7 +271,8 @@ class LightSpec(Model):
     """A light besides the sun. Positions as in views: degrees and height above ground, or metres on a made ground.
 
     ``cutoff`` is the half angle of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the
-    sun's, at the spot's target (an omni light: on the ground below it); it falls off with the square of the distance.
+    sun's, at the spot's target (an omni light: on the ground below it); it falls off with the square of the distance. ``radius``
+    is that of the ball that shines, metres, whose shadows have penumbrae; 0: a point.
     """
 
     kind: Literal["spot", "omni"]
@@ -280,6 +281,7 @@ class LightSpec(Model):
     cutoff: float = Field(default=35.0, gt=0, lt=85)
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     intensity: float = Field(default=1.0, gt=0, le=1000)
+    radius: float = Field(default=0.0, ge=0, le=100, allow_inf_nan=False)
 
     @field_validator("color")
     @classmethod

@@ -48,6 +48,10 @@ COLUMNS = [
     Column("ms_median", "time", "ms", milliseconds, "Wall clock of a frame's shadow work, median of its runs."),
     Column("ms_p95", "p95", "ms", milliseconds, "The time that 95 % of the runs keep."),
     Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of what truth or the row puts in cast shadow."),
+    Column(
+        "soft_error", "soft error", "%", fixed(3, 100),
+        "Mean difference of visibility from that of the light as an area (the sun's disc), by rays: the error of soft edges.",
+    ),
     Column("coverage", "coverage", "%", fixed(2, 100), "Mean difference in shadow share over blocks of 16 × 16 pixels."),
     Column("wrong", "wrong", "%", fixed(3, 100), "Wrong pixels as a share of the surface where truth is certain."),
     Column("false_shadow", "false", "%", fixed(3, 100), "Wrong among the pixels that are lit in truth."),

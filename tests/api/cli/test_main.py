@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from importlib.metadata import version
@@ -281,6 +282,17 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypa
     assert len(pictures) == len(rows)
     none = np.asarray(Image.open(folder / "none.png")).astype(int)
     assert ((none[..., 2] - none[..., 0]) > 100).mean() > 0.02, "missed shadow is blue"
+
+
+def test_compare_says_how_to_measure_what_it_left_out(gl, run, monkeypatch):
+    status, out, err = run("compare", "jacksboro", *SMALL, "--time-limit", "0")
+    assert (status, err) == (0, "") and "soft %" in out
+    commands = [line.strip() for line in out.splitlines() if line.startswith("  skugga compare ")]
+    assert commands and all("--only" in command and "--time-limit" not in command for command in commands)
+    words = shlex.split(commands[0])
+    assert words[2] == "jacksboro" and all(word in words for word in SMALL)
+    status, out, err = run(*words[1:])
+    assert (status, err) == (0, "") and words[-1] in out and "left out" not in out
 
 
 @pytest.mark.parametrize("option", ["-o", "--json"])

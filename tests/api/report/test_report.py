@@ -258,6 +258,13 @@ def test_a_long_remark_is_folded() -> None:
     assert len(page.of("details")) == 2, "the remark and the row's settings"
 
 
+def test_each_row_that_was_left_out_has_its_command() -> None:
+    commands = ["skugga compare x --only 'relief=sweep,meshes=hybrid'", "skugga compare x --only planar"]
+    page = Page(report_html(comparison(NONE), BASE, ABOUT, commands))
+    assert all(command in page.text for command in commands) and "left out by the time limit" in page.text
+    assert "left out" not in Page(report_html(comparison(NONE), BASE, ABOUT)).text
+
+
 @pytest.mark.parametrize("rows", [(), (NONE,), (figures("sweep", 0.0, 0.0),)], ids=["no rows", "none alone", "all zero"])
 def test_little_to_show(rows: tuple[dict[str, Any], ...]) -> None:
     page = Page(report_html(comparison(*rows, remarks=["the view shows no surface: there is nothing to compare"]), BASE, ABOUT))

@@ -31,6 +31,7 @@ def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
         "settings": {} if algorithm == "none" else {"sun": {"relief": {"map_size": 64}, "meshes": {"map_size": 64}}},
         **zeros,
         "wrong_cast": error,
+        "soft_error": error,
         "coverage": 0.0,
         "interior": 0.0,
         "interior_parts": 0,
@@ -44,6 +45,7 @@ def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
         "cold": False,
         "stages": {"depth map": 0.25 * ms, "visibility": 0.7 * ms},
         "pareto": False,
+        "pareto_soft": False,
     } | more  # fmt: skip
 
 
@@ -141,6 +143,29 @@ def test_where_none_beats_all_nobody_is_told_to_be_never_on_the_front() -> None:
 def test_the_error_that_counts_is_told() -> None:
     row = figures("sweep", 10.0, 0.5, coverage=0.031)
     assert "3.1 % difference in shadow share" in format_summary(comparison(row, error="coverage"))[0]
+
+
+def test_soft_edges_are_judged_where_something_else_is_best_there() -> None:
+    hard, soft = figures("shadow_map-1", 10.0, 0.01, soft_error=0.04), figures("shadow_map-sun", 50.0, 0.02, soft_error=0.005)
+    said = format_summary(comparison(hard, soft))
+    assert "Nearest to the soft edges of truth is shadow_map-sun: 0.50 % soft error, in 50 ms." in said
+    assert not any("soft edges" in text for text in format_summary(comparison(hard, figures("sweep", 5.0, 0.2))))
+
+
+@pytest.mark.parametrize(
+    ("ms", "soft_front", "words"),
+    [
+        (5.0, False, "The default, sweep, is on the front by wrong_cast:"),
+        (20.0, True, "The default, sweep, is on the front by soft_error:"),
+        (20.0, False, "Better than the default, sweep, in no more time is hybrid."),
+    ],
+)
+def test_the_default_is_judged(ms: float, soft_front: bool, words: str) -> None:
+    default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
+    told = [
+        text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text
+    ]
+    assert len(told) == 1 and told[0].startswith(words)
 
 
 def test_algorithms_of_the_light_that_is_looked_at() -> None:

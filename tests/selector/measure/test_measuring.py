@@ -12,7 +12,7 @@ from selector.choices import Choice
 from selector.measure import measuring, trials
 from selector.measure.compare import measure_plan
 from selector.measure.measuring import LightTrials, TargetBounds, confirm_winners, measured_plan, measured_rows, winners
-from selector.measure.subsampled import subsampled_truth, subsampled_view
+from selector.measure.subsampled import subsampled_truth
 from selector.measure.trials import Candidate, Trial, part_of, shadow_ms
 from selector.measure.view_truth import truth_of_view
 from selector.ranking import CandidateFigures
@@ -20,6 +20,7 @@ from shadows.render import render_frame
 from shadows.truth.metrics import errors_of
 from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.subsampled import subsampled_view
 from terrain.geo.grid import BLOCK_PX, blocks_of
 from terrain.level.level import SunSpec, load_level
 from terrain.scene import Scene, build_scene

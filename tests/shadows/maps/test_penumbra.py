@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
+from shadows.area_light import sun_disc
 from shadows.attached import attached
 from shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGES, WIDEST_TEXELS, samples_before_edges
-from shadows.truth.truth import sun_disc
 from terrain.casters.reach import casters_of
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.picture import geometry_of

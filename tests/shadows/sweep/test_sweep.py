@@ -14,7 +14,7 @@ from shadows.render import render_frame
 from shadows.sweep import sweep
 from shadows.sweep.rays import rays_over
 from shadows.sweep.settings import SweepSettings
-from shadows.truth.metrics import MOST_INTERIOR, errors_of
+from shadows.truth.metrics import MOST_INTERIOR, errors_of, soft_error
 from shadows.truth.truth import ray_scene, truth_of
 from shadows.visibility import receivers_of
 from terrain.casters import reach
@@ -28,7 +28,7 @@ from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
-from tests.metrics import soft_error, soft_truth
+from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 

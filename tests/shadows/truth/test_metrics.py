@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadows.truth.metrics import block_shares, boundary, coverage_error, edge_distances, errors_of, interior  # fmt: skip
+from shadows.truth.metrics import block_shares, boundary, coverage_error, edge_distances, errors_of, interior, soft_error
 from shadows.truth.truth import Truth
-from tests.metrics import flicker, soft_error  # fmt: skip
+from tests.metrics import flicker
 
 
 def truth(lit, attached=None, decidable=None, there=None) -> Truth:

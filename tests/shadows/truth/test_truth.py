@@ -9,12 +9,13 @@ import pytest
 
 from selector.candidates import candidates
 from selector.measure.compare import Comparison, compare, false_colours
+from shadows.area_light import sun_disc
 from shadows.attached import attached
 from shadows.maps import shadow_map
 from shadows.passes import PassLog
 from shadows.truth import truth
-from shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of
-from shadows.truth.truth import Truth, coverage_truth, fill, sub_views, sun_disc, surface_error, truth_of
+from shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of, soft_error
+from shadows.truth.truth import Truth, coverage_truth, fill, sub_views, surface_error, truth_of
 from shadows.visibility import receivers_of
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
@@ -22,7 +23,7 @@ from terrain.geo.grid import MapView
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
-from tests.metrics import soft_error, soft_truth
+from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render, shadow
 

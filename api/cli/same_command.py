@@ -1,0 +1,24 @@
+"""The command line that runs, to be given again with other options."""
+
+from __future__ import annotations
+
+import shlex
+
+import typer
+
+
+def same_command(context: typer.Context, *but: str) -> str:
+    """``skugga`` and the command, its arguments and options as they were given, without some options (by parameter name)."""
+    words = ["skugga", context.info_name or ""]
+    for parameter in context.command.params:
+        name, value = parameter.name or "", context.params.get(parameter.name or "")
+        if name in but or value is None or value is False or value == parameter.default:
+            continue
+        values = value if isinstance(value, (list, tuple)) else [value]
+        if parameter.param_type_name == "argument":
+            words += map(str, values)
+        elif value is True:
+            words.append(parameter.opts[0])
+        else:
+            words += (word for each in values for word in (parameter.opts[-1], str(each)))
+    return shlex.join(words)

@@ -1,0 +1,103 @@
+"""Lights as areas: the sun is a disc, a lamp with a radius a ball. An algorithm of hard edges shows their penumbrae as the mean of
+what it draws for points of them (P. Heckbert and M. Herf, Simulating Soft Shadows with Graphics Hardware, CMU-CS-97-104, 1997).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from shadows.algorithm import AlgorithmSettings, Fill
+from shadows.attached import attached
+from shadows.passes import PassLog
+from shadows.work import Work
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import SUN, CasterKind
+from terrain.scene import Scene
+
+LIGHT_SAMPLES = 32
+"""Points of a light that algorithms of hard edges are averaged over: a penumbra has as many steps."""
+
+GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
+"""Radians between one point of a spiral and the next."""
+
+
+def disc_points(samples: int) -> np.ndarray:
+    """Points (samples, 2) of a disc of radius 1, equal areas each: Vogel's spiral (1979)."""
+    number = np.arange(samples)
+    angle, away = number * GOLDEN_ANGLE, np.sqrt((number + 0.5) / samples)
+    return away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
+    """Unit directions (samples, 3) over the sun's disc, equal areas."""
+    across = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    places = np.tan(np.radians(radius_deg)) * disc_points(samples)
+    directions = to_sun + places @ np.stack([across, np.cross(across, to_sun)])
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def ball_points(samples: int) -> np.ndarray:
+    """Points (samples, 3) in a ball of radius 1 that cover the disc evenly which is seen of it, from wherever it is looked at.
+
+    Evenly over directions, by a spiral. The density at radius r is 1 / sqrt(1 - r^2), whose sums along parallel lines are all
+    alike: with r = sin t, the share within t is (2 t - sin 2t) / pi. Of directions that follow one another, radii lie far apart.
+    """
+    number = np.arange(samples)
+    up, turn = 1.0 - (2.0 * number + 1.0) / samples, number * GOLDEN_ANGLE
+    t = np.linspace(0.0, np.pi / 2.0, 4096)
+    rank = np.argsort(np.argsort((number * 0.7548776662466927) % 1.0))
+    radius = np.sin(np.interp((rank + 0.5) / samples, (2.0 * t - np.sin(2.0 * t)) / np.pi, t))
+    flat = np.sqrt(1.0 - up**2)
+    return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1)
+
+
+def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
+    """The scene with a light in each of its points: the sun in a direction of its disc, a lamp in a place of its ball."""
+    if light == SUN:
+        assert scene.sun is not None
+        for direction in sun_disc(scene.sun.to_sun_earth, samples):
+            yield replace(scene, sun=replace(scene.sun, to_sun_earth=direction))
+        return
+    lamp = scene.lamps[light]
+    for place_m in lamp.radius_m * ball_points(samples):
+        yield scene.with_lamp(replace(lamp, position_earth_m=lamp.position_earth_m + place_m))
+
+
+def times_points(work: Work) -> Work:
+    """The work for all points of a light, from that for one."""
+    return {part: {name: LIGHT_SAMPLES * count for name, count in counts.items()} for part, counts in work.items()}
+
+
+def mean_over_light(
+    fill: Fill,
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: AlgorithmSettings,
+    log: PassLog,
+    **changes: Any,
+) -> np.ndarray:
+    """The mean visibility (rows, cols) float32 of a light's points, each filled under settings with some ``changes``.
+
+    Where a surface is turned away from a point of the light, that does not reach it. Layers are those of the first point.
+    """
+    passes = log.named(light, kinds, ("",))[0]
+    visibility, of_point = np.zeros(buffer.there.shape, np.float32), settings.model_copy(update=changes)
+    for moved in scenes_of_points(scene, light, LIGHT_SAMPLES):
+        seen = fill(buffer, moved, light, kinds, casters, of_point, log)
+        seen[attached(buffer, moved, light)] = 0.0
+        visibility += seen
+        log = replace(log, wanted=frozenset())
+    for record in log.records.values():
+        if record.name.startswith(passes):
+            record.light_points = LIGHT_SAMPLES
+    return visibility / np.float32(LIGHT_SAMPLES)

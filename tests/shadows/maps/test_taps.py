@@ -1,0 +1,75 @@
+"""How many taps a sun's map takes: three where texels are finer than penumbrae, one where they only blur."""
+
+from __future__ import annotations
+
+import pytest
+
+from api.catalogue import find_level
+from selector.planner.planner import make_plan
+from shadows.maps.settings import Cascade
+from shadows.maps.taps import DISC_WIDTH, FINE, fine_share, sun_taps
+from terrain.describe import describe
+from terrain.facts.descriptor import Descriptor
+from terrain.facts.fact_types import CastBand, Casting, LightFacts
+from terrain.level.level import load_level
+from terrain.scene import build_scene
+
+
+def seen(**casts: Casting) -> Descriptor:
+    """What a map shows under a sun whose shadows are these."""
+    return Descriptor(
+        view="map", view_kind="map", flat_world=True, pixel_m=1.0, node_m=1.0, casters=tuple(casts), relief_m=0.0,
+        block_relief_m=0.0,
+        sun_azimuth_deg=200.0, sun_altitude_deg=30.0, highest_sun_deg=30.0, receivers_light_m=(100.0, 100.0, 100.0),
+        lights={"sun": LightFacts(casts=casts)},
+    )  # fmt: skip
+
+
+def casting(thrown_m: float | None, *cast: float) -> Casting:
+    """Shadows in bands of a quarter of what is seen each, from 1, 2, 4 m ... on."""
+    bands = tuple(
+        CastBand(near_m=2.0**k, far_m=2.0 ** (k + 1), share=0.25, cast=share, pixel_m=0.1, differs=(0.1,) * 8)
+        for k, share in enumerate(cast)
+    )
+    return Casting(share=0.1, bands=bands, thrown_m=thrown_m)
+
+
+def cascade(texel_m: float, far_m: float | None = None) -> Cascade:
+    return Cascade(far_m=far_m, texel_m=(texel_m, texel_m), depth_step_m=0.01)
+
+
+THROWN_M = 50.0
+EDGE_M = FINE * DISC_WIDTH * THROWN_M
+
+
+@pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * EDGE_M, 3), (1.1 * EDGE_M, 1)])
+def test_taps_go_by_texels_and_penumbrae(texel_m, taps):
+    found, why = sun_taps(seen(meshes=casting(THROWN_M, 0.5)), [cascade(texel_m)])
+    assert found == taps and why.startswith("by soft_error: texels are finer than penumbrae in ")
+
+
+def test_each_cascade_counts_with_the_shadow_that_it_shows():
+    fine_near = [cascade(0.5 * EDGE_M, far_m=2.0), cascade(2.0 * EDGE_M)]
+    assert fine_share(seen(meshes=casting(THROWN_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
+    assert fine_share(seen(meshes=casting(THROWN_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
+
+
+def test_leaves_speak_for_one_tap_and_relief_for_nothing():
+    fine = [cascade(0.1 * EDGE_M)]
+    assert fine_share(seen(meshes=casting(THROWN_M, 0.2), forest=casting(THROWN_M, 0.6)), fine) == pytest.approx(0.25)
+    assert fine_share(seen(relief=casting(None, 0.9)), fine) is None and sun_taps(seen(relief=casting(None, 0.9)), fine)[0] == 3
+    assert fine_share(seen(meshes=casting(THROWN_M, 0.2), relief=casting(None, 0.9)), fine) == 1.0
+
+
+@pytest.mark.parametrize(("level", "view", "map_size", "taps"), [
+    ("jacksboro_wooded", "village", 4096, 1), ("thesis_boxgrid_sun", "close", 1024, 3), ("thesis_street_sun", "main", 1024, 1),
+    ("thesis_street_sun", "main", 4096, 3),
+])  # fmt: skip
+def test_bundled_levels_take_what_is_nearer_to_the_disc(level, view, map_size, taps):
+    """As ``docs/accuracy.md`` measures it."""
+    scene = build_scene(load_level(find_level(level)))
+    seen_from = scene.view(view, size=(480, 384))
+    asked = {"algorithm": "shadow_map", "map_size": map_size}
+    plan = make_plan(describe(scene, seen_from, view), scene.loaded.level, asked)
+    assert {settings.filter for settings in plan.settings["sun"].values()} == {taps}
+    assert any(reason.name == f"filter {taps}" and "soft_error" in reason.reason for reason in plan.reasons)

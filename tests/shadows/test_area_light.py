@@ -1,0 +1,189 @@
+"""Lights as areas: penumbrae of the sun's disc and of lamps' balls, by each algorithm that has them, against rays to the area."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from api.catalogue import find_level
+from shadows.area_light import LIGHT_SAMPLES, ball_points, disc_points
+from shadows.attached import attached
+from shadows.executed_effects import executed_effects
+from shadows.render import render_frame
+from shadows.truth.metrics import soft_error
+from shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
+from terrain.casters.reach import casters_of
+from terrain.errors import UnsupportedError
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.picture import geometry_of
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of
+from tests.shadows.boxes import View, box, level_of
+
+EYE = {"kind": "perspective", "eye": [-22, -30, 16], "target": [3, 2, 2], "fov": 45, "size": [96, 80]}
+LAMPS = {
+    "spot": {"kind": "spot", "position": [-9, -6, 14], "target": [2, 2, 0], "cutoff": 40, "radius": 0.5},
+    "omni": {"kind": "omni", "position": [-4, 5, 9], "radius": 0.5},
+}
+MOST_SOFT_ERROR = 0.02
+
+
+def figure(folder: Path, **keys) -> Scene:
+    """A body on the ground, a high plate and a thin post under the sun, with lamps if there are any."""
+    bodies = [box((5, 4, 4)), box((7, 5, 0.2), 9.0, (6, 6)), box((0.4, 0.4, 8), 0, (-5, 3))]
+    return level_of(folder, bodies, 205, 40, views={"eye": EYE}, **keys)
+
+
+def soft(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
+    """True visibility (rows, cols) of a light as an area, dark where its middle cannot reach; NaN off the surface."""
+    rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+    seen = area_visibility(buffer, scene, light, rays, 256)
+    seen[attached(buffer, scene, light)] = 0.0
+    return np.where(buffer.there, seen, np.nan)
+
+
+def seen(scene: Scene, view: View, light: str, **asked) -> np.ndarray:
+    return render_frame(scene, view, plan_of(scene, view, **asked)).visibilities[light]
+
+
+def share_beyond(u: np.ndarray) -> np.ndarray:
+    """The part of a disc of radius 1 beyond a chord at u."""
+    u = np.clip(u, -1.0, 1.0)
+    return (np.arccos(u) - u * np.sqrt(1.0 - u**2)) / np.pi
+
+
+# -- points of lights
+
+
+def test_points_of_a_disc_and_of_a_ball_cover_it_evenly():
+    """The share of them beyond a line, or a plane, is that of the disc which is seen, from every side."""
+    sides = np.random.default_rng(2).normal(size=(40, 3))
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    flat = sides[:, :2] / np.linalg.norm(sides[:, :2], axis=1, keepdims=True)
+    places = np.linspace(-0.95, 0.95, 39)
+    for points, ways in ((disc_points(LIGHT_SAMPLES), flat), (ball_points(LIGHT_SAMPLES), sides)):
+        assert np.linalg.norm(points, axis=1).max() < 1.0
+        found = (points @ ways.T > places[:, None, None]).mean(axis=1)
+        wrong = np.abs(found - share_beyond(places)[:, None])
+        assert wrong.mean() < 0.03 and wrong.max() < 0.12
+
+
+@pytest.mark.parametrize("kind", ["spot", "omni"])
+def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
+    """A wide plate at half the height of a lamp above it: along a line across the edge of its shadow the ground sees the part of
+    the ball beyond the plane through the plate's edge.
+    """
+    radius, height, aside = 0.8, 12.0, 6.0
+    lamp = {"kind": kind, "position": [-aside, 0, height], "radius": radius}
+    lamp |= {"target": [aside, 0, 0], "cutoff": 60} if kind == "spot" else {}
+    scene = level_of(tmp_path, [box((20, 80, 0.002), height / 2, (-10, 0))], 180, 45, sun="none", lights={"lamp": lamp})
+    view = scene.view(bounds=(aside - 2, -0.1, aside + 2, 0.1), size=(100, 5))
+    buffer = geometry_of(scene, view)
+    x = buffer.position_frame_m[2, :, 0]
+    beyond_m = (aside - x) * height / 2 / np.hypot(x, height / 2)  # from the plane to the middle of the ball
+    theory = share_beyond(beyond_m / radius)
+    assert theory.min() == 0.0 and theory.max() == 1.0
+    assert np.abs(soft(buffer, scene, "lamp")[2] - theory).max() < 0.02
+
+
+# -- algorithms
+
+
+@pytest.mark.parametrize("algorithm", ["shadow_map", "perspective_shadow_map", "shadow_volume"])
+def test_the_sun_is_a_disc(gl, algorithm):
+    scene = build_scene(load_level(find_level("thesis_boxgrid_sun")))
+    view = scene.view("close", size=(120, 96))
+    real = soft(geometry_of(scene, view), scene, "sun")
+    assert ((real > 0.02) & (real < 0.98)).mean() > 0.02
+    hard, disc = (
+        soft_error(seen(scene, view, "sun", algorithm=algorithm, filter=filter, map_size=2048), real) for filter in (1, "sun")
+    )
+    assert disc <= MOST_SOFT_ERROR and disc < 0.5 * hard
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "light"),
+    [("shadow_map", "spot"), ("shadow_map", "omni"), ("perspective_shadow_map", "spot"), ("shadow_volume", "omni")],
+)
+def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
+    """As it is by itself; with a tap asked for, it is a point."""
+    scene = figure(tmp_path, lights={light: LAMPS[light]}, sun="none")
+    view = scene.view("eye")
+    real = soft(geometry_of(scene, view), scene, light)
+    assert ((real > 0.02) & (real < 0.98)).mean() > 0.02
+    hard, ball = (
+        soft_error(seen(scene, view, light, algorithm=algorithm, map_size=1024, **asked), real) for asked in ({"filter": 1}, {})
+    )
+    assert ball <= MOST_SOFT_ERROR and ball < 0.5 * hard
+
+
+def test_a_map_view_has_the_same_penumbrae(gl, tmp_path):
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
+    view = scene.view(bounds=(-14, -14, 14, 14), size=(90, 90))
+    buffer = geometry_of(scene, view)
+    plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "shadow_map"}, filter="sun", map_size=1024)
+    found = render_frame(scene, view, plan).visibilities
+    for light in ("sun", "spot"):
+        assert soft_error(found[light], soft(buffer, scene, light)) <= MOST_SOFT_ERROR
+
+
+def test_truth_is_of_the_area_too(gl, tmp_path):
+    scene = figure(tmp_path, lights={"omni": LAMPS["omni"]})
+    view = scene.view("eye")
+    frame = render_frame(scene, view, plan_of(scene, view, algorithm="truth", filter="sun"))
+    for light in ("sun", "omni"):
+        real = soft(geometry_of(scene, view), scene, light)
+        partly = np.nanmean((real > 0.0) & (real < 1.0))
+        assert soft_error(frame.visibilities[light], real) < partly / 32  # 64 rays, each an equal part
+
+
+def test_a_radius_of_nothing_is_a_point(gl, tmp_path):
+    pictures = []
+    for radius, filter in ((0.0, "auto"), (0.5, 3), (0.5, "auto")):
+        scene = figure(tmp_path, lights={"omni": LAMPS["omni"] | {"radius": radius}}, sun="none")
+        pictures.append(seen(scene, scene.view("eye"), "omni", algorithm="shadow_map", map_size=512, filter=filter))
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert np.nanmean(np.abs(pictures[0] - pictures[2])) > 0.005
+
+
+# -- plans
+
+
+def test_the_plan_and_the_record_say_what_runs(gl, tmp_path):
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
+    view = scene.view("eye")
+    plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "perspective_shadow_map"}, filter="sun")
+    assert plan.settings["sun"]["meshes"].filter == plan.settings["spot"]["meshes"].filter == "sun"
+    reasons = {reason.name: reason.reason for reason in plan.reasons}
+    assert str(LIGHT_SAMPLES) in reasons["filter sun"] and str(LIGHT_SAMPLES) in reasons["spot: filter sun"]
+    frame = render_frame(scene, view, plan)
+    assert "soft_edges" in plan.runs and "soft_edges" in executed_effects(frame.passes)
+    points = {(record.name.split("/")[0], record.name.split(": ")[-1]): record.light_points for record in frame.passes}
+    assert points["sun", "stencil"] == points["spot", "depth map"] == LIGHT_SAMPLES
+    hard = render_frame(scene, view, plan_of(scene, view, algorithm="shadow_volume", filter=1))
+    assert {record.light_points for record in hard.passes} == {1} and "soft_edges" not in executed_effects(hard.passes)
+
+
+@pytest.mark.parametrize(("algorithm", "words"), [("hybrid", "hard edges to volumes"), ("planar", "hard edges only")])
+def test_who_cannot_is_refused_with_the_reason(tmp_path, algorithm, words):
+    scene = figure(tmp_path, lights={"omni": LAMPS["omni"]})
+    view = scene.view("eye")
+    for asked in ({"algorithm": algorithm, "filter": "sun"}, {"algorithm": {"omni": {"meshes": algorithm}}}):
+        with pytest.raises(UnsupportedError, match=f"{algorithm} for .*{words}.*algorithms that can: shadow_map"):
+            plan_of(scene, view, **asked)
+    assert plan_of(scene, view, algorithm=algorithm, filter=1).algorithm["omni"]["meshes"] == algorithm
+
+
+def test_a_radius_is_refused_that_is_none(tmp_path):
+    level = {
+        "version": 1,
+        "terrain": {"flat": {"size": [20, 20], "cells": [2, 2]}},
+        "lights": {"lamp": LAMPS["omni"] | {"radius": -1}},
+    }
+    (tmp_path / "level.yaml").write_text(json.dumps(level), encoding="utf-8")
+    with pytest.raises(Exception, match="lights.lamp.radius: .-1. is not allowed"):
+        build_scene(load_level(tmp_path / "level.yaml"))
