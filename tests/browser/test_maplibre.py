@@ -49,7 +49,7 @@ def test_tilejson_is_a_source_of_tiles(maplibre: MapClient, service: Client, tim
 
 
 def pixel_centers() -> list[tuple[float, float]]:
-    """Longitudes and latitudes of some pixels round the corner, of tiles of the greatest zoom: there a tile tells a height itself."""
+    """Longitudes and latitudes of some pixels round the corner, at the greatest zoom: there a tile tells a height itself."""
     round_the_earth_px = 256 * 2**MAX_ZOOM
     middle = 256 * 2 ** (MAX_ZOOM - CORNER.zoom) * np.array([CORNER.column, CORNER.row])
     centers = []
@@ -81,9 +81,7 @@ def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tup
         for right in (0, 1)
     ]
     corners = heights_of_api(service, nodes).reshape(-1, 2, 2)
-    shares = np.array(
-        [[[(1 - y % 1) * (1 - x % 1), (1 - y % 1) * (x % 1)], [y % 1 * (1 - x % 1), y % 1 * (x % 1)]] for x, y in places]
-    )
+    shares = np.array([np.outer([1 - y % 1, y % 1], [1 - x % 1, x % 1]) for x, y in places])
     twist = corners[:, 0, 0] - corners[:, 0, 1] - corners[:, 1, 0] + corners[:, 1, 1]
     return (corners * shares).sum(axis=(1, 2)), np.abs(twist) / 4
 
@@ -100,7 +98,10 @@ def test_heights_are_ground(maplibre: MapClient, service: Client, own_page: Watc
         run_line(maplibre, lines_of_page(own_page)[SOLID])
     else:
         maplibre.run(
-            "({url}) => { map.addSource('heights', {type: 'raster-dem', url, tileSize: 256}); map.setTerrain({source: 'heights'}); }",
+            """({url}) => {
+              map.addSource('heights', {type: 'raster-dem', url, tileSize: 256});
+              map.setTerrain({source: 'heights'});
+            }""",
             url=f"{maplibre.service_address}/levels/{LEVEL}/WebMercatorQuad/tilejson.json?layer={encoding}",
         )
     points = pixel_centers()

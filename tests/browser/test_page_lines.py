@@ -37,7 +37,8 @@ MAPS = {
     "Leaflet": Library(
         "leaflet",
         """({lonLat: [lon, lat], zoom}) => {
-          window.map = L.map('map', {center: [lat, lon], zoom, zoomControl: false, attributionControl: false, fadeAnimation: false});
+          window.map = L.map('map', {center: [lat, lon], zoom, zoomControl: false, attributionControl: false,
+            fadeAnimation: false});
         }""",
         """() => new Promise(resolve => map.eachLayer(layer => layer.isLoading() ? layer.once('load', resolve) : resolve()))""",
     ),
