@@ -256,9 +256,11 @@ def test_kinds_of_casters_are_mixed_as_far_as_each_is_served(scene_on):
 def test_a_filter_that_plays_no_part_is_named(scene_on):
     scene = scene_on("level")
     view = scene.view("map")
-    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), (("sun", True), (3, True), (1, False))):
+    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), ((3, True), (1, False))):
         plan = plan_of(scene, view, algorithm={"meshes": name}, filter=filter)
         assert any(f"{name} has hard edges only" in reason.reason for reason in plan.reasons) is named
+    volumes = plan_of(scene, view, algorithm={"meshes": "shadow_volume"}, filter="sun")
+    assert volumes.settings["sun"]["meshes"].filter == "sun"
     sweep = plan_of(scene_on("uneven"), view, algorithm={"relief": "sweep"}, filter="sun")
     assert sweep.settings["sun"]["relief"].filter == "sun"
     assert not any("hard edges" in reason.reason for reason in sweep.reasons)
