@@ -23,8 +23,8 @@ from terrain.scene import Scene
 MAX_CANDIDATES = 40
 """Candidates of a view, at most."""
 
-TAPS_OF_DEFAULT: tuple[dict[str, Any], ...] = ({}, {"filter": 1}, {"filter": 3}, {"filter": "sun"})
-"""What is asked of the plan that is taken where nothing more is asked: nothing, then taps."""
+TAPS_OF_DEFAULT: tuple[int | str, ...] = (1, 3, "sun")
+"""Filters that the plan is compared with that is taken where nothing more is asked."""
 
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
@@ -56,9 +56,12 @@ def name_of(plan: Plan, light: str = SUN) -> str:
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
-    for taps in TAPS_OF_DEFAULT:
-        with suppress(UnsupportedError):  # what the level asks for may not serve this view, nor every filter this light
-            yield make_plan(descriptor, level, taps)
+    with suppress(UnsupportedError):  # what the level asks for may not serve this view
+        default = make_plan(descriptor, level)
+        yield default
+        for taps in TAPS_OF_DEFAULT:
+            with suppress(UnsupportedError):  # not every algorithm has every filter
+                yield make_plan(descriptor, level, {"algorithm": {light: default.algorithm.get(light, {})}, "filter": taps})
     served = [each for each in ALGORITHMS.values() if each.served]
     compared = [{"algorithm": each.name, **overrides} for each in served for overrides in each.search.compared]
     for asked in [*({"algorithm": each.name} for each in served), *compared]:

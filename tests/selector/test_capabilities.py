@@ -20,7 +20,7 @@ from api.http.app import create_app
 from api.settings import Settings
 from selector.candidates import MAX_CANDIDATES, candidates
 from selector.planner.planner import make_plan
-from shadows.algorithm import GroundKind, RayKind, Requirement, ViewKind
+from shadows.algorithm import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
 from shadows.registry import ALGORITHMS, algorithms_serving
 from shadows.render import render_frame
 from terrain.describe import describe
@@ -137,7 +137,7 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
 
 
 def test_every_refusal_is_of_something_that_can_be_asked_for():
-    known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind)}
+    known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind), *get_args(ExtentKind)}
     for algorithm in ALGORITHMS.values():
         assert set(algorithm.refuses) <= known
         assert all(why and why[0].islower() and not why.endswith(".") for why in algorithm.refuses.values())
@@ -204,6 +204,11 @@ def test_what_a_sweep_refuses_is_an_error_however_wide_the_view_is(level_file):
         plan_of(wide, wide.view("map", size=(12, 12)), algorithm="sweep")
 
 
+def test_a_light_as_an_area_is_refused_by_who_has_hard_edges_only():
+    refused = {name for name, algorithm in ALGORITHMS.items() if algorithm.refusal(("area light",))}
+    assert refused == {"hybrid", "planar"}
+
+
 def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
     for ground, words in (("uneven", "the ground is not flat"), ("level", "was preferred")):
         plan = plan_of(scene_on(ground), scene_on(ground).view("map"))
@@ -256,9 +261,11 @@ def test_kinds_of_casters_are_mixed_as_far_as_each_is_served(scene_on):
 def test_a_filter_that_plays_no_part_is_named(scene_on):
     scene = scene_on("level")
     view = scene.view("map")
-    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), (("sun", True), (3, True), (1, False))):
+    for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), ((3, True), (1, False))):
         plan = plan_of(scene, view, algorithm={"meshes": name}, filter=filter)
         assert any(f"{name} has hard edges only" in reason.reason for reason in plan.reasons) is named
+    volumes = plan_of(scene, view, algorithm={"meshes": "shadow_volume"}, filter="sun")
+    assert volumes.settings["sun"]["meshes"].filter == "sun"
     sweep = plan_of(scene_on("uneven"), view, algorithm={"relief": "sweep"}, filter="sun")
     assert sweep.settings["sun"]["relief"].filter == "sun"
     assert not any("hard edges" in reason.reason for reason in sweep.reasons)

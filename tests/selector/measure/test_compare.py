@@ -205,6 +205,14 @@ def test_candidates_of_bundled_levels(level, view, light, expected):
         assert not any("cascades" in name or "=sweep" in name for name in names)
 
 
+def test_the_default_is_compared_with_other_taps():
+    """The same algorithms, as the level takes them by itself."""
+    scene = build_scene(load_level(find_level("jacksboro_wooded")))
+    plans = candidates(scene, scene.view("village", size=(160, 128)), "village")
+    assert {tuple(plan.algorithm["sun"].items()) for plan in plans[:3]} == {tuple(plans[0].algorithm["sun"].items())}
+    assert {plan.settings["sun"]["meshes"].filter for plan in plans[:3]} == {1, 3, "sun"}
+
+
 @given(st.lists(numbers, min_size=16, max_size=16), st.lists(numbers, min_size=3, max_size=3))
 def test_a_texel_on_level_ground_is_what_steps_on_it_say(entries, point):
     matrix, point = np.reshape(entries, (4, 4)), np.array(point)
