@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime, tzinfo
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 from pyproj import CRS
 
 from shadows.point.clock import clock_of
@@ -19,7 +19,6 @@ from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
 
-NO_DATE = "no date: neither date nor time is given, and the level's sun has no time"
 FLAT = "an engineering CRS is not georeferenced: there is no day without longitude and latitude"
 NO_SUN = "the level has no sun of its own: give a time"
 
@@ -40,7 +39,8 @@ LonLatDegrees = Annotated[float | None, _rounded(7)]
 
 class PointQuery(_Reported):
     """What is asked of a point: its coordinates (longitude and latitude; in a flat world metres east and north of the middle),
-    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted.
+    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted. ``now`` lies in the day
+    that is meant where neither the query nor the level's sun has one (``None``: the clock of this machine says).
     """
 
     lon: float = Field(allow_inf_nan=False)
@@ -49,6 +49,7 @@ class PointQuery(_Reported):
     date: _Date | None = None
     clock: str | None = Field(default=None, max_length=60)
     year: int | None = Field(default=None, ge=1800, le=2200)
+    now: AwareDatetime | None = None
 
 
 class ReportedCaster(_Reported):
@@ -125,7 +126,8 @@ class PointReport(_Reported):
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
     """The report of a point of a level, under the scene's own sun. Raises ``InputError``."""
     around = around_point(scene, query, crs)
-    place, day = around.place, day_asked(scene, query)
+    place = around.place
+    day = day_asked(scene, query, place.lon_deg)
     clock = clock_asked(scene, query, place.lon_deg, day)
     now, remarks = sun_now(around), []
     if now is None:
@@ -133,8 +135,6 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
     reported = None
     if scene.world.flat and query.date is None and query.year is None:
         remarks.append(FLAT)
-    elif day is None:
-        remarks.append(NO_DATE)
     else:
         reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
     year = None if query.year is None else sun_year(around, query.year, clock)
@@ -165,22 +165,24 @@ def sun_now(around: Surroundings) -> ReportedMoment | None:
     )
 
 
-def day_asked(scene: Scene, query: PointQuery) -> date | None:
-    """The day of a query: its own, else that of the sun's time by the query's clock; ``None`` where neither is given."""
-    if query.date is not None or scene.sun is None or scene.sun.time is None:
+def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
+    """The day of a query: its own, else that of the sun's time, else today; by the query's clock, else by the offset of the sun's
+    time, else by solar time. Raises ``InputError`` for a clock that there is not.
+    """
+    if query.date is not None:
         return query.date
-    if query.clock is None:
-        return scene.sun.time.date()
-    lon = None if scene.world.flat else query.lon
-    return scene.sun.time.astimezone(clock_of(query.clock, lon, scene.sun.time.date())).date()
+    moment = None if scene.sun is None else scene.sun.time
+    if moment is not None and query.clock is None:
+        return moment.date()
+    moment = moment or query.now or datetime.now(UTC)
+    return moment.astimezone(clock_of(query.clock or "solar", lon_deg, moment.date())).date()
 
 
-def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date | None) -> tzinfo:
+def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
     """The clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
-    year = 2000 if query.year is None else query.year
-    return clock_of(query.clock or "solar", lon_deg, day or date(year, 1, 1))
+    return clock_of(query.clock or "solar", lon_deg, day)
 
 
 def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:

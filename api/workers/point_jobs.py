@@ -21,7 +21,7 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
     around = around_point(scene, job.query)
     if job.product == "horizon":
         return PointAnswer(horizon_file(job.format, horizon_round(around, directions_for(job.format)), around.place).encode())
-    day = day_asked(scene, job.query)
+    day = day_asked(scene, job.query, around.place.lon_deg)
     format: Any = job.format
     title = scene.loaded.level.title or scene.loaded.name
     clock = clock_asked(scene, job.query, around.place.lon_deg, day)

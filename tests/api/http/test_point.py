@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from datetime import UTC, date, datetime, timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -34,6 +36,21 @@ def test_a_report(client: Client):
     assert day["sunrise"].endswith("+01:00")
     again = client.get(answer.request.url.raw_path.decode(), headers={"If-None-Match": answer.headers["etag"]})
     assert again.status_code == 304
+
+
+def test_without_a_time_and_a_date_the_day_is_today(client: Client):
+    """And the answer is fresh until the day may be over, under another tag from then on."""
+    url = f"{POINT}?{here(client)}&clock=utc"
+    before = datetime.now(UTC).date()
+    answer = client.get(url)
+    day = date.fromisoformat(answer.json()["day"]["date"])
+    assert before <= day <= datetime.now(UTC).date()
+    assert 0 < int(answer.headers["cache-control"].partition("max-age=")[2]) <= 900
+    later = datetime.now(UTC) + timedelta(days=1)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("api.http.moments.datetime", SimpleNamespace(now=lambda zone: later))
+        tomorrow = client.get(url, headers={"If-None-Match": answer.headers["etag"]})
+    assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
 
 
 def test_horizon_files_and_charts(client: Client):
