@@ -193,6 +193,7 @@ def _show(report: PointReport) -> None:
     console = _console()
     where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
     above = f", {report.height_m:g} m above it" if report.height_m else ""
+    assert report.elevation_m is not None  # off the data there is an error, and no report
     console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
     if report.now is not None:
         when = "under the level's own sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "

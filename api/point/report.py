@@ -11,10 +11,11 @@ from pyproj import CRS
 
 from shadows.point.clock import clock_of
 from shadows.point.horizon import CasterType, SunCaster, Surroundings, surroundings, what_hides
-from shadows.point.place import HIGHEST_EYE_M, place_at
+from shadows.point.place import HIGHEST_EYE_M, POINT, place_at
 from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
+from terrain.errors import InputError
 from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
@@ -110,12 +111,12 @@ class DayHours(_Reported):
 
 
 class PointReport(_Reported):
-    """What a point sees of the sun. Where ``now`` or ``day`` is null, ``remark`` says why."""
+    """What a point sees of the sun. Where ``elevation_m``, ``now`` or ``day`` is null, ``remark`` says why."""
 
     level: str
     lon: LonLatDegrees
     lat: LonLatDegrees
-    elevation_m: RoundMetres
+    elevation_m: Annotated[float | None, _rounded(2)]
     height_m: RoundMetres
     now: ReportedMoment | None
     day: ReportedDay | None
@@ -147,6 +148,20 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
         ),
         remark="; ".join(remarks) or None,
     )  # fmt: skip
+
+
+def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
+    """The report of a point; off the level's data one of nulls, whose remark says where there are data. Raises ``InputError``."""
+    try:
+        return point_report(scene, query)
+    except InputError as error:
+        if error.name != POINT:
+            raise
+        lon, lat = (None, None) if scene.world.flat else (query.lon, query.lat)
+        return PointReport(
+            level=scene.loaded.name, lon=lon, lat=lat, elevation_m=None, height_m=query.height, now=None, day=None, year=None,
+            remark=f"no ground here: {error.allowed}",
+        )  # fmt: skip
 
 
 def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:

@@ -53,6 +53,16 @@ def test_without_a_time_and_a_date_the_day_is_today(client: Client):
     assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
 
 
+def test_off_the_data_is_null_and_why(client: Client):
+    answer = client.get(f"{POINT}?lon=0&lat=0&time=2024-12-01T09:00:00%2B01:00")
+    report = answer.json()
+    assert answer.status_code == 200 and report["lon"] == report["lat"] == 0.0
+    assert report["elevation_m"] is report["now"] is report["day"] is None
+    assert report["remark"].startswith("no ground here: a place on the level's data: longitudes 8.")
+    for file in ("horizon.csv", "sun.svg"):
+        check_problem(client.get(f"{POINT}/{file}?lon=0&lat=0"), 422, "invalid_parameter", "point")
+
+
 def test_horizon_files_and_charts(client: Client):
     where = here(client)
     series = pandas.read_csv(io.StringIO(client.get(f"{POINT}/horizon.csv?{where}&format=pvlib").text), index_col=0)
@@ -87,7 +97,6 @@ def test_many_points(client: Client):
 @pytest.mark.parametrize(
     ("query", "parameter"),
     [
-        ("lon=0&lat=0", "point"),
         (f"{HERE}&height=-1", "height"),
         (f"{HERE}&clock=noon&date=2024-01-01", "clock"),
         (f"{HERE}&date=yesterday", "date"),
