@@ -89,8 +89,6 @@ def remarks(source: Path | LevelSource) -> list[str]:
     notes += [f"warning: {text}" for text in scene.warnings]
     if elevation.units is None and not is_generated:
         notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
-        if any(axis.unit_name and "foot" in axis.unit_name.lower() for axis in elevation.crs.axis_info):
-            notes.append("the horizontal unit is feet: check whether heights are in feet, too")
     if scene.world.flat and not is_generated:
         notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes

@@ -17,7 +17,10 @@ STEEPER_SHARE = 0.05
 """Share of the ground that falls away from the sun more steeply than its rays."""
 
 LEAST_DEG, MOST_DEG = 4.0, 35.0
-"""A sun lower than this drowns a map in shadow; one above that throws little."""
+"""A sun lower than this, where it stands lowest over the level, drowns a map in shadow; one above that throws little."""
+
+METRES_PER_DEGREE = 111_195.0
+"""Along a great circle: the sun stands lower by a degree so far away from it."""
 
 LEVEL_GROUND_DEG, OVER_LEVEL_GROUND_DEG = 0.5, 30.0
 """Ground with hardly a slope as steep as the first throws no shadow worth a low sun: what stands on it decides."""
@@ -35,11 +38,13 @@ def own_sun(world: World, elevation: Elevation) -> SunSpec:
     """The sun, in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
+    low = LEAST_DEG
     for _ in range(2):  # the slopes that count hang on the azimuth, and that on the altitude
         steep = _steepness_deg(world, elevation, azimuth)
-        altitude = OVER_LEVEL_GROUND_DEG if steep < LEVEL_GROUND_DEG else float(np.clip(steep, LEAST_DEG, MOST_DEG))
+        altitude = OVER_LEVEL_GROUND_DEG if steep < LEVEL_GROUND_DEG else float(np.clip(steep, low, MOST_DEG))
         if not world.flat:
             azimuth, altitude = _afternoon(world.anchor_lat_deg, altitude)
+            low = min(LEAST_DEG + _half_way_deg(world, elevation, azimuth), MOST_DEG)
     return SunSpec(azimuth=round(azimuth) % 360, altitude=round(altitude))
 
 
@@ -53,6 +58,13 @@ def _afternoon(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
     lat, declination, altitude = np.radians([np.clip(lat_deg, -89.9, 89.9), declination_deg, altitude_deg])
     cosine = (np.sin(declination) - np.sin(lat) * np.sin(altitude)) / (np.cos(lat) * np.cos(altitude))
     return float(360.0 - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(altitude_deg)
+
+
+def _half_way_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
+    """How far it is from the level's middle to its far side from an azimuth, degrees of a great circle."""
+    azimuth = np.radians(azimuth_deg)
+    cells = abs(np.sin(azimuth)) * elevation.cols + abs(np.cos(azimuth)) * elevation.rows
+    return float(cells * elevation.cell_size_m(world.metres_per_unit) / 2.0 / METRES_PER_DEGREE)
 
 
 def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:

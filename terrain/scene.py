@@ -31,6 +31,11 @@ from terrain.lights import Lamp, LightPosition, lamp_of, light_position
 from terrain.own_sun import own_sun
 from terrain.scene_objects import SceneObjects
 
+FEET_WARNING = (
+    "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "
+    "(of a raster without a level file: --units ft); if not, units: m"
+)
+
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
 
@@ -123,7 +128,11 @@ class Scene:
         if source is None or source in BUNDLED:
             return ()
         collar = collar_of(self.elevation)
-        return () if collar is None else (collar.warning,)
+        in_feet = any("foot" in (axis.unit_name or "").lower() for axis in self.elevation.crs.axis_info)
+        return (
+            *(() if collar is None else (collar.warning,)),
+            *((FEET_WARNING,) if in_feet and self.elevation.units is None else ()),
+        )
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:

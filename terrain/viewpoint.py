@@ -28,8 +28,10 @@ from terrain.level.parts import PerspectiveSpec
 VIEWED_NODES = 257
 """Nodes of the lattice along its longer side."""
 
-WIDEST_VIEWED_M = 60_000.0
-"""Longest side of the part of a level that is looked at: beyond it air takes what is seen."""
+WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS = 60_000.0, 240.0
+"""Longest side of the part of a level that is looked at, beyond which air takes what is seen; or so many cells, if that is more:
+with fewer the picture is one of cells.
+"""
 
 FOV_DEG, ASPECT = 40.0, 1.25
 """Vertical field of view, and the picture's width over its height."""
@@ -117,12 +119,13 @@ def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> l
 
 
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
-    """The level's heights, or those of its most rugged part where it is wider than ``WIDEST_VIEWED_M``."""
+    """The level's heights, or those of its most rugged part where it is wider than what is looked at."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
+    widest_m = max(WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS * cell_m)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
-    if max(elevation.rows, elevation.cols) * cell_m > WIDEST_VIEWED_M:
-        row, col = _most_rugged(world, elevation, sun, WIDEST_VIEWED_M / cell_m)
-    high_m, wide_m = (min((count - 1) * cell_m, WIDEST_VIEWED_M) for count in (elevation.rows, elevation.cols))
+    if max(elevation.rows, elevation.cols) * cell_m > widest_m:
+        row, col = _most_rugged(world, elevation, sun, widest_m / cell_m)
+    high_m, wide_m = (min((count - 1) * cell_m, widest_m) for count in (elevation.rows, elevation.cols))
     step_m = max(max(high_m, wide_m) / (VIEWED_NODES - 1), cell_m)
     rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
     x, y = (float(v) for v in elevation.xy(row, col))

@@ -11,7 +11,7 @@ import typer
 
 from api.catalogue import bundled_levels, find_level
 from terrain.errors import InputError
-from terrain.level.level_source import LevelSource
+from terrain.level.level_source import LevelSource, units_named
 
 _LEVEL = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")]
 _LEVELS = Annotated[
@@ -24,6 +24,7 @@ _OPTIONS: dict[str, Any] = {
     ],
     "buildings": Annotated[Path | None, typer.Option(metavar="FILE", help="Buildings on a raster: footprints with heights.")],
     "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="A raster's value of cells without a height.")],
+    "units": Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of a raster's heights: m, ft or us-ft.")],
 }
 
 
@@ -58,4 +59,4 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
-    return LevelSource(path=find_level(name), **asked)
+    return LevelSource(path=find_level(name), **{**asked, "units": units_named("--units", asked["units"])})

@@ -22,6 +22,7 @@ from api.cli.same_command import same_command
 from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from api.point.horizon_formats import HORIZON_FORMATS
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError, printable
@@ -171,21 +172,22 @@ def shade_raster(
         shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, cells, overrides, advance)
 
 
-@app.command("point", context_settings={"ignore_unknown_options": True})  # a longitude may begin with a minus
+@app.command("point")
 @takes_level
 def sun_at_point(
     level: LevelSource,
-    at: Annotated[str | None, typer.Argument(metavar="[LON,LAT]", help="Degrees; or x,y of --crs.")] = None,
+    at: Annotated[str | None, typer.Option(metavar="LON,LAT", help="The point: degrees; or x,y of --crs.")] = None,
     crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of the point.")] = None,
     time: TimeOption = None,
-    date: Annotated[str | None, typer.Option(help="Day, as 2024-10-21; default: that of --time.")] = None,
+    date: Annotated[str | None, typer.Option(help="Day, as 2024-10-21; default: that of --time, else today.")] = None,
     clock: Annotated[str | None, typer.Option(help="solar, utc, +02:00 or Europe/Oslo; default: the offset of --time.")] = None,
     height: Annotated[float, typer.Option(help="Metres above the ground.")] = 0.0,
     year: Annotated[int | None, typer.Option(help="Hours of sun of each day of a year.")] = None,
-    horizon: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the horizon.")] = None,
-    format: Annotated[
-        str, typer.Option(help="Of --horizon: pvgis-csv, pvgis-json, pvgis-upload, forecast-solar, pvlib or hor.")
-    ] = "pvgis-csv",
+    horizon: Annotated[
+        str | None,
+        typer.Option(metavar="FORMAT", help=f"Print the horizon instead, or write it to --output: {', '.join(HORIZON_FORMATS)}."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon.")] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the horizon and the sun's paths: .svg or .png.")
     ] = None,
@@ -197,10 +199,11 @@ def sun_at_point(
     as_json: JsonOption = False,
 ) -> None:
     """The sun at a point: lit or not and by what, a day's sun, the horizon."""
-    from api.cli.point import PointOptions, report_line, report_point, report_points
+    from api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
 
     sun = parse_sun(time, None, None)
-    asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, format, picture, as_json)
+    asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
+    check_point_options(asked, points, line, start)
     if points is not None:
         report_points(level, points, asked)
     elif line is not None:

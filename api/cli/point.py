@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pyproj.exceptions import CRSError
 
 from api.cli.outputs import check_targets
 from api.cli.warnings import say_warnings
-from api.point.horizon_formats import directions_for, horizon_file
+from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from api.point.polar_picture import sky_picture
 from api.point.report import (
     PointQuery,
@@ -57,35 +57,63 @@ class PointOptions:
     clock: str | None
     height: float
     year: int | None
-    horizon: Path | None
-    format: str
+    horizon: str | None
+    output: Path | None
     picture: Path | None
     as_json: bool
 
 
+def check_point_options(options: PointOptions, points: Path | None, line: Path | None, start: str | None) -> None:
+    """Refuse options that do not go together, before any work. Raises ``InputError``."""
+    many = "--points" if points is not None else "--line" if line is not None else None
+    if many is None:
+        if options.at is None:
+            raise InputError("--at", "nothing", "LON,LAT; or many points by --points or --line")
+    else:
+        alone = {
+            "--at": options.at, "--line": line if many == "--points" else None, "--horizon": options.horizon,
+            "--picture": options.picture, "--year": options.year,
+        }  # fmt: skip
+        for name, value in alone.items():
+            if value is not None:
+                raise InputError(name, str(value), f"no {many} beside it")
+    if start is not None and line is None:
+        raise InputError("--start", start, "a track to begin then: --line FILE")
+    if options.horizon is not None and options.horizon not in HORIZON_FORMATS:
+        raise InputError("--horizon", options.horizon, f"{', '.join(HORIZON_FORMATS)}; --output names a file for it")
+    if options.output is not None and options.horizon is None:
+        raise InputError("--output", str(options.output), f"--horizon FORMAT beside it: {', '.join(HORIZON_FORMATS)}")
+    if options.as_json and options.horizon is not None and options.output is None:
+        raise InputError("--json", "given", "--output FILE for --horizon beside it: one of both can be printed")
+
+
 def report_point(level: LevelSource, options: PointOptions) -> None:
-    """Print a point's report, and write its horizon and its chart. Raises ``SkuggaError`` and ``OSError``."""
-    if options.at is None:
-        raise InputError("LON,LAT", "nothing", "a point, or --points, or --line")
+    """Print a point's report, or its horizon where that is asked for and no file for it is named; write its horizon and its chart.
+
+    Raises ``SkuggaError`` and ``OSError``.
+    """
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
-    check_targets(level, [("--horizon", options.horizon), ("--picture", options.picture)])
-    azimuths = directions_for(options.format)
-    query, crs = _query(options, *_pair(options.at)), _crs(options.crs)
+    check_targets(level, [("--output", options.output), ("--picture", options.picture)])
+    query, crs = _query(options, *_pair(options.at or "")), _crs(options.crs)
     scene = build_scene(load_level(level)).with_sun(options.sun)
     say_warnings(scene)
     try:
-        report = point_report(scene, query, crs)
-        if options.horizon is not None or options.picture is not None:
-            around = around_point(scene, query, crs)
-            if options.horizon is not None:
-                text = horizon_file(options.format, horizon_round(around, azimuths), around.place)
-                write_whole(options.horizon, text)
-            if options.picture is not None:
-                write_whole(options.picture, _picture(around, query, options.picture))
+        around = around_point(scene, query, crs)
+        horizon = None if options.horizon is None else _horizon(around, options.horizon)
+        report = point_report(scene, query, crs) if horizon is None or options.output is not None else None
+        if horizon is not None and options.output is not None:
+            write_whole(options.output, horizon)
+        if options.picture is not None:
+            write_whole(options.picture, _picture(around, query, options.picture))
     finally:
         scene.close()
-    typer.echo(report.model_dump_json(indent=2)) if options.as_json else _show(report)
+    if report is None:
+        typer.echo(horizon, nl=False)
+    elif options.as_json:
+        typer.echo(report.model_dump_json(indent=2))
+    else:
+        _show(report)
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
@@ -132,7 +160,7 @@ def _pair(text: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError("LON,LAT", text, "two numbers: longitude and latitude in degrees, or x and y of --crs") from None
+        raise InputError("--at", text, "two numbers: longitude and latitude in degrees, or x and y of --crs") from None
     return x, y
 
 
@@ -145,9 +173,13 @@ def _crs(text: str | None) -> CRS | None:
         raise InputError("--crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
 
 
+def _horizon(around: Surroundings, format: str) -> str:
+    return horizon_file(format, horizon_round(around, directions_for(format)), around.place)
+
+
 def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
     scene: Scene = around.scene
-    day: date | None = day_asked(scene, query)
+    day = day_asked(scene, query, around.place.lon_deg)
     clock = clock_asked(scene, query, around.place.lon_deg, day)
     title = scene.loaded.level.title or scene.loaded.name
     format: Any = PICTURE_SUFFIXES[file.suffix.lower()]
@@ -161,6 +193,7 @@ def _show(report: PointReport) -> None:
     console = _console()
     where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
     above = f", {report.height_m:g} m above it" if report.height_m else ""
+    assert report.elevation_m is not None  # off the data there is an error, and no report
     console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
     if report.now is not None:
         when = "under the level's own sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "

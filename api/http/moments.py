@@ -77,6 +77,13 @@ def is_of_now(request: Request) -> bool:
     return asked is not None and asked.current
 
 
+def quarter_hour() -> tuple[datetime, int]:
+    """The quarter of an hour that now is in, and how many seconds of it are left: within one, no time zone's date changes."""
+    now, quarter = datetime.now(UTC), timedelta(minutes=15)
+    begin = _EPOCH + (now - _EPOCH) // quarter * quarter
+    return begin, max(int((begin + quarter - now).total_seconds()), 1)
+
+
 def fresh_for(request: Request, otherwise_s: int) -> int:
     """How many seconds an answer is fresh: of now less than the grain of time."""
     asked = asked_time(request)

@@ -15,8 +15,9 @@ def report_rows(report: dict[str, Any]) -> Rows:
     rows = [
         ("Level", str(report["level"])),
         ("Place", f"{report['lat']}, {report['lon']}"),
-        ("Elevation", f"{report['elevation_m']:.1f} m"),
     ]
+    if report["elevation_m"] is not None:
+        rows.append(("Elevation", f"{report['elevation_m']:.1f} m"))
     now, day = report["now"], report["day"]
     if now is not None:
         rows.append(("Sun", f"azimuth {now['azimuth']:.1f}°, altitude {now['altitude']:.1f}°"))

@@ -10,8 +10,8 @@ from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, is_fresh, tag_of
-from api.http.moments import asked_sun, fresh_for, time_headers
+from api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, tag_of
+from api.http.moments import asked_sun, fresh_for, quarter_hour, time_headers
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from api.http.parameters import TimeQuery, allow_only
 from api.http.problems import problem_docs
@@ -23,6 +23,7 @@ from api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct
 from shadows.point.place import HIGHEST_EYE_M
 from terrain.errors import InputError
 from terrain.level.level import parse_sun
+from terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["points"], responses=problem_docs(404, 422, 500, 503, 504))
 
@@ -38,7 +39,7 @@ LonQuery = Annotated[
 LatQuery = Annotated[
     float, PLAIN_DECIMAL, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.")
 ]
-DateQuery = Annotated[date | None, Query(description="The day, as 2024-10-21; default: that of the time.")]
+DateQuery = Annotated[date | None, Query(description="The day, as 2024-10-21; default: that of the time, else today.")]
 HeightQuery = Annotated[
     float, PLAIN_DECIMAL, Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.")
 ]
@@ -178,13 +179,21 @@ async def _answer(
 ) -> Response:
     served = await service.level(level)
     sun = asked_sun(request, time, None, None, service.settings.time_grain_s)
+    point, fresh_s = of_a_day(point, sun)
     job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
     tag = tag_of(served.version, level, "point", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = fresh_for(request, OWN_SUN_S if sun is None and point.date is None else GIVEN_SUN_S)
-    headers = cache_headers(tag, fresh_s) | time_headers(request)
+    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     return Response(await run_point(request, service, job), headers=headers, media_type=media_type)
+
+
+def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
+    """A question of one day, which is today's where nothing says which, and for how many seconds its answer is fresh."""
+    if sun is not None or point.date is not None:
+        return point, GIVEN_SUN_S
+    begin, left_s = quarter_hour()
+    return point.model_copy(update={"now": begin}), left_s
 
 
 def _request(time: datetime | None) -> PictureRequest:

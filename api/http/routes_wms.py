@@ -10,7 +10,7 @@ from pyproj import CRS
 from starlette.concurrency import run_in_threadpool
 
 from api.errors import NotServedError
-from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, base_url, cache_headers, document_answer, is_fresh, tag_of
+from api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
 from api.http.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
 from api.http.maps import MapQuery, map_answer
 from api.http.moments import fresh_for, time_headers
@@ -27,7 +27,7 @@ from api.http.ogc_requests import (
 from api.http.ogc_xml import wms_exception
 from api.http.point_documents import Rows, report_features, report_page, report_rows, report_text
 from api.http.routes_levels import legend_answer
-from api.http.routes_point import run_point
+from api.http.routes_point import of_a_day, run_point
 from api.http.served_levels import ServedLevel
 from api.http.service import Service, TheService
 from api.http.wms_capabilities import INFO_MEDIA, LEGEND_MEDIA, WMS_LAYERS, WMS_VERSION, map_formats_told, wms_capabilities
@@ -165,30 +165,20 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
     day = sun_hours_asked(level, asked.get("TIME")).date if sun_hours else None
     sun = None if sun_hours else sun_at_time(request, level, asked)
     if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
-        return _remark("there is no place on earth there", None, media_type, {"Cache-Control": "no-store"})
-    job = PointJob(level=level.key, query=PointQuery(lon=lon, lat=lat, date=day), request=PictureRequest(sun=sun))
+        remark, headers = "there is no place on earth there", {"Cache-Control": "no-store"}
+        if media_type == "application/json":
+            return _features(None, {"remark": remark}, headers)
+        return _in_words([("Remark", remark)], media_type, headers)
+    point, fresh_s = of_a_day(PointQuery(lon=lon, lat=lat, date=day), sun)
+    job = PointJob(level=level.key, query=point, request=PictureRequest(sun=sun))
     tag = tag_of(level.version, level.name, "info", job.model_dump(exclude={"level"}, exclude_none=True), media_type)
-    headers = cache_headers(tag, fresh_for(request, OWN_SUN_S if sun is None and day is None else GIVEN_SUN_S)) | time_headers(
-        request
-    )
+    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    try:
-        body = await run_point(request, service, job)
-    except InputError as error:
-        if error.name != "point":
-            raise
-        return _remark(f"no ground here: {error.allowed}", (lon, lat), media_type, headers)
-    report = json.loads(body)
+    report = json.loads(await run_point(request, service, job))
     if media_type == "application/json":
         return _features((report["lon"], report["lat"]), report, headers)
     return _in_words(report_rows(report), media_type, headers)
-
-
-def _remark(remark: str, place: tuple[float, float] | None, media_type: str, headers: dict[str, str]) -> Response:
-    if media_type == "application/json":
-        return _features(place, {"remark": remark}, headers)
-    return _in_words([("Remark", remark)], media_type, headers)
 
 
 def _features(place: tuple[float, float] | None, report: dict[str, Any], headers: dict[str, str]) -> Response:

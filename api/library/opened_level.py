@@ -28,7 +28,7 @@ from shadows.sun_hours.sun_hours import SunRules
 from terrain.geo.clock import clock_named, date_of
 from terrain.geo.daily_windows import readings_of, windows_asked
 from terrain.level.level import load_level, parse_sun
-from terrain.level.level_source import LevelSource
+from terrain.level.level_source import LevelSource, units_named
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
@@ -237,13 +237,23 @@ class OpenLevel:
 
 
 def open_level(
-    source: str | Path, *, canopy: Path | None = None, buildings: Path | None = None, nodata: float | None = None
+    source: str | Path,
+    *,
+    canopy: Path | None = None,
+    buildings: Path | None = None,
+    nodata: float | None = None,
+    units: str | None = None,
 ) -> OpenLevel:
     """Open a level: a bundled one by its name, a level file, or a raster of heights, if wanted with ``canopy`` heights or trees,
-    footprints of ``buildings``, and the value of cells without a height. Raises ``SkuggaError``.
+    footprints of ``buildings``, the value of cells without a height, and the unit of heights (``m``, ``ft`` or ``us-ft``). Raises
+    ``SkuggaError``.
     """
     path = find_level(str(source))
-    return OpenLevel(build_scene(load_level(LevelSource(path=path, canopy=canopy, buildings=buildings, nodata=nodata))))
+    return OpenLevel(
+        build_scene(
+            load_level(LevelSource(path=path, canopy=canopy, buildings=buildings, nodata=nodata, units=units_named("units", units)))
+        )
+    )
 
 
 def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel:

@@ -33,7 +33,7 @@ _FONT = ["DejaVu Sans"]
 
 
 def sky_picture(
-    around: Surroundings, horizon: PointHorizon, day: date | None, clock: tzinfo, format: SkyPictureFormat, title: str
+    around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: SkyPictureFormat, title: str
 ) -> bytes:
     """The chart as a file: the paths of a day, of the solstices and of the equinox; of a flat world the horizon alone."""
     from matplotlib import rc_context
@@ -46,11 +46,11 @@ def sky_picture(
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _sky(axes)
         _horizon(axes, horizon)
-        if day is not None and not around.scene.world.flat:
+        if not around.scene.world.flat:
             _paths(axes, around, day, clock)
         figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
         figure.text(0.06, 0.951, _subtitle(around, day, clock), fontsize=9.5, color=_INK, va="top")
-        _legend(figure, horizon, day, around.scene.world.flat)
+        _legend(figure, horizon, around.scene.world.flat)
         file = io.BytesIO()
         figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
     return file.getvalue()
@@ -164,15 +164,14 @@ def _beside(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
     return float(away * np.sin(angle)), float(away * np.cos(angle))
 
 
-def _subtitle(around: Surroundings, day: date | None, clock: tzinfo) -> str:
+def _subtitle(around: Surroundings, day: date, clock: tzinfo) -> str:
     place = around.place
     height = f"{place.ground_m:.0f} m" + (f", {place.height_m:g} m above the ground" if place.height_m else "")
     if place.lon_deg is None or place.lat_deg is None:
         return height
     lon = f"{abs(place.lon_deg):.5f}° {'E' if place.lon_deg >= 0 else 'W'}"
     lat = f"{abs(place.lat_deg):.5f}° {'N' if place.lat_deg >= 0 else 'S'}"
-    where = f"{lat}, {lon}, {height}"
-    return where if day is None else f"{where}    {day:%-d %B %Y}, {_clock_words(day, clock)}"
+    return f"{lat}, {lon}, {height}    {day:%-d %B %Y}, {_clock_words(day, clock)}"
 
 
 def _clock_words(day: date, clock: tzinfo) -> str:
@@ -186,7 +185,7 @@ def _clock_words(day: date, clock: tzinfo) -> str:
     return written if name.startswith("UTC") else f"{name} ({written})"
 
 
-def _legend(figure: Any, horizon: PointHorizon, day: date | None, flat: bool) -> None:
+def _legend(figure: Any, horizon: PointHorizon, flat: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -195,7 +194,7 @@ def _legend(figure: Any, horizon: PointHorizon, day: date | None, flat: bool) ->
         handles.append(Patch(color=_SOLIDS, label="roofs and models"))
     if (horizon.forest_deg > np.maximum(horizon.relief_deg, 0.0)).any():
         handles.append(Patch(color=_FOREST, label="trees"))
-    if day is not None and not flat:
+    if not flat:
         handles += [
             Line2D([], [], color=_SUN, linewidth=3.2, label="direct sun"),
             Line2D([], [], color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), label="sun hidden"),

@@ -6,20 +6,20 @@ from datetime import UTC, date, datetime, tzinfo
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 from pyproj import CRS
 
 from shadows.point.clock import clock_of
 from shadows.point.horizon import CasterType, SunCaster, Surroundings, surroundings, what_hides
-from shadows.point.place import HIGHEST_EYE_M, place_at
+from shadows.point.place import HIGHEST_EYE_M, POINT, place_at
 from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
+from terrain.errors import InputError
 from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
 
-NO_DATE = "no date: neither date nor time is given, and the level's sun has no time"
 FLAT = "an engineering CRS is not georeferenced: there is no day without longitude and latitude"
 NO_SUN = "the level has no sun of its own: give a time"
 
@@ -40,7 +40,8 @@ LonLatDegrees = Annotated[float | None, _rounded(7)]
 
 class PointQuery(_Reported):
     """What is asked of a point: its coordinates (longitude and latitude; in a flat world metres east and north of the middle),
-    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted.
+    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted. ``now`` lies in the day
+    that is meant where neither the query nor the level's sun has one (``None``: the clock of this machine says).
     """
 
     lon: float = Field(allow_inf_nan=False)
@@ -49,6 +50,7 @@ class PointQuery(_Reported):
     date: _Date | None = None
     clock: str | None = Field(default=None, max_length=60)
     year: int | None = Field(default=None, ge=1800, le=2200)
+    now: AwareDatetime | None = None
 
 
 class ReportedCaster(_Reported):
@@ -109,12 +111,12 @@ class DayHours(_Reported):
 
 
 class PointReport(_Reported):
-    """What a point sees of the sun. Where ``now`` or ``day`` is null, ``remark`` says why."""
+    """What a point sees of the sun. Where ``elevation_m``, ``now`` or ``day`` is null, ``remark`` says why."""
 
     level: str
     lon: LonLatDegrees
     lat: LonLatDegrees
-    elevation_m: RoundMetres
+    elevation_m: Annotated[float | None, _rounded(2)]
     height_m: RoundMetres
     now: ReportedMoment | None
     day: ReportedDay | None
@@ -125,7 +127,8 @@ class PointReport(_Reported):
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
     """The report of a point of a level, under the scene's own sun. Raises ``InputError``."""
     around = around_point(scene, query, crs)
-    place, day = around.place, day_asked(scene, query)
+    place = around.place
+    day = day_asked(scene, query, place.lon_deg)
     clock = clock_asked(scene, query, place.lon_deg, day)
     now, remarks = sun_now(around), []
     if now is None:
@@ -133,8 +136,6 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
     reported = None
     if scene.world.flat and query.date is None and query.year is None:
         remarks.append(FLAT)
-    elif day is None:
-        remarks.append(NO_DATE)
     else:
         reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
     year = None if query.year is None else sun_year(around, query.year, clock)
@@ -147,6 +148,20 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
         ),
         remark="; ".join(remarks) or None,
     )  # fmt: skip
+
+
+def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
+    """The report of a point; off the level's data one of nulls, whose remark says where there are data. Raises ``InputError``."""
+    try:
+        return point_report(scene, query)
+    except InputError as error:
+        if error.name != POINT:
+            raise
+        lon, lat = (None, None) if scene.world.flat else (query.lon, query.lat)
+        return PointReport(
+            level=scene.loaded.name, lon=lon, lat=lat, elevation_m=None, height_m=query.height, now=None, day=None, year=None,
+            remark=f"no ground here: {error.allowed}",
+        )  # fmt: skip
 
 
 def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
@@ -165,22 +180,24 @@ def sun_now(around: Surroundings) -> ReportedMoment | None:
     )
 
 
-def day_asked(scene: Scene, query: PointQuery) -> date | None:
-    """The day of a query: its own, else that of the sun's time by the query's clock; ``None`` where neither is given."""
-    if query.date is not None or scene.sun is None or scene.sun.time is None:
+def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
+    """The day of a query: its own, else that of the sun's time, else today; by the query's clock, else by the offset of the sun's
+    time, else by solar time. Raises ``InputError`` for a clock that there is not.
+    """
+    if query.date is not None:
         return query.date
-    if query.clock is None:
-        return scene.sun.time.date()
-    lon = None if scene.world.flat else query.lon
-    return scene.sun.time.astimezone(clock_of(query.clock, lon, scene.sun.time.date())).date()
+    moment = None if scene.sun is None else scene.sun.time
+    if moment is not None and query.clock is None:
+        return moment.date()
+    moment = moment or query.now or datetime.now(UTC)
+    return moment.astimezone(clock_of(query.clock or "solar", lon_deg, moment.date())).date()
 
 
-def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date | None) -> tzinfo:
+def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
     """The clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
-    year = 2000 if query.year is None else query.year
-    return clock_of(query.clock or "solar", lon_deg, day or date(year, 1, 1))
+    return clock_of(query.clock or "solar", lon_deg, day)
 
 
 def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:

@@ -120,9 +120,9 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
         except InputError as error:
             rows.append(PointAnswerRow(None, None, None, str(error)))
             continue
-        day = day_asked(under, own)
         direct = None
-        if hours and day is not None and not scene.world.flat:
+        if hours and not scene.world.flat:
+            day = day_asked(under, own, around.place.lon_deg)
             direct = hours_between_looks(around, day, clock_asked(under, own, around.place.lon_deg, day))
         rows.append(PointAnswerRow(around.place.ground_m, sun_now(around), direct, None))
     return rows

@@ -58,6 +58,10 @@ class PointPlace:
         return (point_earth_m - self.eye_earth_m) @ self.earth_from_enu
 
 
+POINT = "point"
+"""What errors call coordinates without ground."""
+
+
 def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
     """The place of coordinates: longitude and latitude (east and north metres from the middle of a flat world), or x and y of a
     CRS.
@@ -71,14 +75,14 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     x, y = _on_grid(scene, ground, at, crs)
     allowed = f"a place on the level's data{_extent(scene)}"
     if not np.isfinite(x + y):
-        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, there = ground.ground_at(row, col)
     if not np.isfinite(ground_m):  # the outermost half cell, round which there are no quads
         ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
         there = bool(np.isfinite(ground_m))
     if not there:
-        raise InputError("point", f"{at[0]:.10g},{at[1]:.10g}", allowed)
+        raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None
     if not scene.world.flat:

@@ -8,21 +8,32 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from terrain.errors import printable
+from terrain.errors import InputError, printable
+from terrain.level.parts import METRES_PER_UNIT, Units
 
 KEYS_OF_OPTIONS = {
     "canopy": "forest: [{source: FILE}]",
     "buildings": "meshes: [{source: FILE}]",
     "nodata": "terrain: {nodata: VALUE}",
+    "units": "terrain: {units: UNIT}",
 }
 """What may be said of a raster beside its path, and how a level file says the same."""
+
+
+def units_named(parameter: str, name: str | None) -> Units | None:
+    """A unit of heights by its name. Raises ``InputError``, which names the parameter."""
+    found = next((unit for unit in METRES_PER_UNIT if unit == name), None)
+    if name is not None and found is None:
+        raise InputError(parameter, name, ", ".join(METRES_PER_UNIT))
+    return found
 
 
 class LevelSource(BaseModel):
     """A level file's path, or that of a raster that is a level by itself: its ground, and all else by default.
 
     With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
-    heights) and ``nodata``, the cells' value that means that no height is known there. Of a level file they are ``None``.
+    heights), ``nodata``, the cells' value that means that no height is known there, and ``units`` of heights. Of a level file
+    they are ``None``.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -31,6 +42,7 @@ class LevelSource(BaseModel):
     canopy: Path | None = None
     buildings: Path | None = None
     nodata: float | None = None
+    units: Units | None = None
 
     @classmethod
     def of(cls, source: Path | str | LevelSource) -> LevelSource:
@@ -45,10 +57,11 @@ class LevelSource(BaseModel):
     @property
     def level_keys(self) -> dict[str, Any]:
         """The level file's keys that say the same of the raster as this does."""
+        stated = {name: value for name, value in (("nodata", self.nodata), ("units", self.units)) if value is not None}
         return {
             "version": 1,
             "title": printable(self.path.stem),
-            "terrain": {"source": self.path.name, **({} if self.nodata is None else {"nodata": self.nodata})},
+            "terrain": {"source": self.path.name, **stated},
             **({} if self.canopy is None else {"forest": [{"source": str(self.canopy.resolve())}]}),
             **({} if self.buildings is None else {"meshes": [{"source": str(self.buildings.resolve())}]}),
         }

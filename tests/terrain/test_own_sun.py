@@ -61,6 +61,18 @@ def test_the_poles_have_one_too(tmp_path):
     assert scene.sun is not None and 0 < scene.sun.altitude_deg <= 22
 
 
+def test_a_country_has_no_night(tmp_path):
+    """Gentle ground 1,500 km wide, in the south: the sun is up over all of it, and still low."""
+    row, col = np.mgrid[:100, :150] * 10_000.0
+    heights = (500 * np.sin(col / 1.3e4) * np.cos(row / 1.7e4)).astype(np.float32)
+    scene = build_scene(load_level(write_geotiff(tmp_path / "g.tif", heights, "EPSG:2193", 1_000e3, 6_000e3, (10_000.0, 10_000.0))))
+    assert scene.sun is not None and scene.sun.altitude_deg < 15.0
+    west, south, east, north = scene.elevation.bounds
+    _, up = scene.world.ground(scene.elevation.crs, np.array([west, west, east, east]), np.array([south, north, south, north]))
+    corners_deg = np.degrees(np.arcsin(up @ scene.sun.to_sun_earth))
+    assert 2.0 < corners_deg.min() < 8.0
+
+
 def test_what_a_level_says_goes_before_it(tmp_path, make_scene):
     raster = write_geotiff(tmp_path / "g.tif", falling(15, 240).astype(np.float32), ENGINEERING, 0, 0, CELL_M)
     scene = make_scene(raster, 100, 50)

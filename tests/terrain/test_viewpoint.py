@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from terrain.geo.camera import PerspectiveView
+from terrain.geo.world import WGS84
 from terrain.ground.elevation import Elevation
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
@@ -114,3 +115,15 @@ def test_ground_that_fills_no_picture_has_none(tmp_path, shape):
     )
     scene = build_scene(load_level(tmp_path / "few.tif"))
     assert good_view(scene.world, elevation, scene.sun) is None
+
+
+def test_coarse_cells_are_looked_at_from_afar(tmp_path):
+    """Kilometre cells fill a dozen pixels of the picture each, not a hundred."""
+    row, col = np.mgrid[:300, :300]
+    ridges = 1500 + 1200 * np.sin(col / 3) * np.cos(row / 4) * np.exp(-(((row - 150) / 60) ** 2))
+    scene = scene_of(tmp_path, ridges, crs="EPSG:2193", cell_m=1000.0)
+    spec = good_view(scene.world, scene.elevation, scene.sun)
+    assert spec is not None
+    (lon, lat, high_m), (to_lon, to_lat, _) = spec.eye, spec.target
+    away_m = float(np.hypot(WGS84.inv(lon, lat, to_lon, to_lat)[2], high_m))
+    assert 1024 / (2 * np.tan(np.radians(spec.fov) / 2)) * 1000.0 / away_m < 40.0

@@ -111,6 +111,26 @@ def test_a_collar_is_told_and_mended(gl, run, site, caplog):
     assert "nodata: 0" in warned and "cut.tif" not in warned and warned in caplog.text
 
 
+def test_feet_that_nobody_has_named_are_asked_about_and_mended(gl, run, site):
+    """A step of 10 without a unit throws a shadow of 10 m until heights are said to be feet, too."""
+    heights = np.full((20, 120), 100.0, np.float32)
+    heights[:, :40] += 10.0
+    raster = str(write_geotiff(site / "feet.tif", heights, "EPSG:2994", 636_000.0, 848_000.0, 3.0))
+    shadow_m = {}
+    for given in ((), ("--units", "m"), ("--units", "ft")):
+        status, _, err = run("shade", raster, "--azimuth", "271", "--altitude", "20", *given, "-o", str(site / "mask.tif"))
+        assert status == 0 and ("x and y are in feet" in err and "--units ft" in err) is (given == ())
+        with rasterio.open(site / "mask.tif") as dataset:
+            shadow_m[given[-1:]] = float((dataset.read(1)[5:-5] == MASK_SHADOW).sum(axis=1).mean()) * 3.0 * 0.3048
+    assert shadow_m[()] == shadow_m["m",] == pytest.approx(10.0 / np.tan(np.radians(20.0)), rel=0.06)
+    assert shadow_m["ft",] == pytest.approx(3.048 / np.tan(np.radians(20.0)), rel=0.12)
+    assert "warning" in run("validate", raster)[1] and "warning" not in run("validate", raster, "--units", "us-ft")[1]
+    assert run("init", raster, "--units", "ft", "-o", str(site / "feet.yaml"))[::2] == (0, "")
+    assert "\n  units: ft\n" in (site / "feet.yaml").read_text()
+    status, _, err = run("shade", raster, "--units", "yards", "-o", str(site / "mask.tif"))
+    assert status == 2 and "--units: 'yards' is not allowed; allowed: m, ft, us-ft" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -95,7 +95,7 @@ def test_a_commands_other_inputs_are_no_targets(folder):
         (("render", "level.yaml", "-o", "wall.png"), "wall.png"),
         (("render", "level.yaml", "-o", "new.png", "--stats", "level.yaml"), "level.yaml"),
         (("sunhours", "dem.tif", "-o", "dem.tif", "--date", "2024-03-21"), "dem.tif"),
-        (("point", "level.yaml", "15,46.9", "--picture", "roof.png"), "roof.png"),
+        (("point", "level.yaml", "--at", "15,46.9", "--picture", "roof.png"), "roof.png"),
         (("select", "level.yaml", "--descriptor", "level.yaml"), "level.yaml"),
         (("compare", "level.yaml", "--json", "level.yaml"), "level.yaml"),
         (("compare", "level.yaml", "-o", "."), "png"),

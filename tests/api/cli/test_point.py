@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from datetime import date, datetime
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from api.point.horizon_formats import HORIZON_FORMATS
+from shadows.point.clock import clock_of
 from tests.rasters import ENGINEERING, write_geotiff
 
 AT = "15.0,47.5"
@@ -23,14 +26,16 @@ def valley(tmp_path):
 
 
 def test_the_table(run, valley):
-    status, out, err = run("point", valley, AT, "--time", TIME, "--height", "1.6")
+    status, out, err = run("point", valley, "--at", AT, "--time", TIME, "--height", "1.6")
     assert (status, err) == (0, "")
     for words in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
         assert words in out, out
 
 
 def test_json(run, valley):
-    status, out, _ = run("point", valley, AT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json")
+    status, out, _ = run(
+        "point", valley, "--at", AT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json"
+    )
     report = json.loads(out)
     assert status == 0 and report["elevation_m"] == 300.0
     day = report["day"]
@@ -41,19 +46,19 @@ def test_json(run, valley):
 
 
 def test_coordinates_of_a_crs_and_west_of_greenwich(run, valley, tmp_path):
-    _, degrees, _ = run("point", valley, AT, "--time", TIME, "--json")
+    _, degrees, _ = run("point", valley, "--at", AT, "--time", TIME, "--json")
     place = json.loads(degrees)
-    status, metres, _ = run("point", valley, "500000,5260871.8", "--crs", "EPSG:32633", "--time", TIME, "--json")
+    status, metres, _ = run("point", valley, "--at", "500000,5260871.8", "--crs", "EPSG:32633", "--time", TIME, "--json")
     assert status == 0 and json.loads(metres)["lon"] == pytest.approx(place["lon"], abs=1e-4)
     west = write_geotiff(tmp_path / "west.tif", np.zeros((11, 11), np.float32), "EPSG:4326", -118.3, 34.3, 0.01)
-    status, out, err = run("point", str(west), "-118.25,34.25", "--date", "2024-06-21")
+    status, out, err = run("point", str(west), "--at", "-118.25,34.25", "--date", "2024-06-21")
     assert status == 0, err
     assert "polar" not in out and "14.40 h" in out
 
 
 def test_files(run, valley, tmp_path):
     horizon, chart, picture = tmp_path / "roof.hor", tmp_path / "sun.svg", tmp_path / "sun.png"
-    asked = ["point", valley, AT, "--date", "2024-10-21", "--horizon", str(horizon), "--format", "hor"]
+    asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", "hor", "--output", str(horizon)]
     assert run(*asked, "--picture", str(chart))[0] == 0
     rows = [line.split() for line in horizon.read_text().splitlines()]
     assert len(rows) == 360 and rows[0][0] == "-180" and float(rows[90][1]) > 15.0
@@ -61,6 +66,28 @@ def test_files(run, valley, tmp_path):
     assert run(*asked, "--picture", str(picture))[0] == 0
     with Image.open(picture) as shown:
         assert min(shown.size) > 600
+
+
+@pytest.mark.parametrize("format", HORIZON_FORMATS)
+def test_a_horizon_without_a_file_is_printed_alone(run, valley, tmp_path, format):
+    """Standard output is then the very file, for another program to read."""
+    file = tmp_path / "horizon"
+    asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", format]
+    status, report, _ = run(*asked, "-o", str(file))
+    assert status == 0 and "ground 300.0 m" in report
+    status, out, err = run(*asked)
+    assert (status, err) == (0, "") and out.encode() == file.read_bytes() and len(out) > 100
+
+
+def test_without_a_date_the_day_is_today(run, valley):
+    """By the clock asked for: noon of any day by one clock is not midnight by another."""
+    for clock in ("solar", "Pacific/Auckland"):
+        before = datetime.now(clock_of(clock, 15.0, date(2024, 1, 1))).date()
+        status, out, _ = run("point", valley, "--at", AT, "--clock", clock, "--json")
+        after = datetime.now(clock_of(clock, 15.0, date(2024, 1, 1))).date()
+        report = json.loads(out)
+        assert status == 0 and report["remark"] is None and report["day"]["clock"] == clock
+        assert before <= date.fromisoformat(report["day"]["date"]) <= after and report["day"]["daylight_h"] > 8.0
 
 
 def test_points_of_a_csv(run, valley, tmp_path):
@@ -91,15 +118,22 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
-        (["here"], "LON,LAT: 'here' is not allowed"),
-        ([], "LON,LAT: 'nothing' is not allowed"),
-        ([AT, "--date", "monday"], "date: 'monday' is no date"),
-        ([AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
-        ([AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
-        ([AT, "--horizon", "x.csv", "--format", "xyz"], "format: 'xyz' is not allowed"),
-        ([AT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed; allowed: .svg or .png"),
-        ([AT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
+        (["--at", "0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
+        (["--at", "here"], "--at: 'here' is not allowed"),
+        ([], "--at: 'nothing' is not allowed"),
+        ([AT], "unexpected extra argument"),
+        (["--at", AT, "--date", "monday"], "date: 'monday' is no date"),
+        (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
+        (["--at", AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
+        (["--at", AT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed; allowed: pvgis-csv, pvgis-json"),
+        (["--at", AT, "--output", "roof.hor"], "--output: 'roof.hor' is not allowed; allowed: --horizon FORMAT beside it"),
+        (["--at", AT, "--horizon", "hor", "--json"], "--json: 'given' is not allowed; allowed: --output FILE"),
+        (["--at", AT, "--start", TIME], "a track to begin then: --line FILE"),
+        (["--at", AT, "--points", "huts.csv"], "--at: '15.0,47.5' is not allowed; allowed: no --points beside it"),
+        (["--line", "tour.gpkg", "--horizon", "hor"], "--horizon: 'hor' is not allowed; allowed: no --line beside it"),
+        (["--line", "tour.gpkg", "--points", "huts.csv"], "--line: 'tour.gpkg' is not allowed; allowed: no --points beside it"),
+        (["--at", AT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed; allowed: .svg or .png"),
+        (["--at", AT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
         (["--points", "nowhere.csv"], "nowhere.csv"),
     ],
 )
@@ -110,8 +144,8 @@ def test_what_is_wrong_is_one_line(run, valley, arguments, words):
 
 def test_a_flat_world_has_a_horizon_and_no_day(run, tmp_path):
     floor = write_geotiff(tmp_path / "floor.tif", np.zeros((21, 21), np.float32), ENGINEERING, 0.0, 0.0, 10.0)
-    status, out, _ = run("point", str(floor), "0,0", "--horizon", str(tmp_path / "h.csv"), "--json")
+    status, out, _ = run("point", str(floor), "--at", "0,0", "--horizon", "pvlib", "-o", str(tmp_path / "h.csv"), "--json")
     report = json.loads(out)
     assert status == 0 and report["day"] is None and "engineering CRS" in report["remark"] and report["lon"] is None
-    status, _, err = run("point", str(floor), "0,0", "--date", "2024-01-01")
+    status, _, err = run("point", str(floor), "--at", "0,0", "--date", "2024-01-01")
     assert status == 2 and "engineering CRS" in err

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from datetime import UTC, date, datetime, timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pandas
@@ -34,6 +36,31 @@ def test_a_report(client: Client):
     assert day["sunrise"].endswith("+01:00")
     again = client.get(answer.request.url.raw_path.decode(), headers={"If-None-Match": answer.headers["etag"]})
     assert again.status_code == 304
+
+
+def test_without_a_time_and_a_date_the_day_is_today(client: Client):
+    """And the answer is fresh until the day may be over, under another tag from then on."""
+    url = f"{POINT}?{here(client)}&clock=utc"
+    before = datetime.now(UTC).date()
+    answer = client.get(url)
+    day = date.fromisoformat(answer.json()["day"]["date"])
+    assert before <= day <= datetime.now(UTC).date()
+    assert 0 < int(answer.headers["cache-control"].partition("max-age=")[2]) <= 900
+    later = datetime.now(UTC) + timedelta(days=1)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("api.http.moments.datetime", SimpleNamespace(now=lambda zone: later))
+        tomorrow = client.get(url, headers={"If-None-Match": answer.headers["etag"]})
+    assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
+
+
+def test_off_the_data_is_null_and_why(client: Client):
+    answer = client.get(f"{POINT}?lon=0&lat=0&time=2024-12-01T09:00:00%2B01:00")
+    report = answer.json()
+    assert answer.status_code == 200 and report["lon"] == report["lat"] == 0.0
+    assert report["elevation_m"] is report["now"] is report["day"] is None
+    assert report["remark"].startswith("no ground here: a place on the level's data: longitudes 8.")
+    for file in ("horizon.csv", "sun.svg"):
+        check_problem(client.get(f"{POINT}/{file}?lon=0&lat=0"), 422, "invalid_parameter", "point")
 
 
 def test_horizon_files_and_charts(client: Client):
@@ -70,7 +97,6 @@ def test_many_points(client: Client):
 @pytest.mark.parametrize(
     ("query", "parameter"),
     [
-        ("lon=0&lat=0", "point"),
         (f"{HERE}&height=-1", "height"),
         (f"{HERE}&clock=noon&date=2024-01-01", "clock"),
         (f"{HERE}&date=yesterday", "date"),
