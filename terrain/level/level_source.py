@@ -23,6 +23,8 @@ class LevelSource(BaseModel):
 
     With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
     heights) and ``nodata``, the cells' value that means that no height is known there. Of a level file they are ``None``.
+
+    ``roots`` are folders in one of which, or below, all has to lie that the level is read from; ``None``: anywhere.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -31,6 +33,7 @@ class LevelSource(BaseModel):
     canopy: Path | None = None
     buildings: Path | None = None
     nodata: float | None = None
+    roots: tuple[Path, ...] | None = None
 
     @classmethod
     def of(cls, source: Path | str | LevelSource) -> LevelSource:
