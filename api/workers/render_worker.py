@@ -59,6 +59,7 @@ from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
+from terrain.compiled import why_not_kept
 from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
@@ -331,6 +332,8 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
 
         renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
         state = WorkerState(renderer, calibration(), config.most_ms)
+        if reason := why_not_kept():
+            say(reason)
         prepare(config.served, state, say)
         pipe.send(Ready(state.renderer, state.device))
         if not pipe.poll(IDLE_S):

@@ -123,8 +123,9 @@ def by_a_header(inside: Path) -> None:
 
 def by_a_query(inside: Path) -> None:
     query = f"SELECT * FROM '{inside.parent / 'outside' / 'houses.shp'}'.houses"
-    layer = f"<OGRVRTLayer name='x'><SrcDataSource relativeToVRT='1'>own.geojson</SrcDataSource><SrcSQL>{query}</SrcSQL></OGRVRTLayer>"
-    (inside / "houses.vrt").write_text(f"<OGRVRTDataSource>{layer}</OGRVRTDataSource>", encoding="utf-8")
+    source = f"<SrcDataSource relativeToVRT='1'>own.geojson</SrcDataSource><SrcSQL>{query}</SrcSQL>"
+    layer = f"<OGRVRTDataSource><OGRVRTLayer name='x'>{source}</OGRVRTLayer></OGRVRTDataSource>"
+    (inside / "houses.vrt").write_text(layer, encoding="utf-8")
     level_of(inside / "level.yaml", "dem.tif", meshes=[{"source": "houses.vrt", "height": 3}])
 
 
