@@ -87,8 +87,8 @@ class Settings(BaseSettings):
     )
     data_roots: Annotated[tuple[Path, ...], NoDecode] = Field(
         default=(),
-        description="Further folders, separated by commas, in which level files and data may lie: besides that folder and those of "
-        "the files that the service is started with.",
+        description="Folders in which level files and data may lie, separated by commas, besides `SKUGGA_LEVELS` and the folders "
+        "of the files that the service is started with.",
     )
     remote_sources: bool = Field(default=False, description="Whether levels may name rasters that are not local files.")
     expect_renderer: str | None = Field(

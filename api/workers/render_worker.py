@@ -330,10 +330,10 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         def say(text: str) -> None:
             pipe.send(Preparing(text))
 
-        renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
-        state = WorkerState(renderer, calibration(), config.most_ms)
         if reason := why_not_kept():
             say(reason)
+        renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
+        state = WorkerState(renderer, calibration(), config.most_ms)
         prepare(config.served, state, say)
         pipe.send(Ready(state.renderer, state.device))
         if not pipe.poll(IDLE_S):
