@@ -15,7 +15,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser test-clients test-soak hunt check notebook viewer viewer-if-possible chromium qgis clean
+.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook viewer viewer-if-possible chromium qgis clean
 .DELETE_ON_ERROR:
 
 help:
@@ -25,6 +25,8 @@ help:
 	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
 	@echo "make test-clients  QGIS and GDAL's tools read a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
+	@echo "make test-lowest   a quick part of the tests with the lowest versions that pyproject.toml allows (Python 3.11)"
+	@echo "make lock          write requirements.lock: the newest versions that pyproject.toml allows"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
 	@echo "make check         ruff and mypy"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
@@ -57,6 +59,25 @@ test-clients: setup qgis
 test-soak: setup
 	$(PYTEST) -m soak $(or $(ARGS),tests/soak)
 
+# What pyproject.toml promises of old versions. Their own warnings of what has become of other packages are no failures.
+LOWEST := .venv-lowest
+QUICK  := tests/terrain/level tests/terrain/geo tests/terrain/ground tests/terrain/meshes tests/terrain/trees tests/terrain/gl \
+          tests/api/test_settings.py tests/api/test_png.py tests/api/test_shade.py tests/api/cli tests/api/library tests/api/http
+test-lowest: $(SYSTEM)
+	@PYTHON=python3.11 scripts/make-venv.sh $(LOWEST)
+	@$(LOWEST)/bin/python -m pip install -qq uv
+	@$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[test]'
+	$(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W default -m "not long and not browser and not soak" $(or $(ARGS),$(QUICK))
+
+# For every Python and system that is allowed; without addresses, so that it serves whatever registry is asked.
+lock: $(INSTALLED)
+	@$(VENV)/bin/python -m pip install -qq uv
+	@$(VENV)/bin/uv pip compile -q --universal --python-version 3.11 --all-extras --no-header --no-annotate --no-emit-index-url \
+	    --no-emit-find-links --upgrade pyproject.toml -o requirements.lock.part
+	@{ echo "# Versions that are known to work together, of everything that pyproject.toml names; written by 'make lock'."; \
+	   echo "# pip install -c requirements.lock ."; cat requirements.lock.part; } > requirements.lock
+	@rm requirements.lock.part
+
 # Prints what is over its bound, to be put into FOUND of tests/hard_cases/test_properties.py.
 hunt: setup
 	$(VENV)/bin/python -m tests.hard_cases.hunt $(ARGS)
@@ -67,7 +88,7 @@ check: $(INSTALLED)
 	$(VENV)/bin/mypy
 
 notebook: setup
-	$(VENV)/bin/python -m pip install -qq -e '.[docs]'
+	$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
 	$(VENV)/bin/jupytext -q --to ipynb -o docs/a-winters-day.ipynb examples/a_winters_day.py
 	$(VENV)/bin/jupyter execute --inplace docs/a-winters-day.ipynb
 
@@ -78,12 +99,12 @@ viewer-if-possible: $(INSTALLED)
 	    echo "skugga: the viewer was not built ('make viewer' says why); all else works without it" >&2
 
 clean:
-	rm -rf $(VENV) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
+	rm -rf $(VENV) $(LOWEST) api/static viewer/node_modules tests/browser/clients/node_modules build dist *.egg-info
 
-$(INSTALLED): pyproject.toml
+$(INSTALLED): pyproject.toml requirements.lock
 	@scripts/make-venv.sh $(VENV)
 	@echo "skugga: installing Python packages into $(VENV) (a minute or so)"
-	@$(VENV)/bin/python -m pip install -qq -e '.[test,viewer]'
+	@$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[test,viewer]'
 	@touch $@
 
 $(SYSTEM): $(INSTALLED) scripts/check_system.py

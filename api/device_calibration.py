@@ -11,7 +11,6 @@ from api.report.plan_text import LINE_WIDTH, display_name
 from selector.cost.device_profile import DeviceProfile, load_profile
 from selector.formatting import format_duration, format_percent
 from shadows.registry import ALGORITHMS
-from terrain.errors import GraphicsError
 from terrain.gl import device as gl
 from terrain.level.level import Shadows
 
@@ -25,11 +24,7 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
 def calibration() -> DeviceProfile | None:
     """The calibration of the device that this process draws with; ``None`` where there is none, or no OpenGL."""
-    try:
-        device = gl.device()
-    except GraphicsError:
-        return None
-    return load_profile(device.renderer, device.version)
+    return load_profile(*gl.renderer_and_version())
 
 
 def digest_of(device: DeviceProfile | None) -> str:

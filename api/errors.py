@@ -12,6 +12,7 @@ from terrain.errors import (
     GraphicsError,
     InputError,
     LevelError,
+    NoOpenGLError,
     NotFoundError,
     RenderError,
     RenderTimeoutError,
@@ -106,6 +107,12 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     ),
     GraphicsError: Outcome(
         503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30
+    ),
+    NoOpenGLError: Outcome(
+        503,
+        FAILED,
+        "no_opengl",
+        "This needs OpenGL, which the service does not have. Bare ground under the sun does not.",
     ),
     RenderTimeoutError: Outcome(504, FAILED, "render_timeout"),
 }

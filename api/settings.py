@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
@@ -81,12 +82,20 @@ class Settings(BaseSettings):
     empty_tile: Literal["transparent", "204", "404"] = Field(
         default="transparent", description="Answer for a tile inside the zooms but off the data."
     )
+    levels: Path | None = Field(
+        default=None, description="Folder whose level files (`.yaml`, `.yml`) are served; the list is read anew on `SIGHUP`."
+    )
+    data_roots: Annotated[tuple[Path, ...], NoDecode] = Field(
+        default=(),
+        description="Folders in which level files and data may lie, separated by commas, besides `SKUGGA_LEVELS` and the folders "
+        "of the files that the service is started with.",
+    )
     remote_sources: bool = Field(default=False, description="Whether levels may name rasters that are not local files.")
     expect_renderer: str | None = Field(
         default=None, description="Text that the OpenGL renderer's name has to contain; else no render process starts."
     )
 
-    @field_validator("cors_origins", mode="before")
+    @field_validator("cors_origins", "data_roots", mode="before")
     @classmethod
     def _split(cls, value: Any) -> Any:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value

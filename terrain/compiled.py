@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
@@ -9,6 +10,18 @@ import numba
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+NOT_KEPT = "compiled loops cannot be kept, so every process compiles them anew, which takes minutes"
+REMEDY = "NUMBA_CACHE_DIR names a folder for them"
+
+log = logging.getLogger("skugga")
+
+_reasons: list[str] = []
+
+
+def why_not_kept() -> str | None:
+    """Why this process cannot keep compiled loops for others, and what helps, in a sentence; ``None`` while it can."""
+    return f"{_reasons[0]}: {REMEDY}" if _reasons else None
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -22,18 +35,35 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     try:
         loop = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba finds no writable place for its cache, as in a read-only installation
+        _reasons.append(f"{NOT_KEPT} (no folder can be written)")
         return numba.njit(cache=False, **options)(function)
-    _survive_renames(loop)
+    cache = getattr(loop, "_cache", None)
+    if cache is not None:  # else a plain function, where numba is told not to compile
+        _survive_renames(cache)
+        _survive_full_disks(cache)
     return loop
 
 
-def _survive_renames(loop: Any) -> None:
+def _survive_full_disks(cache: Any) -> None:
+    """Let a loop that cannot be written be one that is not kept."""
+    save = cache.save_overload
+
+    def save_if_possible(signature: Any, made: Any) -> None:
+        try:
+            save(signature, made)
+        except OSError as error:
+            reason = f"{NOT_KEPT} ({cache.cache_path}: {error.strerror})"
+            if reason not in _reasons:
+                _reasons.append(reason)
+                log.warning("%s: %s", reason, REMEDY)
+
+    cache.save_overload = save_if_possible
+
+
+def _survive_renames(cache: Any) -> None:
     """Let a cache of an older version count as empty. Numba reads its index before it compares versions, and cannot if the index
     names a tuple or a module that is no longer there.
     """
-    cache = getattr(loop, "_cache", None)
-    if cache is None:  # a plain function, where numba is told not to compile
-        return
     index = cache._cache_file
     load = index._load_index
 

@@ -8,7 +8,8 @@ SkuggaError
 ├── NotFoundError         an unknown level, tile matrix set, tile or view
 ├── BusyError             the render queue is full
 └── RenderError           the work itself failed
-    ├── GraphicsError     OpenGL is missing, broken or left an error behind
+    ├── GraphicsError     OpenGL is broken or left an error behind
+    │   └── NoOpenGLError   there is none: what needs it cannot be drawn, all else can
     └── RenderTimeoutError  a render took longer than it may
 """
 
@@ -103,7 +104,11 @@ class RenderError(SkuggaError):
 
 
 class GraphicsError(RenderError):
-    """OpenGL is missing or broken, or an error was left behind by a call."""
+    """OpenGL is broken, or an error was left behind by a call."""
+
+
+class NoOpenGLError(GraphicsError):
+    """This machine has no OpenGL: what needs it cannot be drawn, all else can."""
 
 
 class RenderTimeoutError(RenderError):

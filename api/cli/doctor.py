@@ -30,6 +30,7 @@ def examine() -> list[Finding]:
         _opengl(),
         _calibration(),
         _drawing(),
+        _compiled_loops(),
         _viewer(),
     ]
 
@@ -78,6 +79,14 @@ def _drawing() -> Finding:
         return Finding("a shadowed map", False, str(error))
     share = float((frame.visibility[frame.there] < 0.5).mean())
     return Finding("a shadowed map", 0.05 < share < 0.6, f"{100 * share:.0f} % in shadow")
+
+
+def _compiled_loops() -> Finding:
+    """After a drawing, which compiles some."""
+    from terrain.compiled import why_not_kept
+
+    reason = why_not_kept()
+    return Finding("compiled loops", reason is None, reason or "kept for the next process")
 
 
 def _viewer() -> Finding:

@@ -9,13 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from api.catalogue import bundled_levels, find_level
+from api.catalogue import find_level
 from terrain.errors import InputError
 from terrain.level.level_source import LevelSource, units_named
 
 _LEVEL = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")]
 _LEVELS = Annotated[
-    list[str] | None, typer.Argument(metavar="[LEVEL]...", help="Level files, rasters or names; default: all bundled levels.")
+    list[str] | None,
+    typer.Argument(metavar="[LEVEL]...", help="Level files, rasters or names; without --levels: all bundled levels by default."),
 ]
 
 _OPTIONS: dict[str, Any] = {
@@ -55,7 +56,7 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
     for name, value in asked.items():
         if value is not None and len(names or ()) != 1:
             raise InputError(f"--{name}", str(value), "one LEVEL beside it, the raster that it is about")
-    return [_find(name, asked) for name in names] if names else [LevelSource(path=path) for path in bundled_levels()]
+    return [_find(name, asked) for name in names or ()]
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:

@@ -81,6 +81,10 @@ def _everywhere(
 @takes_level
 def serve(
     levels: list[LevelSource],
+    folder: Annotated[
+        Path | None,
+        typer.Option("--levels", metavar="DIR", help="Serve the level files of a folder, too; SIGHUP looks which there are."),
+    ] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
@@ -89,11 +93,13 @@ def serve(
     from api.http.server import serve as run
     from api.settings import load_settings
 
-    options = {"host": host, "port": port, "workers": workers}
+    options = {"host": host, "port": port, "workers": workers, "levels": folder}
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
     if not settings.remote_sources:
         forbid_remote_reads()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
+    if not levels and settings.levels is None:
+        levels = [LevelSource(path=path) for path in bundled_levels()]
     run(settings, levels)
 
 

@@ -44,11 +44,13 @@ from terrain.level.level_source import LevelSource
 
 
 def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_target: WorkerTarget = worker_main) -> FastAPI:
-    """The application over some levels; its render processes run from its start-up to its shutdown.
+    """The application over some levels and those of the settings' folder; its render processes run from its start to its end.
 
-    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served.
+    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served; of the folder's such are left out.
     """
-    served = ServedLevels(levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s)
+    served = ServedLevels(
+        levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
+    )
     pool, tiles = Pool(settings, worker_target, lambda: served_pictures(served)), EncodedTiles(settings.tile_cache_bytes)
     metrics = ServiceMetrics(pool, tiles)
     service = Service(settings, served, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)

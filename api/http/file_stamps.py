@@ -6,13 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from terrain.level.level import LoadedLevel
-from terrain.level.linked_files import is_remote
-
-ADDED_ENDINGS = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
-"""Endings that GDAL adds to a raster's name: statistics and georeference, overviews, masks."""
-
-OTHER_ENDINGS = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
-"""Endings that take the place of a file's own: world files, coordinate systems, parts of shapefiles and of glTF."""
+from terrain.level.linked_files import files_beside, is_remote
 
 MAX_FILES = 20_000
 """Of a mosaic: those beyond are not watched."""
@@ -27,18 +21,12 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
     would lie beside them.
     """
     found = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
-    return tuple(dict.fromkeys([*found, *(beside for path in found for beside in _beside(path))]))
+    return tuple(dict.fromkeys([*found, *(beside for path in found for beside in files_beside(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
     """The stamp of each file."""
     return tuple(_stamp(path) for path in files)
-
-
-def _beside(path: Path) -> list[Path]:
-    stem = path.with_suffix("")
-    added = [path.with_name(path.name + ending) for ending in ADDED_ENDINGS]
-    return added + [stem.with_name(stem.name + ending) for ending in OTHER_ENDINGS]
 
 
 def _stamp(path: Path) -> Stamp:

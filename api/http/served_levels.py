@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Sequence
+import os
+import threading
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,10 +22,11 @@ from api.layers import MAP_LAYERS, PICTURE_LAYERS
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
 from shadows.registry import served_algorithms
-from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
+from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
+from terrain.level.data_roots import DataRoots
+from terrain.level.level import LEVEL_SUFFIXES, SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.linked_files import is_remote
 from terrain.level.parts import SunSpec
@@ -128,10 +131,12 @@ class ServedLevel:
 
 
 class ServedLevels:
-    """The levels by name. A level whose file or raster changes on disk is read anew when it is next asked for.
+    """The levels by name: of ``sources``, and of all level files of a ``folder``. A level whose file or raster changes on disk is
+    read anew when it is next asked for; ``read_folder`` finds which files the folder has.
 
-    Reads files: to be used from threads other than the event loop's. Raises ``LevelError``, ``SourceError`` or
-    ``InputError`` for a level that cannot be served, naming it.
+    What a level is read from lies in the folder, in that of a source, or in one of ``data_roots``. Reads files: to be used from
+    threads other than the event loop's. Raises ``LevelError``, ``SourceError`` or ``InputError`` for a source that cannot be
+    served, naming it, and ``InputError`` for a folder that cannot be read and for two levels of one name.
     """
 
     def __init__(
@@ -140,15 +145,60 @@ class ServedLevels:
         remote_sources: bool = False,
         fresh_s: float = 0.0,
         wait_s: float = 60.0,
+        folder: Path | None = None,
+        data_roots: Sequence[Path] = (),
     ) -> None:
-        self._remote_sources = remote_sources
+        self._remote_sources, self._fresh_s, self._wait_s = remote_sources, fresh_s, wait_s
+        self._folder, self._data_roots = folder, tuple(data_roots)
         self._checks: dict[str, LevelCheck[ServedLevel]] = {}
+        self._reading = threading.Lock()
         for source in map(LevelSource.of, sources):
-            level = self._read(source)
-            if level.name in self._checks:
-                raise InputError("LEVEL", str(source.path), f"files of different names: a level '{level.name}' is served already")
-            look = partial(self._look, level.name)
-            self._checks[level.name] = LevelCheck(level.name, level, look, fresh_s, wait_s)
+            check = self._checked(source, [file.parent for file in _named_files(source)])
+            if check.name in self._checks:
+                raise InputError("LEVEL", str(source.path), f"files of different names: a level '{check.name}' is served already")
+            self._checks[check.name] = check
+        self._named = dict(self._checks)
+        self.read_folder()
+
+    def read_folder(self) -> None:
+        """Serve the level files that the folder has now. One that is new and cannot be served is told of in the log, and left out.
+
+        Raises ``InputError`` for a folder that cannot be read and for two levels of one name; then the levels stay as they are.
+        """
+        if self._folder is None:
+            return
+        with self._reading:
+            before, checks = self._checks, dict(self._named)
+            for name, path in _level_files(self._folder, checks).items():
+                check = before.get(name)
+                if check is None or check.value.origin.path != path:
+                    try:
+                        check = self._checked(LevelSource(path=path), [self._folder])
+                    except SkuggaError as error:
+                        log.error("level file %s is left out: %s", path, error)
+                        continue
+                    except Exception as error:  # a bug, or what a library raises: the others are served all the same
+                        log.exception("level file %s is left out: %r", path, error)
+                        continue
+                checks[name] = check
+            self._checks = checks  # whole: others go through it meanwhile
+        new, gone = ([name for name in one if name not in other] for one, other in ((checks, before), (before, checks)))
+        log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(gone) or "none")
+
+    def read_folder_again(self) -> None:
+        """``read_folder`` for a service that runs: what is wrong is told of in the log."""
+        try:
+            self.read_folder()
+        except InputError as error:
+            log.error("the levels stay as they are: %s", error)
+
+    def serves(self, path: Path) -> bool:
+        """Whether a file is a level that is served; no file is looked at."""
+        return any(check.value.loaded.path == path for check in self._checks.values())
+
+    def _checked(self, source: LevelSource, roots: Iterable[Path]) -> LevelCheck[ServedLevel]:
+        level = self._read(source.model_copy(update={"roots": (*roots, *self._data_roots)}))
+        return LevelCheck(level.name, level, partial(self._look, level.name), self._fresh_s, self._wait_s)
 
     async def current(self, name: str) -> ServedLevel:
         """A level as it is now, or as it was last if reading it takes too long; no file is looked at in the event loop.
@@ -163,7 +213,8 @@ class ServedLevels:
 
     def version_now(self, name: str) -> str | None:
         """The version of a level of which it is known that its files have not changed lately; no file is looked at."""
-        level = self._checks[name].known() if name in self._checks else None
+        check = self._checks.get(name)
+        level = None if check is None else check.known()
         return None if level is None else level.version
 
     def known(self) -> list[ServedLevel]:
@@ -182,21 +233,22 @@ class ServedLevels:
     def all(self) -> list[ServedLevel]:
         """All levels as they are now; one that was broken since is left out."""
         levels = []
-        for name in self._checks:
+        for name, check in self._checks.items():
             try:
-                levels.append(self.get(name))
+                levels.append(check.now())
             except SkuggaError as error:
                 log.error("level %s: %s", name, error)
         return levels
 
     def _check(self, name: str) -> LevelCheck[ServedLevel]:
-        if name not in self._checks:
-            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(self._checks)}.")
-        return self._checks[name]
+        checks = self._checks
+        if name not in checks:
+            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(checks)}.")
+        return checks[name]
 
     def _look(self, name: str) -> ServedLevel:
         """A level, read anew if a file of its has changed, or if it could not be read last time."""
-        check = self._checks[name]
+        check = self._check(name)
         level = check.value
         if check.error is None and file_stamps(level.files) == level.stamps:
             return level
@@ -209,6 +261,8 @@ class ServedLevels:
         remote = [source for source in loaded.linked_sources if is_remote(source)]
         if remote and not self._remote_sources:
             raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
+        if origin.roots is not None:
+            DataRoots(origin.roots).check_opened(loaded)
         if not names_in(loaded.level.shadows.algorithm) <= set(served_algorithms()):
             raise LevelError(
                 f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
@@ -226,6 +280,29 @@ class ServedLevels:
             return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene, files, stamps)
         finally:
             scene.close()
+
+
+def _named_files(source: LevelSource) -> list[Path]:
+    """The files that a source names, and those that they lead to if they are links."""
+    named = [file for file in (source.path, source.canopy, source.buildings) if file is not None]
+    return [*named, *map(Path, map(os.path.realpath, named))]
+
+
+def _level_files(folder: Path, taken: Collection[str]) -> dict[str, Path]:
+    """The level files of a folder by name, none of which is taken. Raises ``InputError``. Editors' hidden files are none."""
+    try:
+        files = sorted(
+            path for path in folder.iterdir() if path.suffix.lower() in LEVEL_SUFFIXES and path.name[0] != "." and not path.is_dir()
+        )
+    except OSError as error:
+        raise InputError("SKUGGA_LEVELS", str(folder), f"a folder that can be read ({error.strerror})") from None
+    found: dict[str, Path] = {}
+    for path in files:
+        name = printable(path.stem)
+        if name in found or name in taken:
+            raise InputError("SKUGGA_LEVELS", str(path), f"files of different names: another one is a level '{name}', too")
+        found[name] = path
+    return found
 
 
 def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:

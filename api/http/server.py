@@ -8,6 +8,7 @@ import resource
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -56,7 +57,7 @@ log = logging.getLogger("skugga")
 
 class Server(uvicorn.Server):
     """Takes as many connections as it can serve, says where it listens, and stops without waiting for pictures that are still to
-    be drawn. SIGHUP looks at all levels' files anew, SIGUSR1 logs how the service is.
+    be drawn. SIGHUP looks at all levels' files anew, and at which there are; SIGUSR1 logs how the service is.
     """
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
@@ -88,7 +89,7 @@ class Server(uvicorn.Server):
         ]
         self._take_signals()
         self.started = True
-        names = ", ".join(level.name for level in self._service.levels.known())
+        names = ", ".join(level.name for level in self._service.levels.known()) or "no level yet"
         host, port = listening[0].getsockname()[:2]
         log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 
@@ -107,6 +108,8 @@ class Server(uvicorn.Server):
     def _reload(self) -> None:
         log.info("SIGHUP: looking at the files of all levels")
         self._service.levels.look_again()
+        # In a thread of its own: reading new levels takes as long as it takes.
+        threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
 
     def _say_how_it_is(self) -> None:
         pool = self._service.pool

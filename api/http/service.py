@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
+from api.errors import NotServedError
 from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
 from api.http.new_suns import NewSuns
@@ -17,7 +18,7 @@ from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
 from api.workers.jobs import DescribedPlanJob, Job, Result
 from api.workers.pool import Pool
-from terrain.errors import SkuggaError
+from terrain.errors import LevelError, SkuggaError, SourceError
 
 T = TypeVar("T")
 
@@ -53,12 +54,18 @@ class Service:
     async def done(self, request: Request, job: Job) -> Result:
         """A job's answer, for as long as the client waits for it.
 
-        Raises ``TooManySunsError`` for a client that asks for too many suns, ``ClientGoneError``, and what ``Pool.run`` raises.
+        Raises ``TooManySunsError`` for a client that asks for too many suns, ``ClientGoneError``, ``NotServedError`` for a level
+        that is served no more and whose files are gone, and what ``Pool.run`` raises.
         """
         if job.request.sun is not None and self.pool.finished(job) is None:
             level = None if isinstance(job, DescribedPlanJob) else job.level
             self.new_suns.take(request.client.host if request.client else "", (level, job.request.sun))
-        return await cancel_on_disconnect(request, self.pool.run(job))
+        try:
+            return await cancel_on_disconnect(request, self.pool.run(job))
+        except (LevelError, SourceError):
+            if isinstance(job, DescribedPlanJob) or self.levels.serves(job.level.path):
+                raise
+            raise NotServedError("level", "This level is not served any more.") from None
 
 
 class ClientGoneError(Exception):

@@ -22,6 +22,7 @@ from api.workers.set_aside import SetAside
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
+from terrain.gl.device import NO_OPENGL
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -233,7 +234,8 @@ class Pool:
     async def _one_process(self) -> bool:
         """Whether a process was started, and ended in good order or at least after having taken a job."""
         served = await asyncio.get_running_loop().run_in_executor(self._threads, self._served)
-        config = replace(self._config, served=served)
+        # OpenGL that was there is waited for: a service does not turn into one that draws less.
+        config = replace(self._config, served=served, needs_opengl=self.renderer not in (None, NO_OPENGL))
         worker = WorkerProcess(self._target, config, self._threads, self._news.set)
         try:
             return await self._start_and_serve(worker)

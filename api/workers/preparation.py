@@ -28,7 +28,7 @@ from api.sun_hours_layer import SunHoursQuery
 from api.workers.jobs import BlockJob, LevelKey, ServedPictures, SnapshotJob, SunHoursJob
 from api.workers.render_worker import MAX_SCENES, WorkerState, plan_of_tiles, run_job
 from shadows.ground_pictures import SKY_PASS
-from terrain.errors import InputError, SkuggaError
+from terrain.errors import InputError, NoOpenGLError, SkuggaError
 from terrain.gbuffer.covered_nodes import is_bare
 from terrain.gl import device as gl
 from terrain.ground.sky_view_factor import sky_view
@@ -55,7 +55,8 @@ def prepare(served: Sequence[ServedPictures], state: WorkerState, say: Callable[
                 for done, job in enumerate(jobs):
                     at = f"level {number} of {len(levels)}, picture {done + 1} of {len(jobs)}"
                     say(f"first start with {name}: compiling what its pictures need ({at})")
-                    run_job(job, state)
+                    with suppress(NoOpenGLError):  # it has been said that there is none
+                        run_job(job, state)
                 _look_from_the_middle(scene)
                 _find_hours(level, scene, state)
                 _leave(stamp)
@@ -104,8 +105,7 @@ def _engine() -> str:
     sources = sorted(path for package in COMPILED_FOLDERS for path in (ROOT / package).rglob("*.py"))
     stamps = [(str(path), path.stat().st_mtime_ns) for path in sources]
     cpu = get_host_cpu_name(), get_host_cpu_features().flatten()
-    device = gl.device()
-    known = sys.version, numba.__version__, np.__version__, cpu, device.renderer, device.version, stamps
+    known = sys.version, numba.__version__, np.__version__, cpu, *gl.renderer_and_version(), stamps
     return hashlib.sha256(repr((known, os.environ.get("NUMBA_CACHE_DIR"))).encode()).hexdigest()
 
 

@@ -59,8 +59,9 @@ from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
+from terrain.compiled import why_not_kept
 from terrain.describe import describe
-from terrain.errors import Fault, GraphicsError, RenderError, SkuggaError
+from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
@@ -94,11 +95,13 @@ log = logging.getLogger("skugga.worker")
 @dataclass(frozen=True)
 class WorkerConfig:
     """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
-    ``served``, and refuses pictures that are expected to take more than ``most_ms``.
+    ``served``, and refuses pictures that are expected to take more than ``most_ms``. It does not start without OpenGL where it
+    ``needs_opengl``.
     """
 
     gl_threads: int
     expect_renderer: str | None = None
+    needs_opengl: bool = False
     served: tuple[ServedPictures, ...] = ()
     most_ms: float | None = None
 
@@ -323,8 +326,15 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     from api.workers.warm_up import read_the_suns_library, warm_up
 
     try:
-        state = WorkerState(warm_up(config.expect_renderer), calibration(), config.most_ms)
-        prepare(config.served, state, lambda text: pipe.send(Preparing(text)))
+
+        def say(text: str) -> None:
+            pipe.send(Preparing(text))
+
+        if reason := why_not_kept():
+            say(reason)
+        renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
+        state = WorkerState(renderer, calibration(), config.most_ms)
+        prepare(config.served, state, say)
         pipe.send(Ready(state.renderer, state.device))
         if not pipe.poll(IDLE_S):
             read_the_suns_library()
@@ -347,7 +357,8 @@ def _answer(job: Job, state: WorkerState) -> Answer:
     try:
         return run_job(job, state)
     except SkuggaError as error:
-        return Failure.of(error, fatal=isinstance(error, GraphicsError))
+        in_doubt = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
+        return Failure.of(error, fatal=in_doubt)
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it
         log.exception("a job failed unexpectedly")
         fatal = not isinstance(job, DescribedPlanJob)  # arithmetic on what a client sent leaves nothing behind in OpenGL

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from selector.select import plan_of_view
 from shadows.ground_pictures import shown_map
 from shadows.registry import FALLBACK
 from shadows.render import render_frame
-from terrain.errors import GraphicsError
+from terrain.errors import GraphicsError, NoOpenGLError
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from terrain.geo.sun import apparent_position
 from terrain.gl import device as gl
@@ -40,19 +42,29 @@ LOOKED_AT_PX = 64
 BESIDE_M = 240.0
 """Where the plain is looked at, on both sides of the wall: inside the shadow and on the sunny side."""
 
+log = logging.getLogger("skugga.worker")
 
-def warm_up(expect_renderer: str | None = None) -> str:
+
+def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say: Callable[[str], None] = log.warning) -> str:
     """Pay every first cost and prove that shadows are drawn where they belong; returns the renderer's name.
 
-    Raises ``GraphicsError`` if OpenGL is missing, is another renderer than expected, or draws wrongly.
+    Without OpenGL, if it may do without, a process draws what needs none, and says so by ``say``.
+
+    Raises ``GraphicsError`` if OpenGL is missing that is needed or expected, is another renderer than expected, or draws wrongly.
     """
-    device = gl.device()
-    if expect_renderer is not None and expect_renderer not in device.renderer:
-        raise GraphicsError(f"the OpenGL renderer is '{device.renderer}', not '{expect_renderer}' as expected")
-    west, east = _visibility_beside_wall()
+    renderer, algorithm = gl.NO_OPENGL, "auto"
+    try:
+        renderer, algorithm = gl.device().renderer, FALLBACK
+    except NoOpenGLError as error:
+        if needs_opengl or expect_renderer is not None:
+            raise
+        say(str(error))
+    if expect_renderer is not None and expect_renderer not in renderer:
+        raise GraphicsError(f"the OpenGL renderer is '{renderer}', not '{expect_renderer}' as expected")
+    west, east = _visibility_beside_wall(algorithm)
     if not (west > 0.99 and east < 0.01):
-        raise GraphicsError(f"'{device.renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it")
-    return device.renderer
+        raise GraphicsError(f"'{renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it")
+    return renderer
 
 
 def read_the_suns_library() -> None:
@@ -60,8 +72,8 @@ def read_the_suns_library() -> None:
     apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
 
 
-def _visibility_beside_wall() -> tuple[float, float]:
-    """Visibility of the plain west (towards the sun) and east of the wall."""
+def _visibility_beside_wall(proven: str) -> tuple[float, float]:
+    """Visibility of the plain west (towards the sun) and east of the wall by the algorithm that is ``proven``."""
     heights = np.zeros((CELLS, CELLS), np.float32)
     heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
@@ -71,7 +83,7 @@ def _visibility_beside_wall() -> tuple[float, float]:
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
-        scene, plain = (_scene(memory.name, algorithm) for algorithm in (FALLBACK, "auto"))
+        scene, plain = (_scene(memory.name, algorithm) for algorithm in (proven, "auto"))
         grid, place = _grid_and_middle(scene, ZOOM)
         view = _round(grid, place)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))

@@ -22,7 +22,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
 from terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
-from terrain.errors import GraphicsError  # noqa: E402
+from terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
 from terrain.gl.stencil import Stencil  # noqa: E402
@@ -44,7 +44,10 @@ class Device:
             settings: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
             self.ctx = moderngl.create_context(standalone=True, require=430, **settings)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
-            raise GraphicsError(f"no OpenGL 4.3 context through EGL: {error}; 'skugga doctor' says what is missing") from None
+            raise NoOpenGLError(
+                f"no OpenGL 4.3 context through EGL ({error}): only bare ground under the sun is drawn without it; "
+                "'skugga doctor' says what is missing"
+            ) from None
         self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
         self._egl = ctypes.CDLL("libEGL.so.1")
         self._egl.eglGetCurrentContext.restype = ctypes.c_void_p
@@ -338,15 +341,36 @@ def _layers_bytes(texture: moderngl.TextureArray) -> int:
     return 4 * width * height * count * 4 // 3
 
 
+NO_OPENGL = "no OpenGL"
+"""What stands for the renderer's name where there is none."""
+
 _device: Device | None = None
+_missing: NoOpenGLError | None = None
 
 
 def device() -> Device:
-    """The process's device; made by the first call, in the thread that will own it. Raises ``GraphicsError``."""
-    global _device
+    """The process's device; made by the first call, in the thread that will own it.
+
+    Raises ``NoOpenGLError``: a process that found none once looks for none again, so that all its pictures are of one kind.
+    """
+    global _device, _missing
+    if _missing is not None:
+        raise NoOpenGLError(str(_missing))
     if _device is None:
-        _device = Device()
+        try:
+            _device = Device()
+        except NoOpenGLError as error:
+            _missing = error
+            raise
     return _device
+
+
+def renderer_and_version() -> tuple[str, str]:
+    """What this process draws with, by OpenGL's names; ``NO_OPENGL`` and nothing where there is none."""
+    try:
+        return device().renderer, device().version
+    except NoOpenGLError:
+        return NO_OPENGL, ""
 
 
 def is_open() -> bool:

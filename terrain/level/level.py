@@ -18,6 +18,7 @@ from ruamel.yaml.error import YAMLError
 from terrain.errors import Fault, InputError, LevelError, printable
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from terrain.level.data_files import special_kind
+from terrain.level.data_roots import DataRoots
 from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
@@ -332,10 +333,20 @@ def is_level_raster(path: Path) -> bool:
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     """Read and check a level file, or make the level that a raster is by itself, with what its options say stands on it.
 
-    Raises ``LevelError``, and ``InputError`` for options that are not for a level file.
+    Raises ``LevelError``, also for what lies in none of the source's ``roots``, and ``InputError`` for options that are not for a
+    level file.
     """
     source = LevelSource.of(source)
+    loaded = _loaded(source)
+    if source.roots is not None:
+        DataRoots(source.roots).check_level(loaded)
+    return loaded
+
+
+def _loaded(source: LevelSource) -> LoadedLevel:
     path = source.path
+    if source.roots is not None:
+        DataRoots(source.roots).check_path(path, str(path))
     if is_level_raster(path):
         for file in ("canopy", "buildings"):
             if (value := getattr(source, file)) is not None and not value.is_file():

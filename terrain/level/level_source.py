@@ -34,6 +34,8 @@ class LevelSource(BaseModel):
     With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
     heights), ``nodata``, the cells' value that means that no height is known there, and ``units`` of heights. Of a level file
     they are ``None``.
+
+    ``roots`` are folders in one of which, or below, all has to lie that the level is read from; ``None``: anywhere.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -43,6 +45,7 @@ class LevelSource(BaseModel):
     buildings: Path | None = None
     nodata: float | None = None
     units: Units | None = None
+    roots: tuple[Path, ...] | None = None
 
     @classmethod
     def of(cls, source: Path | str | LevelSource) -> LevelSource:

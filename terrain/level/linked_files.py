@@ -29,6 +29,12 @@ MOST_LINKED_FILES = 200_000
 DATA_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
 """Root elements of vector files in XML that hold their features themselves; any other may be a description of a service."""
 
+ADDED_ENDINGS = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
+"""Endings that GDAL adds to a raster's name: statistics and georeference, overviews, masks."""
+
+OTHER_ENDINGS = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
+"""Endings that take the place of a file's own: world files, coordinate systems, parts of shapefiles and of glTF."""
+
 _GEOJSON_SUFFIXES = (".geojson", ".json", ".geojsonl", ".geojsons", ".topojson", ".jsonfg")
 _FILE_ELEMENTS = (
     "SourceFilename",
@@ -44,12 +50,20 @@ _MODELS_TEXT = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^
 _PIPELINE = b"gdal_streamed_alg"  # a file that GDAL takes for a command
 _LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
 _ADDRESS = re.compile(r"""[A-Za-z][\w+.-]*://[^\s<>"']+|/vsi\w+/[^\s<>"']+""")
+_SOURCE_IN_SQL = re.compile(r"""['"]([^'"]+)['"]\s*\.""")  # FROM 'FILE'.table
 _MATERIAL_TEXT = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]+)", re.MULTILINE | re.IGNORECASE)
 
 
 def is_remote(source: str) -> bool:
     """Whether a source is none of the file system's: an address, or a path of GDAL's virtual file systems."""
     return "://" in source or source.startswith("/vsi")
+
+
+def files_beside(path: Path) -> list[Path]:
+    """What would be read with a file, if it lay beside it."""
+    stem = path.with_suffix("")
+    added = [path.with_name(path.name + ending) for ending in ADDED_ENDINGS]
+    return added + [stem.with_name(stem.name + ending) for ending in OTHER_ENDINGS]
 
 
 def linked_files(source: str) -> tuple[str, ...]:
@@ -119,7 +133,9 @@ def _names_in(path: Path) -> Iterator[tuple[str, bool]]:
     elif (root := vrt_elements(path)) is not None:
         for element in root.iter():
             stated = (element.text or "").strip()
-            if stated and (element.tag in _FILE_ELEMENTS or element.get("key") in _FILE_ITEMS):
+            if element.tag == "SrcSQL":
+                yield from ((source, True) for source in _SOURCE_IN_SQL.findall(stated))
+            elif stated and (element.tag in _FILE_ELEMENTS or element.get("key") in _FILE_ITEMS):
                 yield stated, element.get("relativeToVRT", element.get("relativetoVRT", "0")) == "1" or not stated.startswith("/")
     else:
         yield from ((address, False) for address in _service_addresses(path))

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 LOOP = """
 from typing import NamedTuple
 import numpy as np
@@ -37,3 +39,42 @@ def test_a_cache_that_names_a_tuple_of_an_older_version_counts_as_empty(tmp_path
     assert list((tmp_path / "__pycache__").glob("*.nbi"))
     assert run("GroundWindow", 3.0) == "12.0"
     assert run("GroundWindow", 3.0) == "12.0"
+
+
+KEPT_NOWHERE = """
+import errno, numba
+from numba.core import caching
+from terrain import compiled as module
+
+def full(self, overloads):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+def read_only(self, *arguments):
+    raise RuntimeError("cannot cache function: no locator available")
+
+if {read_only}:
+    numba.core.dispatcher.Dispatcher.enable_caching = read_only
+else:
+    caching.IndexDataCacheFile._save_index = full
+
+@module.compiled
+def twice(number):
+    return 2 * number
+
+print(twice(3), twice(1.5), module.why_not_kept(), sep="|")
+"""
+
+
+@pytest.mark.parametrize(("read_only", "reason", "logged"), [(True, "no folder can be written", 0), (False, "No space left", 1)])
+def test_a_loop_that_cannot_be_kept_runs_all_the_same_and_says_why(
+    tmp_path: Path, read_only: bool, reason: str, logged: int
+) -> None:
+    (tmp_path / "loop.py").write_text(KEPT_NOWHERE.format(read_only=read_only), encoding="utf-8")
+    root = str(Path(__file__).resolve().parents[2])
+    environment = {"PYTHONPATH": f"{tmp_path}:{root}"}
+    done = subprocess.run([sys.executable, "-c", "import loop"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    *numbers, said = done.stdout.strip().split("|")
+    assert numbers == ["6", "3.0"]
+    assert reason in said and "NUMBA_CACHE_DIR" in said
+    assert done.stderr.count("NUMBA_CACHE_DIR") == logged, "once, not for each loop"

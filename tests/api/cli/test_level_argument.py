@@ -10,8 +10,11 @@ import pytest
 import rasterio
 from PIL import Image
 
+from api.catalogue import bundled_levels
+from api.http import server
 from api.http.served_levels import ServedLevels
 from api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from api.settings import Settings
 from terrain.errors import InputError
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
@@ -157,3 +160,26 @@ def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):
 def test_a_level_file_refuses_options_wherever_it_is_loaded(site):
     with pytest.raises(InputError, match=r"level.yaml says it itself"):
         load_level(LevelSource(path=site / "level.yaml", nodata=0.0))
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]]]:
+    """The folder and the names of what would be served."""
+    calls: list[tuple[Path | None, list[str]]] = []
+
+    def note(settings: Settings, levels: list[LevelSource]) -> None:
+        calls.append((settings.levels, [level.path.stem for level in levels]))
+
+    monkeypatch.setattr(server, "serve", note)
+    monkeypatch.setattr("api.cli.main.forbid_remote_reads", lambda: None)
+    return calls
+
+
+def test_the_command_and_the_setting(run, served, site: Path, monkeypatch: pytest.MonkeyPatch):
+    level = str(site / "dem.tif")
+    for arguments in (("--levels", str(site)), (level,), (level, "--levels", str(site)), ()):
+        assert run("serve", *arguments) == (0, "", "")
+    monkeypatch.setenv("SKUGGA_LEVELS", str(site))
+    assert run("serve") == (0, "", "")
+    bundled = [path.stem for path in bundled_levels()]
+    assert served == [(site, []), (None, ["dem"]), (site, ["dem"]), (None, bundled), (site, [])]

@@ -27,10 +27,10 @@ def settings_table() -> str:
         default: Any = field.default
         if default is PydanticUndefined:
             default = "cores, at most 4"
+        elif default is None or default == ():
+            default = "-"
         elif isinstance(default, tuple):
             default = f"`{','.join(default)}`"
-        elif default is None:
-            default = "-"
         else:
             default = f"`{str(default).lower() if isinstance(default, bool) else default}`"
         rows.append(f"| `SKUGGA_{name.upper()}` | {default} | {field.description} |")

@@ -4,7 +4,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -47,10 +47,12 @@ if __name__ == "__main__":
 
 
 @contextmanager
-def serving(level: Path, until: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def serving(
+    levels: Sequence[Path], until: str, environment: dict[str, str] | None = None
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A serving process that has logged what matches ``until``, and the match's group; killed at the end."""
-    command = [sys.executable, "-c", SERVE, str(level)]
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-c", SERVE, *map(str, levels)]
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr is not None
             for line in process.stderr:
@@ -72,7 +74,7 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
 def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number: signal.Signals):
-    with serving(hills_level, r"render process (\d+) ready") as (process, worker):
+    with serving([hills_level], r"render process (\d+) ready") as (process, worker):
         process.send_signal(number)
         _, said = process.communicate(timeout=SOON_S)
         assert process.returncode in (0, -number)
@@ -81,7 +83,7 @@ def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number
 
 
 def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
-    with serving(hills_level, r"on (http://\S+)") as (process, address):
+    with serving([hills_level], r"on (http://\S+)") as (process, address):
         assert httpx.get(f"{address}/healthz").status_code == 200
         for number in (signal.SIGUSR1, signal.SIGHUP):
             process.send_signal(number)
@@ -94,7 +96,7 @@ def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
 
 
 def test_render_processes_end_with_a_service_that_is_killed(hills_level: Path):
-    with serving(hills_level, r"render process (\d+) ready") as (process, worker):
+    with serving([hills_level], r"render process (\d+) ready") as (process, worker):
         process.kill()
         # It has its end of the error pipe open until it is gone itself, which it is soon as its own pipe is closed.
         process.communicate(timeout=SOON_S)

@@ -1,0 +1,201 @@
+"""A folder of level files: which are served, and what the list does when files come and go."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import re
+import signal
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import httpx
+import pytest
+
+from api.errors import exit_status
+from api.http.app import create_app
+from api.http.served_levels import ServedLevels
+from api.settings import Settings
+from api.workers.jobs import Failure, Ping, Pong, Ready
+from api.workers.render_worker import WorkerConfig
+from terrain.errors import InputError, LevelError
+from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
+from tests.api.http.test_problems import check_problem
+from tests.api.http.test_serve import serving
+from tests.api.workers import fake_workers
+
+TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+PATIENCE_S = 120
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With the levels ``hills`` and ``moor``."""
+    (tmp_path / "levels").mkdir()
+    for name in ("hills", "moor"):
+        write_level(tmp_path / "levels", name)
+    return tmp_path / "levels"
+
+
+def remove(folder: Path, name: str) -> None:
+    for suffix in (".yaml", ".tif"):
+        (folder / f"{name}{suffix}").unlink()
+
+
+def test_level_files_are_served_and_rasters_are_their_data(folder: Path, tmp_path: Path):
+    (folder / "moor.yaml").rename(folder / "moor.yml")
+    (folder / ".hills.yaml").write_text("an editor's", encoding="utf-8")
+    (folder / "below.yaml").mkdir()
+    named = write_level(tmp_path, "named")
+    assert ServedLevels([named], folder=folder).names() == ["named", "hills", "moor"]
+
+
+def test_a_file_that_cannot_be_served_is_told_of_and_stops_no_other(folder: Path, caplog: pytest.LogCaptureFixture):
+    (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
+    os.mkfifo(folder / "pipe.yaml")
+    (folder / "nowhere.yaml").symlink_to(folder / "gone.yaml")
+    assert ServedLevels([], folder=folder).names() == ["hills", "moor"]
+    told = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    assert [re.findall(r"level file \S+/(\w+).yaml is left out", text) for text in told] == [["broken"], ["nowhere"], ["pipe"]]
+
+
+@pytest.mark.parametrize(("other", "named"), [("hills.yml", False), ("hills.yaml", True)])
+def test_two_files_of_one_name_are_one_error(folder: Path, tmp_path: Path, other: str, named: bool):
+    path = write_level(tmp_path, "hills") if named else folder / other
+    if not named:
+        path.write_text((folder / "hills.yaml").read_text(), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        ServedLevels([path] if named else [], folder=folder)
+    assert caught.value.name == "SKUGGA_LEVELS" and "a level 'hills'" in str(caught.value)
+    assert exit_status(caught.value) == 2
+
+
+def test_a_folder_that_is_none(tmp_path: Path):
+    with pytest.raises(InputError, match="SKUGGA_LEVELS.*nowhere.*a folder"):
+        ServedLevels([], folder=tmp_path / "nowhere")
+
+
+def test_the_list_is_read_anew(folder: Path, caplog: pytest.LogCaptureFixture):
+    levels = ServedLevels([], folder=folder)
+    hills = levels.get("hills")
+    remove(folder, "moor")
+    write_level(folder, "fen")
+    (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
+    assert levels.names() == ["hills", "moor"], "not before it is told to"
+    levels.read_folder_again()
+    assert levels.names() == ["fen", "hills"] and levels.get("hills") is hills
+    assert "broken.yaml is left out" in caplog.text
+    write_level(folder, "broken")
+    levels.read_folder_again()
+    assert levels.names() == ["broken", "fen", "hills"]
+
+
+def test_levels_stay_as_they_are_where_the_list_cannot_be_read(folder: Path, caplog: pytest.LogCaptureFixture):
+    levels = ServedLevels([], folder=folder)
+    write_level(folder, "fen")
+    (folder / "fen.yml").write_text((folder / "fen.yaml").read_text(), encoding="utf-8")
+    levels.read_folder_again()
+    assert levels.names() == ["hills", "moor"] and "a level 'fen'" in caplog.text
+    folder.rename(folder.with_name("elsewhere"))
+    levels.read_folder_again()
+    assert levels.names() == ["hills", "moor"] and "the levels stay as they are" in caplog.text
+
+
+def test_a_level_that_broke_since_is_not_left_out(folder: Path):
+    """Its addresses say so, and it is back once it is mended."""
+    levels = ServedLevels([], folder=folder)
+    (folder / "moor.yaml").write_text("version: 7", encoding="utf-8")
+    levels.read_folder_again()
+    with pytest.raises(LevelError):
+        levels.get("moor")
+    write_level(folder, "moor")
+    assert levels.get("moor").name == "moor"
+
+
+def test_clients_see_them_come_and_go(folder: Path):
+    settings = Settings(workers=1, levels=folder)
+    with running(create_app(settings, [], fake_workers.obedient)) as client:
+        for name in ("hills", "moor"):
+            assert client.get(f"/levels/{name}/{TILE}").status_code == 200
+        remove(folder, "moor")
+        write_level(folder, "fen")
+        client.service.levels.read_folder_again()
+        assert [level["name"] for level in client.get("/levels").json()] == ["fen", "hills"]
+        assert client.get(f"/levels/fen/{TILE}").status_code == client.get(f"/levels/hills/{TILE}").status_code == 200
+        check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
+
+
+def without_the_file(pipe: Connection, config: WorkerConfig, begun, go) -> None:
+    """A render process that finds no level file once it is let ``go``, having said that it has ``begun``."""
+    pipe.send(Ready(fake_workers.RENDERER))
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
+        begun.release()
+        go.acquire()
+        pipe.send(Failure.of(LevelError(str(job.level.path), "No such file or directory", "a readable YAML file")))
+
+
+@pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (without_the_file, 404)])
+def test_a_level_that_is_removed_while_its_tile_is_drawn(folder: Path, target: Callable[..., None], status: int):
+    """It is drawn, or was there no more when the render process looked."""
+    spawn = get_context("spawn")
+    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
+    app = create_app(Settings(workers=1, levels=folder), [], functools.partial(target, begun=begun, go=go))
+    with running(app) as client, ThreadPoolExecutor(1) as thread:
+        drawing = thread.submit(client.get, f"/levels/moor/{TILE}")
+        assert begun.acquire(timeout=PATIENCE_S)
+        remove(folder, "moor")
+        client.service.levels.read_folder_again()
+        go.release()
+        answer: httpx.Response = drawing.result()
+        assert answer.status_code == status
+        if status == 404:
+            check_problem(answer, 404, "not_found", "level")
+        check_problem(client.get(f"/levels/moor/{TILE}"), 404, "not_found", "level")
+        assert_lives(client)
+
+
+def assert_lives(client: Client) -> None:
+    assert client.get("/healthz").status_code == 200
+    assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
+
+
+def test_a_file_that_is_wrong_is_the_operators_as_long_as_it_is_served(folder: Path):
+    spawn = get_context("spawn")
+    begun, go = spawn.Semaphore(0), spawn.Semaphore(1)
+    app = create_app(Settings(workers=1, levels=folder), [], functools.partial(without_the_file, begun=begun, go=go))
+    with running(app) as client:
+        check_problem(client.get(f"/levels/moor/{TILE}"), 500, "level", None)
+
+
+def test_a_signal_reads_the_list_anew(folder: Path):
+    with serving([], r"on (http://\S+)", dict(os.environ) | {"SKUGGA_LEVELS": str(folder)}) as (process, address):
+        assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"hills", "moor"}
+        remove(folder, "moor")
+        write_level(folder, "fen")
+        process.send_signal(signal.SIGHUP)
+        assert process.stderr is not None
+        while not (line := process.stderr.readline()).endswith("new: fen; gone: moor\n"):
+            assert line, "it has ended"
+        assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"fen", "hills"}
+
+
+def test_roots_are_a_list_of_folders(monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path):
+    outside = write_level(tmp_path, "outside")
+    level = json.loads(outside.read_text())
+    level["terrain"]["source"] = "../outside.tif"
+    (folder / "inside.yaml").write_text(json.dumps(level), encoding="utf-8")
+    for roots, names in (("", ["hills", "moor"]), (f"/nowhere, {tmp_path}", ["hills", "inside", "moor"])):
+        monkeypatch.setenv("SKUGGA_DATA_ROOTS", roots)
+        app = create_app(Settings(levels=folder), [])
+        assert app.state.service.levels.names() == names

@@ -1,0 +1,106 @@
+"""On a machine without OpenGL: bare ground under the sun is drawn as ever, and what needs OpenGL is refused in one sentence."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+import rasterio
+from PIL import Image
+
+from api.cli.snapshot import snapshot
+from terrain.gl.device import NO_OPENGL
+from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
+from tests.api.http.test_problems import check_problem
+from tests.api.http.test_serve import ROOT, serving
+
+PATIENCE_S = 300
+
+WITHOUT_DRIVERS = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json"}
+"""The loader of EGL finds no driver."""
+
+COMMANDS = """
+import contextlib, io, json, sys
+from api.cli.main import main
+
+for arguments in json.loads(sys.argv[1]):
+    sys.argv, said, wrong = ["skugga", *arguments], io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+    print(json.dumps([status, said.getvalue(), wrong.getvalue()]))
+"""
+
+NEEDS_OPENGL = {"eye": {"kind": "perspective", "eye": [8.4, 47.5, 500], "target": [8.41, 47.51, 0]}}
+TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    expected = "SKUGGA_EXPECT_RENDERER"
+    return {key: value for key, value in os.environ.items() if key != expected} | WITHOUT_DRIVERS
+
+
+@pytest.fixture(scope="module")
+def level(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_level(tmp_path_factory.mktemp("bare"), "hills", views={"map": {"kind": "map"}, **NEEDS_OPENGL})
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[str, str]):
+    folder = level.parent
+    drawn, shaded, refused = folder / "drawn.png", folder / "shaded.tif", folder / "refused.png"
+    size = ["--size", "200x200"]
+    commands = [
+        ["render", str(level), "-o", str(drawn), *size],
+        ["shade", str(level), "-o", str(shaded)],
+        ["render", str(level), "-o", str(refused), "--view", "eye", *size],
+        ["render", str(level), "-o", str(refused), "--algorithm", "shadow_map", *size],
+        ["calibrate"],
+        ["doctor"],
+    ]
+    command = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    by_map, mask, *need_it, doctor = map(json.loads, done.stdout.splitlines())
+    assert by_map == mask == [0, "", ""]
+    _, frame = snapshot(level, "map", None, {}, size=(200, 200))
+    with Image.open(drawn) as picture:
+        assert picture.convert("RGB").tobytes() == frame.color.tobytes(), "as with OpenGL"
+    with rasterio.open(shaded) as dataset:
+        assert 0.02 < float((dataset.read(1) < 128).mean()) < 0.98
+    for status, said, wrong in need_it:
+        assert (status, said) == (1, "") and wrong.count("\n") == 1, wrong
+        assert "no OpenGL 4.3 context through EGL" in wrong and "only bare ground under the sun is drawn without it" in wrong
+    assert not refused.exists()
+    status, said, _ = doctor
+    assert status == 1 and "MISSING  OpenGL" in said and "apt-get install" in said and "ok       a shadowed map" in said
+
+
+def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, str], client: Client):
+    with serving([level], r"on (http://\S+)", environment) as (process, address):
+        url = f"{address}/levels/hills"
+        tile = httpx.get(f"{url}/{TILE}", timeout=PATIENCE_S)
+        assert tile.status_code == 200
+        assert tile.content == client.get(f"/levels/hills/{TILE}").content, "as with OpenGL"
+        ready = httpx.get(f"{address}/readyz").json()
+        assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
+        for asked in (f"{url}/snapshot.png?view=eye&size=64x64", f"{url}/{TILE}?algorithm=shadow_map"):
+            problem = check_problem(httpx.get(asked, timeout=PATIENCE_S), 503, "no_opengl", None)
+            assert "needs OpenGL" in problem["detail"] and "EGL" not in problem["detail"]
+        assert httpx.get(f"{url}/{TILE}", params=SUN | {"altitude": 9}, timeout=PATIENCE_S).status_code == 200
+        process.terminate()
+        _, said = process.communicate(timeout=PATIENCE_S)
+    assert "only bare ground under the sun is drawn without it" in said
+    assert "is replaced" not in said, "a refusal ends no render process"
+
+
+def test_a_service_that_expects_a_renderer_does_not_draw_without_one(level: Path, environment: dict[str, str]):
+    with serving([level], r"on (http://\S+)", environment | {"SKUGGA_EXPECT_RENDERER": "a GPU"}) as (_, address):
+        check_problem(httpx.get(f"{address}/levels/hills/{TILE}", timeout=PATIENCE_S), 503, "graphics", None)
+        check_problem(httpx.get(f"{address}/readyz"), 503, "not_ready", None)
