@@ -15,6 +15,7 @@ from shadows.point.place import HIGHEST_EYE_M, place_at
 from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
+from terrain.geo.sun_path import check_date
 from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
@@ -124,8 +125,9 @@ class PointReport(_Reported):
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
     """The report of a point of a level, under the scene's own sun. Raises ``InputError``."""
+    day = day_asked(scene, query)
     around = around_point(scene, query, crs)
-    place, day = around.place, day_asked(scene, query)
+    place = around.place
     clock = clock_asked(scene, query, place.lon_deg, day)
     now, remarks = sun_now(around), []
     if now is None:
@@ -166,7 +168,11 @@ def sun_now(around: Surroundings) -> ReportedMoment | None:
 
 
 def day_asked(scene: Scene, query: PointQuery) -> date | None:
-    """The day of a query: its own, else that of the sun's time by the query's clock; ``None`` where neither is given."""
+    """The day of a query: its own, else that of the sun's time by the query's clock; ``None`` where neither is given. Raises
+    ``InputError`` for a date whose sun is not computed.
+    """
+    if query.date is not None:
+        check_date(query.date)
     if query.date is not None or scene.sun is None or scene.sun.time is None:
         return query.date
     if query.clock is None:
