@@ -9,7 +9,7 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.color_scale import LegendFormat
+from api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
 from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
 from api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
@@ -23,7 +23,6 @@ from terrain.errors import InputError
 TILEJSON_ENCODINGS = "mapbox", "terrarium"
 
 JSON_MEDIA = "application/json"
-LEGEND_MEDIA: dict[LegendFormat, str] = {"png": "image/png", "svg": "image/svg+xml"}
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
 
@@ -132,7 +131,7 @@ async def tilejson(
     summary="A legend",
     dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
     response_class=Response,
-    responses=file_docs("The picture.", LEGEND_MEDIA.values()),
+    responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
     openapi_extra=for_example("date", layer=SUN_HOURS_LAYER),
 )
 async def legend_of_tiles(
@@ -156,4 +155,4 @@ async def legend_answer(request: Request, served: ServedLevel, asked: SunHoursQu
         return Response(status_code=304, headers=headers)
     scale = await run_in_threadpool(asked.color_scale, served.world)
     body = await run_in_threadpool(scale.legend, format)
-    return Response(body, headers=headers, media_type=LEGEND_MEDIA[format])
+    return Response(body, headers=headers, media_type=LEGEND_MEDIA_TYPES[format])

@@ -204,7 +204,7 @@ def test_what_is_asked_by_the_document_is_answered_by_it(
         kinds.append((wrong, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 
-        @drawn(max_examples=5, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
+        @drawn(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
         @given(case=operation.as_strategy(generation_mode=mode))
         def ask(case: schemathesis.Case) -> None:
             answer = case.call(base_url=str(client.base_url), headers=NOTHING_DRAWN, timeout=60, allow_redirects=False)
