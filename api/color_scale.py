@@ -11,6 +11,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 
 LegendFormat = Literal["png", "svg"]
+LEGEND_MEDIA_TYPES: dict[LegendFormat, str] = {"png": "image/png", "svg": "image/svg+xml"}
 
 LEGEND_IN = (3.4, 0.85)
 """Width and height of a legend, inches of 100 pixels."""

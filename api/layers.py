@@ -34,8 +34,8 @@ MAP_MEDIA_TYPES: dict[MapFormat, str] = {
 }  # fmt: skip
 """Formats of tiles and maps over HTTP: pictures, and arrays to compute with."""
 
-TerrainEncoding = Literal["mapbox", "terrarium"]
-"""How heights are told in colours, by the names that MapLibre has for it."""
+HeightEncoding = Literal["mapbox", "terrarium", "metres"]
+"""How heights are told: in colours, by the names that MapLibre has for it, or as numbers."""
 
 VOLUME_COLOR = (255, 120, 30)
 """sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
@@ -85,7 +85,7 @@ class Layer:
     picture: Callable[[Pictured], np.ndarray] | None = None
     data: Callable[[Scene, Frame], np.ndarray] | None = None
     pixels: Callable[[Pictured], np.ndarray] | None = None
-    encoding: TerrainEncoding | None = None
+    encoding: HeightEncoding | None = None
     shown: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     nodata: float | None = None
     to_look_at: bool = False
@@ -126,8 +126,12 @@ def _visibility(scene: Scene, frame: Frame) -> np.ndarray:
     return frame.visibility
 
 
-def encoded_heights(height_m: np.ndarray, nodata_m: float, encoding: TerrainEncoding) -> np.ndarray:
-    """Heights (rows, cols) as RGB (rows, cols, 3) uint8; those that are NaN are told as ``nodata_m``."""
+def encoded_heights(height_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
+    """Heights (rows, cols) as RGB (rows, cols, 3) uint8, where those that are NaN are told as ``nodata_m``; in metres as float32
+    (rows, cols) with NaN.
+    """
+    if encoding == "metres":
+        return height_m.astype(np.float32)
     known = np.where(np.isnan(height_m), nodata_m, height_m)
     return terrain_rgb(known) if encoding == "mapbox" else terrarium(known)
 
@@ -137,7 +141,7 @@ def nodata_height_m(lowest_m: float) -> float:
     return float(np.floor(lowest_m))
 
 
-def _heights(encoding: TerrainEncoding) -> Callable[[Scene, Frame], np.ndarray]:
+def _heights(encoding: HeightEncoding) -> Callable[[Scene, Frame], np.ndarray]:
     def data(scene: Scene, frame: Frame) -> np.ndarray:
         return encoded_heights(frame.height_m, nodata_height_m(scene.height_range_m[0]), encoding)
 
@@ -209,11 +213,14 @@ LAYERS: dict[str, Layer] = {
     ),
     "mask": Layer(
         about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
-        picture=_mask, suffixes=(".png", ".webp", ".tif"), nodata=MASK_NO_SURFACE,
+        picture=_mask, suffixes=(".png", ".webp", ".tif", ".npy"), nodata=MASK_NO_SURFACE,
     ),
     "visibility": Layer(
         about="the share of the light that reaches the ground, 0 to 1", data=_visibility, pixels=lambda drawn: drawn.visibility,
         suffixes=(".npy", ".tif"), nodata=np.nan,
+    ),
+    "height": Layer(
+        about="the ground's heights in metres", data=_heights("metres"), encoding="metres", suffixes=(".npy", ".tif"), nodata=np.nan
     ),
     "terrain-rgb": Layer(
         about="heights in Mapbox's encoding, for terrain in three dimensions", data=_heights("mapbox"), encoding="mapbox",

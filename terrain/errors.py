@@ -37,6 +37,10 @@ class Fault(str):
     """What is wrong with an input, in words, where that is no value that was given: ``unknown key``."""
 
 
+MISSING_VALUE = Fault("missing")
+"""What is wrong where nothing was given."""
+
+
 class InputError(SkuggaError):
     """The caller's input is wrong.
 

@@ -33,9 +33,10 @@ from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.first_pictures import served_pictures
 from api.http.metrics import ServiceMetrics
 from api.http.new_suns import NewSuns
+from api.http.openapi import install_openapi
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
-from api.http.watching import CLIENT_GONE, KEPT, REQUEST_ID, Watched
+from api.http.watching import CLIENT_GONE, KEPT, Watched
 from api.settings import Settings
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
@@ -69,15 +70,16 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
     )  # fmt: skip
     app.state.service = service
     app.add_middleware(SentBefore, service=service)
-    app.add_middleware(
-        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"],
-        allow_headers=["Content-Type", "Authorization", REQUEST_ID],
-        expose_headers=list(EXPOSED_HEADERS),
-    )  # fmt: skip
     app.add_middleware(HeadAsGet)
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     if settings.api_token is not None:
         app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
+    # Round those that refuse, so that pages of other origins can read why. No header of a request brings cookies or the like with
+    # it: pages may send any.
+    app.add_middleware(
+        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"], allow_headers=["*"],
+        expose_headers=list(EXPOSED_HEADERS),
+    )  # fmt: skip
     app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
@@ -88,6 +90,7 @@ def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_
         app.include_router(routes.router)
     routes_docs.install_docs(app)
     routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
+    install_openapi(app, service)
     return app
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from api.http.problems import Problem, problem_of, problem_response
+
 MAX_HEAD_BYTES = 64 * 1024
 """Of a request's line and headers, about: what comes with the last of them is not counted."""
-
-TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
 class BoundedHeaders(HttpToolsProtocol):
@@ -27,8 +27,17 @@ class BoundedHeaders(HttpToolsProtocol):
             return  # what follows the end of a request in the same bytes is not counted
         self._head_bytes += len(data)
         if self._head_bytes > MAX_HEAD_BYTES:
-            self.transport.write(TOO_LARGE)
-            self.transport.close()
+            self._refuse(problem_of(431))
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what the parser cannot read."""
+        self._refuse(problem_of(400))
+
+    def _refuse(self, problem: Problem) -> None:
+        answer = problem_response(problem, {"Connection": "close"})
+        head = [f"HTTP/1.1 {problem.status} {problem.title}".encode(), *(b": ".join(header) for header in answer.raw_headers)]
+        self.transport.write(b"\r\n".join([*head, b"", bytes(answer.body)]))
+        self.transport.close()
 
     def on_headers_complete(self) -> None:
         """The parser has come to the end of the headers."""

@@ -8,6 +8,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
+from api.http.numbers import decimal_in
 from api.http.served_levels import ServedLevel
 from terrain.cache import MIB, cached
 from terrain.errors import InputError, UnsupportedError
@@ -59,11 +60,8 @@ def north_first(crs: CRS) -> bool:
 
 def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBounds:
     """West, south, east, north of four numbers; ``swapped``: of south, west, north, east. Raises ``InputError``."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 4 or not np.isfinite(values).all():
+    values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
+    if len(values) != 4 or text.count(",") != 3:
         raise InputError(name, text[:100], "four numbers: " + ("south,west,north,east" if swapped else "west,south,east,north"))
     west, south, east, north = (values[i] for i in ((1, 0, 3, 2) if swapped else (0, 1, 2, 3)))
     if not (west < east and south < north):

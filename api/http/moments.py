@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
 
 from fastapi import Request
+from pydantic import BeforeValidator
+from pydantic_core import PydanticCustomError
 
 from api.http.answers import GIVEN_SUN_S
 from terrain.errors import InputError
+from terrain.geo.sun_path import as_utc, check_date, check_times
 from terrain.level.level import parse_sun
-from terrain.level.parts import SunSpec
+from terrain.level.parts import TIME_WORDS, SunSpec, time_of
 
 CURRENT = "current"
 """The word for now."""
@@ -25,6 +30,38 @@ CURRENT_S = 60
 """How long an answer of now is fresh, at most."""
 
 _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+_DATE = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
+
+
+def _date(value: Any) -> Any:
+    if value is None or isinstance(value, date):
+        return value
+    try:
+        day = date.fromisoformat(value) if isinstance(value, str) and _DATE.fullmatch(value) else None
+    except ValueError:
+        day = None
+    if day is None:
+        raise PydanticCustomError("date_parsing", "Input should be a date of the calendar, as 2024-03-21")
+    try:
+        check_date(day)
+    except InputError as error:
+        raise PydanticCustomError("date_range", "Input should be {years}", {"years": error.allowed}) from None
+    return day
+
+
+def _time(value: Any) -> Any:
+    try:
+        return time_of(value) if isinstance(value, str) else value if value is None or isinstance(value, datetime) else time_of("")
+    except ValueError:
+        raise PydanticCustomError("datetime_parsing", "Input should be {words}", {"words": TIME_WORDS}) from None
+
+
+PLAIN_DATE, PLAIN_TIME = BeforeValidator(_date), BeforeValidator(_time)
+"""Of dates and times in ``Annotated``: what pydantic takes for one besides (seconds since 1970) is refused, and dates without a sun
+are.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +99,7 @@ def asked_sun(request: Request, time: str | None, azimuth: float | None, altitud
     if sun is None or sun.time is None:
         return sun
     moment = rounded_time(sun.time, grain_s)
+    check_times(as_utc([moment]))
     request.state.asked_time = AskedTime(moment, GIVEN_SUN_S)
     return SunSpec(time=moment)
 

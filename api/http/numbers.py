@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Annotated, Any
 
@@ -11,24 +12,33 @@ from pydantic_core import PydanticCustomError
 NOT_FINITE = "nan", "inf", "infinity"
 
 _WHOLE = re.compile("-?[0-9]{1,20}")
+_DECIMAL = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,4})?")
 
 
 def _whole(value: Any) -> Any:
     if isinstance(value, str) and not _WHOLE.fullmatch(value):
-        raise PydanticCustomError("int_parsing", "Input should be a valid integer, unable to parse string as an integer")
+        raise PydanticCustomError("int_parsing", "Input should be a whole number")
     return value
 
 
 def _decimal(value: Any) -> Any:
-    if isinstance(value, str) and ("_" in value or not value.isascii()):
-        raise PydanticCustomError("float_parsing", "Input should be a valid number, unable to parse string as a number")
-    if isinstance(value, str) and value.strip().lstrip("+-").lower() in NOT_FINITE:  # bounds would be told first
+    if not isinstance(value, str):
+        return value
+    if value.strip().lstrip("+-").lower() in NOT_FINITE:  # bounds would be told first
         raise PydanticCustomError("finite_number", "Input should be a finite number")
+    if not _DECIMAL.fullmatch(value.strip()):
+        raise PydanticCustomError("float_parsing", "Input should be a number")
     return value
 
 
 def _whole_or_word(value: Any) -> Any:
     return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
+
+
+def decimal_in(text: str) -> float | None:
+    """The finite number that a text is, spelt as in queries; ``None`` for any other."""
+    number = float(text) if _DECIMAL.fullmatch(text.strip()) else math.inf
+    return number if math.isfinite(number) else None
 
 
 WHOLE_OR_WORD = BeforeValidator(_whole_or_word)

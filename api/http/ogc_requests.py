@@ -10,6 +10,7 @@ from fastapi import Request, Response
 
 from api.errors import NotServedError
 from api.http.moments import asked_sun
+from api.http.numbers import decimal_in
 from api.http.ogc_times import date_asked, default_date, instant_asked
 from api.http.parameters import TILE_LAYERS, TileQuery
 from api.http.problems import public_error
@@ -19,10 +20,8 @@ from api.layers import MAP_MEDIA_TYPES, MapFormat
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
 from api.workers.block_tiles import map_formats_of
 from api.workers.jobs import PictureRequest
-from terrain.errors import Fault, InputError, SkuggaError
+from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
 from terrain.level.parts import SunSpec
-
-MISSING_VALUE = Fault("missing")
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """Formats that map clients know, the first one of a layer the one to take."""
@@ -61,10 +60,10 @@ class KeyValues:
     def number(self, name: str) -> float | None:
         """A number, if there is one. Raises ``InputError``."""
         value = self.get(name)
-        try:
-            return None if value is None else float(value)
-        except ValueError:
-            raise InputError(name, value, "a number") from None
+        number = None if value is None else decimal_in(value)
+        if value is not None and number is None:
+            raise InputError(name, value, "a number")
+        return number
 
 
 def layer_title(level: ServedLevel, layer: str) -> str:

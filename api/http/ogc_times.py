@@ -10,6 +10,7 @@ from api.http.moments import CURRENT, OWN_TIME
 from api.http.served_levels import ServedLevel
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.errors import InputError
+from terrain.geo.sun_path import as_utc, check_date, check_times
 from terrain.level.level import parse_sun
 
 OFFERED_STEP = timedelta(minutes=10)
@@ -49,9 +50,11 @@ def date_asked(text: str | None, default: date) -> date:
     if text is None or text.strip().lower() in ("", OWN_TIME):
         return default
     try:
-        return date.fromisoformat(text.strip()[:10])
+        day = date.fromisoformat(text.strip()[:10])
     except ValueError:
         raise InputError("time", text, "a date, as 2024-03-21") from None
+    check_date(day, "time")
+    return day
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,10 @@ def time_dimension(level: ServedLevel, layer: str, year: int, asked: str | None 
 def _default_asked(text: str | None, lon_deg: float) -> str | None:
     instant = instant_asked(text, lon_deg)
     sun = None if instant == CURRENT else parse_sun(instant, None, None)
-    return instant if sun is None or sun.time is None else _written(sun.time.astimezone(UTC))
+    if sun is None or sun.time is None:
+        return instant
+    check_times(as_utc([sun.time]))
+    return _written(sun.time.astimezone(UTC))
 
 
 def own_time(level: ServedLevel) -> datetime | None:

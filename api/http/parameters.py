@@ -11,16 +11,16 @@ from typing import Annotated, Any, cast, get_args
 from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 
-from api.http.moments import asked_sun
+from api.http.moments import PLAIN_DATE, asked_sun
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
-from api.http.served_levels import names_in
 from api.http.service import service_of
 from api.layers import LAYERS, MAP_LAYERS, PICTURE_LAYERS, PictureLayer
 from api.shadow_parameters import takes_settings
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
-from terrain.errors import Fault, InputError
+from terrain.errors import MISSING_VALUE, Fault, InputError
+from terrain.level.level import parse_algorithm
 from terrain.level.parts import SunSpec
 from terrain.level.setting import Setting
 from terrain.scene import MAX_PERSPECTIVE_PX
@@ -53,13 +53,16 @@ TimeQuery = Annotated[
     str | None,
     Query(
         description="ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00, or `current`; default: the level's. It is rounded "
-        "to the minute (a setting); `X-Skugga-Time` says to which."
+        "to the minute (a setting); `X-Skugga-Time` says to which.",
+        examples=["2024-10-21T16:30:00-04:00"],
     ),
 ]
 AzimuthQuery = Annotated[
-    float | None, PLAIN_DECIMAL, Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.")
+    float | None,
+    PLAIN_DECIMAL,
+    Query(description="With `altitude`, instead of `time`: degrees clockwise from true north.", examples=[235]),
 ]
-AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.")]
+AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.", examples=[22])]
 
 _NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_WHOLE,), float: (PLAIN_DECIMAL,)}
 
@@ -69,7 +72,7 @@ def _parameter(setting: Setting) -> Any:
     is_number = any(isinstance(word, int) for word in setting.words)
     numbers = (WHOLE_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
     asked: Any = setting.type
-    return Annotated[(asked | None, *numbers, Query(description=setting.about))]
+    return Annotated[(asked | None, *numbers, Query(description=setting.about, examples=[setting.example]))]
 
 
 @takes_settings("pictures", _parameter)
@@ -99,6 +102,7 @@ async def plan_query(
         Query(
             description="`rules`: fixed rules; `predict`: cost and error models, calibrated for the service's device.",
             json_schema_extra={"enum": ["predict", "rules"]},
+            examples=["rules"],
         ),
     ] = "predict",
     **asked: Any,
@@ -114,10 +118,9 @@ async def plan_query(
 
 def _served(asked: dict[str, Any]) -> RequestedSettings:
     """Overrides that ask for nothing that is not served. Raises ``InputError``."""
-    overrides = RequestedSettings.of(asked)
-    if not names_in(overrides.for_selector().get("algorithm")) <= set(served_algorithms()):
-        raise InputError("algorithm", asked["algorithm"], ", ".join(["auto", *served_algorithms()]))
-    return overrides
+    if asked.get("algorithm") is not None:
+        parse_algorithm(asked["algorithm"], names=served_algorithms())
+    return RequestedSettings.of(asked)
 
 
 SUN_PARAMETERS = tuple(name for name in signature(sun_query).parameters if name != "request")
@@ -162,7 +165,7 @@ def _layers_in_words(names: Iterable[str]) -> str:
     return "; ".join(f"`{name}` is {LAYERS[name].about}" for name in names)
 
 
-LayerQuery = Annotated[PictureLayer, Query(description=f"{_layers_in_words(PICTURE_LAYERS)}.")]
+LayerQuery = Annotated[PictureLayer, Query(description=f"{_layers_in_words(PICTURE_LAYERS)}.", examples=["mask"])]
 
 TILE_LAYERS = (*MAP_LAYERS, SUN_HOURS_LAYER)
 """Layers of tiles and maps."""
@@ -172,18 +175,32 @@ TileLayerQuery = Annotated[
     Query(
         description=f"{_layers_in_words(MAP_LAYERS)}; `{SUN_HOURS_LAYER}` is how long the sun is seen on a `date`.",
         json_schema_extra={"enum": [*TILE_LAYERS]},
+        examples=["shadow"],
     ),
 ]
 
 
-SunDateQuery = Annotated[datetime.date | None, Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.")]
-QuantityQuery = Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.")]
-WindowQuery = Annotated[str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.")]
+SunDateQuery = Annotated[
+    datetime.date | None,
+    PLAIN_DATE,
+    Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.", examples=["2024-03-21"]),
+]
+QuantityQuery = Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.", examples=["first"])]
+WindowQuery = Annotated[
+    str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.", examples=["08:00-16:00"])
+]
 SunClockQuery = Annotated[
-    str | None, Query(max_length=60, description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.")
+    str | None,
+    Query(
+        max_length=60,
+        description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.",
+        examples=["Europe/Oslo"],
+    ),
 ]
 LeastAltitudeQuery = Annotated[
-    float | None, PLAIN_DECIMAL, Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.")
+    float | None,
+    PLAIN_DECIMAL,
+    Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.", examples=[3]),
 ]
 
 
@@ -210,7 +227,9 @@ async def tile_query(
     window: WindowQuery = None,
     clock: SunClockQuery = None,
     height: Annotated[
-        float | None, PLAIN_DECIMAL, Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.")
+        float | None,
+        PLAIN_DECIMAL,
+        Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
     ] = None,
     least_altitude: LeastAltitudeQuery = None,
 ) -> TileQuery:
@@ -229,7 +248,7 @@ async def tile_query(
         if name in request.query_params:
             raise InputError(name, request.query_params[name], f"nothing beside layer={SUN_HOURS_LAYER}: it is of a whole date")
     if date is None:
-        raise InputError("date", None, f"a date beside layer={SUN_HOURS_LAYER}, as 2024-03-21")
+        raise InputError("date", MISSING_VALUE, f"a date beside layer={SUN_HOURS_LAYER}, as 2024-03-21")
     return TileQuery(layer, picture, SunHoursQuery(**given))
 
 
@@ -237,4 +256,6 @@ SUN_HOURS_PARAMETERS = tuple(SunHoursQuery.model_fields)
 TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *SUN_HOURS_PARAMETERS)
 """What may be asked of tiles."""
 
-ViewQuery = Annotated[str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.")]
+ViewQuery = Annotated[
+    str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.", examples=["map"])
+]

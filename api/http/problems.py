@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
+from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
@@ -11,9 +13,10 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Mount
 
-from api.errors import Outcome, outcome_of
-from terrain.errors import Fault, InputError, SkuggaError
+from api.errors import OUTCOMES, Outcome, outcome_of
+from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -33,18 +36,57 @@ class Problem(BaseModel):
     parameter: str | None = None
 
 
-def problem_docs(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """What OpenAPI says of the statuses of a route's errors."""
-    schema = Problem.model_json_schema()
-    return {status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: {"schema": schema}}} for status in statuses}
+OF_HTTP: dict[int, tuple[str, str]] = {
+    400: ("bad_request", "The request, or its body, cannot be read: it is not HTTP/1.1, or not JSON in UTF-8."),
+    401: ("unauthorized", "A token is needed: Authorization: Bearer TOKEN."),
+    404: ("not_found", "There is nothing at this address."),
+    405: ("method_not_allowed", "There is no such method here."),
+    413: ("too_large", "The body has too many bytes."),
+    431: ("head_too_large", "The request's line and headers have too many bytes."),
+    500: ("internal", "Something went wrong inside the service; its log says what."),
+}
+"""Codes and texts of problems that no domain error stands for, by their statuses."""
 
 
-def problem_response(
-    status: int, code: str, detail: str, parameter: str | None = None, headers: dict[str, str] | None = None
-) -> JSONResponse:
+@dataclass(frozen=True)
+class ProblemKind:
+    """A kind of problem, as it is documented: its status, its stable code, what it says, and when to come back, if that is told."""
+
+    status: int
+    code: str
+    about: str
+    retry_after_s: int | None = None
+
+    @property
+    def example(self) -> dict[str, Any]:
+        """A problem document of this kind."""
+        return problem_of(self.status, self.about, self.code).model_dump(exclude_none=True)
+
+
+def problem_kinds() -> list[ProblemKind]:
+    """All kinds of problems: of the table of ``api.errors``, and of HTTP itself. Errors that clients cannot tell apart are one."""
+    kinds: dict[tuple[int, str], ProblemKind] = {}
+    for error, outcome in OUTCOMES.items():
+        about = outcome.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
+        kinds.setdefault((outcome.status, outcome.code), ProblemKind(outcome.status, outcome.code, about, outcome.retry_after_s))
+    for status, (code, about) in OF_HTTP.items():
+        kinds.setdefault((status, code), ProblemKind(status, code, about))
+    return sorted(kinds.values(), key=lambda kind: kind.status)
+
+
+def problem_of(status: int, detail: str | None = None, code: str | None = None, parameter: str | None = None) -> Problem:
+    """A problem document; what is not given is of HTTP itself."""
+    own_code, own_detail = OF_HTTP.get(status, (HTTPStatus(status).name.lower(), HTTPStatus(status).phrase))
+    return Problem(
+        title=HTTPStatus(status).phrase, status=status, detail=detail or own_detail, code=code or own_code, parameter=parameter
+    )
+
+
+def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
     """An answer that no cache keeps."""
-    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, code=code, parameter=parameter)
-    return JSONResponse(problem.model_dump(exclude_none=True), status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE)
+    return JSONResponse(
+        problem.model_dump(exclude_none=True), problem.status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE
+    )
 
 
 def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
@@ -62,7 +104,7 @@ def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     # An error that is not the client's blames none of his parameters: its name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
-    return problem_response(outcome.status, outcome.code, text, parameter, headers)
+    return problem_response(problem_of(outcome.status, text, outcome.code, parameter), headers)
 
 
 def install_problem_handlers(app: FastAPI) -> None:
@@ -78,12 +120,20 @@ def install_problem_handlers(app: FastAPI) -> None:
 
     async def http(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
-        code = HTTPStatus(error.status_code).name.lower()
-        detail = {404: f"There is nothing at {request.url.path[:200]}."}.get(error.status_code, str(error.detail))
-        return problem_response(error.status_code, code, detail, headers=dict(error.headers or {}))
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods_at(request))
+        said = {
+            400: "body: it cannot be read; allowed: JSON in UTF-8, nested not too deeply",  # nothing else is read before a route
+            404: f"There is nothing at {printable(request.url.path[:200])}.",
+            405: f"There is no {request.method[:20]} here; allowed: {headers.get('Allow')}.",
+        }
+        detail = said.get(error.status_code, str(error.detail))
+        parameter = "body" if error.status_code in (400, 413) else None
+        return problem_response(problem_of(error.status_code, detail, parameter=parameter), headers)
 
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
-        return problem_response(500, "internal", "Something went wrong inside the service; its log says what.")
+        return problem_response(problem_of(500))
 
     app.add_exception_handler(SkuggaError, domain)
     app.add_exception_handler(RequestValidationError, validation)
@@ -91,16 +141,29 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Exception, unexpected)
 
 
+def _methods_at(request: Request) -> list[str]:
+    """The methods that an address has, by all routes that lead there: the framework tells of the first alone."""
+
+    def has(method: str) -> bool:
+        scope = {**request.scope, "method": method}
+        routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # of files
+        return any(route.matches(scope)[0] is Match.FULL for route in routes)
+
+    return [*(["GET", "HEAD"] if has("GET") else []), *(["POST"] if has("POST") else [])]
+
+
 def _first_wrong(error: RequestValidationError) -> InputError:
     """The first thing that is wrong: a parameter by its name, a part of the body by its path."""
     detail = error.errors()[0]
     where, *path = detail["loc"]
-    allowed = detail["msg"].removeprefix("Input should be ")
-    allowed = allowed[:1].lower() + allowed[1:]
-    if where != "body":
-        return InputError(str(detail["loc"][-1]), detail.get("input"), allowed)
+    name = ".".join(str(part) for part in path) or "body" if where == "body" else str(detail["loc"][-1])
     if detail["type"] == "json_invalid":
         return InputError("body", Fault(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
     if detail["type"] == "missing":
-        return InputError(".".join(str(part) for part in path) or "body", Fault("missing"), "a value: the field is required")
-    return InputError(".".join(str(part) for part in path) or "body", detail.get("input"), allowed)
+        return InputError(name, MISSING_VALUE, "a value: it is required")
+    if where == "body" and isinstance(detail.get("input"), bytes):
+        return InputError("body", Fault("not sent as JSON"), "JSON, with Content-Type: application/json")
+    if detail["type"] == "model_attributes_type":
+        return InputError(name, detail.get("input"), "an object")
+    allowed = detail["msg"].removeprefix("Input should be ")
+    return InputError(name, detail.get("input"), allowed[:1].lower() + allowed[1:])

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from api.errors import NotReadyError, UnhealthyError
+from api.http.documented import problem_docs
 from api.http.metrics import MEDIA_TYPE_OF_METRICS
 from api.http.parameters import allow_only
-from api.http.problems import problem_docs
 from api.http.service import TheService
 
 router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
@@ -38,7 +38,7 @@ async def readyz(service: TheService) -> JSONResponse:
     )
 
 
-@router.get("/metrics", summary="Metrics", response_class=PlainTextResponse)
+@router.get("/metrics", summary="Metrics", response_class=PlainTextResponse, response_model=str)
 async def metrics(service: TheService) -> Response:
     """For Prometheus, in its text format."""
     return Response(service.metrics.text(), headers=_UNCACHED, media_type=MEDIA_TYPE_OF_METRICS)

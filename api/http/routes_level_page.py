@@ -6,30 +6,30 @@ from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.http.answers import base_url, document_answer
+from api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
 from api.http.level_page import level_page
 from api.http.ogc_requests import this_year
 from api.http.parameters import allow_only
-from api.http.problems import problem_docs
 from api.http.qgis_layers import qgis_layers
 from api.http.served_levels import ServedLevel
 from api.http.service import Service, TheService
 from terrain.errors import UnsupportedError
 
 router = APIRouter(
-    tags=["levels"], dependencies=[Depends(allow_only())], responses=problem_docs(404, 422), default_response_class=Response
+    tags=["levels"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response
 )
 
 QLR_MEDIA = "application/x-qgis-layer-definition"
 
 
-@router.get("/levels/{level}.html", summary="A level as a page")
-async def page_of_level(request: Request, service: TheService, level: str) -> Response:
+@router.get("/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]))
+async def page_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """Its picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and ipyleaflet."""
     return await page_answer(request, service, await service.level(level))
 
 
-@router.get("/levels/{level}.qlr", summary="A level's layers for QGIS")
-async def qgis_layers_of_level(request: Request, service: TheService, level: str) -> Response:
+@router.get("/levels/{level}.qlr", summary="A level's layers for QGIS", responses=file_docs("The file.", [QLR_MEDIA]))
+async def qgis_layers_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
     served = await service.level(level)
     if not served.zooms:

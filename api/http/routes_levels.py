@@ -6,24 +6,34 @@ from html import escape
 from typing import Annotated, Any
 from urllib.parse import quote
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.color_scale import LegendFormat
+from api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
 from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
+from api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.problems import problem_docs
 from api.http.routes_level_page import page_answer, wants_page
 from api.http.served_levels import ServedLevel
 from api.http.service import TheService
-from api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
+from api.layers import LAYERS, MapFormat, nodata_height_m
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
 from terrain.errors import InputError
 
-router = APIRouter(tags=["levels"], responses=problem_docs(404, 422))
+TILEJSON_ENCODINGS = "mapbox", "terrarium"
+
+JSON_MEDIA = "application/json"
+
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
 
 
-@router.get("/levels", summary="The levels", dependencies=[Depends(allow_only())], response_model=list[dict[str, Any]])
+@router.get(
+    "/levels",
+    summary="The levels",
+    dependencies=[Depends(allow_only())],
+    response_model=list[dict[str, Any]],
+    responses=file_docs("All levels.", [JSON_MEDIA]),
+)
 async def levels(request: Request, service: TheService) -> Response:
     """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms, sun, and
     `warnings` on what may be wrong with its files.
@@ -35,8 +45,14 @@ async def levels(request: Request, service: TheService) -> Response:
     return json_answer(request, [level.summary() for level in served])
 
 
-@router.get("/levels/{level}", summary="A level", dependencies=[Depends(allow_only())], response_model=dict[str, Any])
-async def level(request: Request, service: TheService, level: str) -> Response:
+@router.get(
+    "/levels/{level}",
+    summary="A level",
+    dependencies=[Depends(allow_only())],
+    response_model=dict[str, Any],
+    responses=file_docs("The level, or its page.", [JSON_MEDIA, "text/html"]),
+)
+async def level(request: Request, service: TheService, level: LevelPath) -> Response:
     """One level, as in the list; for a browser its page."""
     served = await service.level(level)
     if wants_page(request):
@@ -49,14 +65,15 @@ async def level(request: Request, service: TheService, level: str) -> Response:
     summary="TileJSON",
     dependencies=[Depends(allow_only("format", *TILE_PARAMETERS))],
     response_model=dict[str, Any],
+    responses=file_docs("TileJSON.", [JSON_MEDIA]),
 )
 async def tilejson(
     request: Request,
     service: TheService,
-    level: str,
-    tms: str,
+    level: LevelPath,
+    tms: MatrixSetPath,
     wanted: Annotated[TileQuery, Depends(tile_query)],
-    format: Annotated[MapFormat, Query(description="Of the tiles.")] = "png",
+    format: Annotated[MapFormat, Query(description="Of the tiles.", examples=["webp"])] = "png",
 ) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
 
@@ -81,7 +98,7 @@ async def tilejson(
     tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
     more: dict[str, Any] = {}
     extra: dict[str, Any] = {"layer": wanted.layer, "tile_matrix_set": tms, "sun": where}
-    if encoding is not None:
+    if encoding in TILEJSON_ENCODINGS:
         more = {"encoding": encoding}
         extra["nodata_height"] = nodata_height_m(served.lowest_m)
     if wanted.sun_hours is not None:
@@ -109,12 +126,19 @@ async def tilejson(
     )
 
 
-@router.get("/levels/{level}/legend.{format}", summary="A legend", dependencies=[Depends(allow_only(*TILE_PARAMETERS))])
+@router.get(
+    "/levels/{level}/legend.{format}",
+    summary="A legend",
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    response_class=Response,
+    responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
+    openapi_extra=for_example("date", layer=SUN_HOURS_LAYER),
+)
 async def legend_of_tiles(
     request: Request,
     service: TheService,
-    level: str,
-    format: LegendFormat,
+    level: LevelPath,
+    format: Annotated[LegendFormat, Path(description="Of the picture.", examples=["png"])],
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
     """The legend of a layer of tiles as a picture. Of the layers that are pictures there is none."""
@@ -131,4 +155,4 @@ async def legend_answer(request: Request, served: ServedLevel, asked: SunHoursQu
         return Response(status_code=304, headers=headers)
     scale = await run_in_threadpool(asked.color_scale, served.world)
     body = await run_in_threadpool(scale.legend, format)
-    return Response(body, headers=headers, media_type="image/svg+xml" if format == "svg" else MAP_MEDIA_TYPES["png"])
+    return Response(body, headers=headers, media_type=LEGEND_MEDIA_TYPES[format])

@@ -7,8 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.http.documented import LevelPath, for_example
 from api.http.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
 from api.http.maps import MapQuery, map_answer
+from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
 from api.http.routes_tiles import JPEG, PICTURE_DOCS
 from api.http.served_levels import ServedLevel
@@ -23,19 +25,29 @@ router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class
     "/levels/{level}/map.{format}",
     summary="A map of any extent",
     dependencies=[Depends(allow_only("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
+    openapi_extra=for_example("bbox", "crs", "width"),
 )
 async def map_of_level(
     request: Request,
     service: TheService,
-    level: str,
-    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.")],
+    level: LevelPath,
+    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.", examples=["png"])],
     wanted: Annotated[TileQuery, Depends(map_query)],
     bbox: Annotated[
-        str | None, Query(max_length=200, description="west,south,east,north in units of `crs`; default: the level's.")
+        str | None,
+        Query(
+            max_length=200,
+            description="west,south,east,north in units of `crs`; default: the level's.",
+            examples=["8.38,47.48,8.49,47.55"],
+        ),
     ] = None,
-    crs: Annotated[str | None, Query(max_length=60, description="As EPSG:3857; default: that of the level's own maps.")] = None,
-    width: Annotated[int | None, Query(description="Pixels; default: by the height, else 1024 for the longer side.")] = None,
-    height: Annotated[int | None, Query(description="Pixels; default: by the width.")] = None,
+    crs: Annotated[
+        str | None, Query(max_length=60, description="As EPSG:3857; default: that of the level's own maps.", examples=["OGC:CRS84"])
+    ] = None,
+    width: Annotated[
+        int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the height, else 1024 for the longer side.", examples=[256])
+    ] = None,
+    height: Annotated[int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the width.", examples=[256])] = None,
 ) -> Response:
     """A map of an extent, always with x (or longitude) first; off the data it is transparent, or has no values."""
     served = await service.level(level)

@@ -9,11 +9,11 @@ from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
 from api.errors import NotServedError
 from api.http.answers import json_answer
+from api.http.documented import WORK_ERRORS, Answers, LevelPath, problem_docs
 from api.http.matrices import matrix_set_of
 from api.http.moments import time_headers
 from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
-from api.http.problems import problem_docs
 from api.http.sent_descriptor import SentDescriptor
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import TheService
@@ -23,12 +23,25 @@ from terrain.errors import InputError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.parts import SunSpec
 
-router = APIRouter(tags=["plans"], responses=problem_docs(404, 422, 500, 503, 504))
+router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERRORS))
+
+FACTS: dict[str, Any] = {
+    "view": "map", "view_kind": "map", "flat_world": False, "pixel_m": 10.0, "node_m": 30.0, "casters": ["relief"],
+    "relief_m": 700.0, "block_relief_m": 450.0, "sun_azimuth_deg": 235.0, "sun_altitude_deg": 22.0, "highest_sun_deg": 22.5,
+    "receivers_light_m": [10000.0, 9000.0, 600.0],
+}  # fmt: skip
+"""An example of what a client may send: all that has to be said."""
+
+NOT_CHANGED: Answers = {304: {"description": "The client has it (`If-None-Match`)."}}
 
 ZoomQuery = Annotated[
-    int | None, PLAIN_WHOLE, Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.")
+    int | None,
+    PLAIN_WHOLE,
+    Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.", examples=[12]),
 ]
-MatrixSetQuery = Annotated[str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.")]
+MatrixSetQuery = Annotated[
+    str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.", examples=[DEFAULT_MATRIX_SET])
+]
 
 VIEW_PARAMETERS = ("view", "zoom", "tms")
 
@@ -37,12 +50,13 @@ VIEW_PARAMETERS = ("view", "zoom", "tms")
     "/levels/{level}/plan",
     summary="The plan of a view",
     response_model=Plan,
+    responses=NOT_CHANGED,
     dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
 )
 async def plan(
     request: Request,
     service: TheService,
-    level: str,
+    level: LevelPath,
     sun: Annotated[SunSpec | None, Depends(sun_query)],
     wanted: Annotated[PlanQuery, Depends(plan_query)],
     view: ViewQuery = None,
@@ -64,12 +78,13 @@ async def plan(
     "/levels/{level}/descriptor",
     summary="The facts of a view",
     response_model=Descriptor,
+    responses=NOT_CHANGED,
     dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
 )
 async def descriptor(
     request: Request,
     service: TheService,
-    level: str,
+    level: LevelPath,
     sun: Annotated[SunSpec | None, Depends(sun_query)],
     view: ViewQuery = None,
     zoom: ZoomQuery = None,
@@ -94,7 +109,8 @@ async def plan_of_descriptor(
     request: Request,
     service: TheService,
     described: Annotated[
-        SentDescriptor, Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.")
+        SentDescriptor,
+        Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.", examples=[FACTS]),
     ],
     wanted: Annotated[PlanQuery, Depends(plan_query)],
 ) -> Any:

@@ -11,43 +11,60 @@ from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, tag_of
-from api.http.moments import asked_sun, fresh_for, quarter_hour, time_headers
+from api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
+from api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun, fresh_for, quarter_hour, time_headers
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from api.http.parameters import TimeQuery, allow_only
-from api.http.problems import problem_docs
 from api.http.service import Service, TheService
 from api.point.horizon_formats import HORIZON_FORMATS
-from api.point.report import PointQuery, PointReport
+from api.point.report import PointQuery, PointReport, ReportedMoment
 from api.point.track import MAX_POINTS, TrackPoint
 from api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct, PointsJob
 from shadows.point.place import HIGHEST_EYE_M
 from terrain.errors import InputError
-from terrain.level.level import parse_sun
+from terrain.geo.sun_path import as_utc, check_times
 from terrain.level.parts import SunSpec
 
-router = APIRouter(tags=["points"], responses=problem_docs(404, 422, 500, 503, 504))
+router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 
 POINTS_A_JOB = 200
 """Points that a render process takes at a time: between them others have their turn."""
 
+SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
+
 POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
 
-DayOrNone = date | None
+DayOrNone = Annotated[date | None, PLAIN_DATE]
 LonQuery = Annotated[
-    float, PLAIN_DECIMAL, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.")
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.", examples=[8.43]),
 ]
 LatQuery = Annotated[
-    float, PLAIN_DECIMAL, Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.")
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.", examples=[47.5]),
 ]
-DateQuery = Annotated[date | None, Query(description="The day, as 2024-10-21; default: that of the time, else today.")]
+DateQuery = Annotated[
+    date | None,
+    PLAIN_DATE,
+    Query(description="The day, as 2024-10-21; default: that of the time, else today.", examples=["2024-10-21"]),
+]
 HeightQuery = Annotated[
-    float, PLAIN_DECIMAL, Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.")
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
 ]
 ClockQuery = Annotated[
-    str | None, Query(max_length=60, description="solar, utc, +02:00 or Europe/Oslo; default: the offset of the time, else solar.")
+    str | None,
+    Query(
+        max_length=60,
+        description="solar, utc, +02:00 or Europe/Oslo; default: the offset of the time, else solar.",
+        examples=["Europe/Oslo"],
+    ),
 ]
 YearQuery = Annotated[
-    int | None, PLAIN_WHOLE, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.")
+    int | None, PLAIN_WHOLE, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.", examples=[2024])
 ]
 
 
@@ -56,10 +73,10 @@ class PointOfMany(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    lon: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False)
-    lat: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False)
-    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False)
-    time: AwareDatetime | None = None
+    lon: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
+    lat: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
+    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, strict=True)
+    time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
 
 
 class PointsQuery(BaseModel):
@@ -68,9 +85,32 @@ class PointsQuery(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     points: list[PointOfMany] = Field(min_length=1, max_length=MAX_POINTS)
-    time: AwareDatetime | None = None
+    time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
     date: DayOrNone = None
     clock: str | None = Field(default=None, max_length=60)
+
+
+MANY_POINTS: dict[str, Any] = {"points": [{"lon": 8.43, "lat": 47.5}], "date": "2024-03-21"}
+"""An example of what a client may send."""
+
+
+class ReportedPoint(BaseModel):
+    """What is said of a point of many; ``remark`` says why the rest is null."""
+
+    lon: float
+    lat: float
+    height_m: float
+    time: datetime | None
+    elevation_m: float | None
+    now: ReportedMoment | None
+    direct_h: float | None
+    remark: str | None
+
+
+class PointsReport(BaseModel):
+    """The points in their order."""
+
+    points: list[ReportedPoint]
 
 
 async def point_query(
@@ -92,9 +132,10 @@ ThePoint = Annotated[PointQuery, Depends(point_query)]
     "/levels/{level}/point",
     summary="The sun at a point",
     response_model=PointReport,
+    responses=file_docs("The report.", ["application/json"]),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
 )
-async def sun_of_point(request: Request, service: TheService, level: str, point: ThePoint, time: TimeQuery = None) -> Any:
+async def sun_of_point(request: Request, service: TheService, level: LevelPath, point: ThePoint, time: TimeQuery = None) -> Any:
     """Elevation; lit or not at a time, and by what not; the day's sun; and hours of each day of a year, if one is named."""
     return await _answer(request, service, level, point, time, "report", "json", "application/json")
 
@@ -103,18 +144,22 @@ async def sun_of_point(request: Request, service: TheService, level: str, point:
     "/levels/{level}/point/horizon.{suffix}",
     summary="The horizon of a point, as a file",
     response_class=Response,
+    responses=file_docs("The file.", dict.fromkeys(each.media_type for each in HORIZON_FORMATS.values())),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS, "format"))],
 )
 async def horizon_of_point(
     request: Request,
     service: TheService,
-    level: str,
-    suffix: Annotated[Literal["csv", "json", "txt", "hor"], Path(description="Of the file.")],
+    level: LevelPath,
+    suffix: Annotated[Literal["csv", "json", "txt", "hor"], Path(description="Of the file.", examples=["csv"])],
     point: ThePoint,
     time: TimeQuery = None,
     format: Annotated[
         str | None,
-        Query(description="; ".join(f"`{each.name}` (.{each.suffix}): {each.about}" for each in HORIZON_FORMATS.values())),
+        Query(
+            description="; ".join(f"`{each.name}` (.{each.suffix}): {each.about}" for each in HORIZON_FORMATS.values()),
+            examples=["pvlib"],
+        ),
     ] = None,
 ) -> Response:
     """Horizon angles all round a point, by ground, buildings and trees, in a format of solar tools; default: the suffix's first."""
@@ -129,31 +174,33 @@ async def horizon_of_point(
     "/levels/{level}/point/sun.{format}",
     summary="The sky over a point",
     response_class=Response,
+    responses=file_docs("The chart.", SKY_MEDIA.values()),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
 )
 async def sky_of_point(
     request: Request,
     service: TheService,
-    level: str,
-    format: Annotated[Literal["svg", "png"], Path(description="Of the picture.")],
+    level: LevelPath,
+    format: Annotated[Literal["svg", "png"], Path(description="Of the picture.", examples=["svg"])],
     point: ThePoint,
     time: TimeQuery = None,
 ) -> Response:
     """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours."""
-    return await _answer(request, service, level, point, time, "sky", format, "image/svg+xml" if format == "svg" else "image/png")
+    return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA[format])
 
 
 @router.post(
     "/levels/{level}/point",
     summary="The sun at many points",
+    response_model=PointsReport,
     responses=problem_docs(413),
     dependencies=[Depends(allow_only())],
 )
 async def sun_of_points(
     request: Request,
     service: TheService,
-    level: str,
-    asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.")],
+    level: LevelPath,
+    asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.", examples=[MANY_POINTS])],
 ) -> Any:
     """Elevation, lit or not and by what not, and hours of direct sun of the day, at each point; off the data null, and why."""
     served = await service.level(level)
@@ -197,7 +244,9 @@ def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
 
 
 def _request(time: datetime | None) -> PictureRequest:
-    return PictureRequest(sun=None if time is None else parse_sun(time.isoformat(), None, None))
+    if time is not None:
+        check_times(as_utc([time]))
+    return PictureRequest(sun=None if time is None else SunSpec(time=time))
 
 
 async def run_point(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.http.documented import LevelPath, file_docs, for_example
 from api.http.moments import fresh_for, time_headers
 from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
@@ -18,7 +19,9 @@ from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
 from selector.formatting import format_list
 from terrain.errors import InputError
 
-router = APIRouter(tags=["snapshots"], responses=PICTURE_DOCS, default_response_class=Response)
+router = APIRouter(
+    tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response
+)
 
 OF_ONE_LIGHT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
 """Layers that show the shadow of one light, in words."""
@@ -28,23 +31,29 @@ OF_ONE_LIGHT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS
     "/levels/{level}/snapshot.{format}",
     summary="A view of a level",
     dependencies=[Depends(allow_only("view", "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+    openapi_extra=for_example("size"),
 )
 async def snapshot(
     request: Request,
     service: TheService,
-    level: str,
-    format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.")],
+    level: LevelPath,
+    format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.", examples=["png"])],
     wanted: Annotated[PictureRequest, Depends(picture_query)],
     view: ViewQuery = None,
-    size: Annotated[str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.")] = None,
+    size: Annotated[
+        str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.", examples=["256x256"])
+    ] = None,
     layer: LayerQuery = "color",
     light: Annotated[
-        str | None, Query(max_length=100, description=f"The light that {OF_ONE_LIGHT} show; default: the sun, else the first.")
+        str | None,
+        Query(
+            max_length=100, description=f"The light that {OF_ONE_LIGHT} show; default: the sun, else the first.", examples=["sun"]
+        ),
     ] = None,
     seconds: Annotated[
         float | None,
         PLAIN_DECIMAL,
-        Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's."),
+        Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.", examples=[0]),
     ] = None,
 ) -> Response:
     """A map or perspective view as the level has it, but for what the query asks."""

@@ -10,31 +10,40 @@ from starlette.concurrency import run_in_threadpool
 
 from api.errors import NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
+from api.http.documented import (
+    WORK_ERRORS,
+    Answers,
+    ColumnPath,
+    LevelPath,
+    MatrixSetPath,
+    RowPath,
+    ZoomPath,
+    file_docs,
+    problem_docs,
+)
 from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
 from api.http.moments import fresh_for, time_headers
-from api.http.numbers import WholeNumber
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.problems import problem_docs
 from api.http.service import Service, TheService
-from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, map_layer, nodata_height_m
-from api.workers.block_tiles import ARRAY_FORMATS, TILE_PX, check_format, empty_tile, encode, nothing, place_in_block
+from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
+from api.workers.block_tiles import ARRAY_FORMATS, TILE_PX, check_format, empty_layer, empty_tile, encode, place_in_block
 from api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
 from selector.formatting import format_list
 
-PICTURE_DOCS: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.",
-        "content": {media_type: {} for media_type in MAP_MEDIA_TYPES.values()},
-    },
-    304: {"description": "The client has it."},
-    **problem_docs(404, 422, 500, 503, 504),
+PICTURE_DOCS: Answers = {
+    **file_docs(
+        "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MAP_MEDIA_TYPES.values()
+    ),
+    **problem_docs(*WORK_ERRORS),
 }
+
+EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
 router = APIRouter(
     tags=["tiles"],
     dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
-    responses=PICTURE_DOCS,
+    responses=PICTURE_DOCS | EMPTY_DOCS,
     default_response_class=Response,
 )
 
@@ -45,7 +54,11 @@ JPEG = format_list([f"`{name}`" for name in MAP_LAYERS if "jpg" in LAYERS[name].
 """Layers that there are as JPEG, in words."""
 
 FormatPath = Annotated[
-    MapFormat, Path(description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone; `tif` is georeferenced, `npy` an array.")
+    MapFormat,
+    Path(
+        description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone; `tif` is georeferenced, `npy` an array.",
+        examples=["png"],
+    ),
 ]
 
 
@@ -53,11 +66,11 @@ FormatPath = Annotated[
 async def double_tile(
     request: Request,
     service: TheService,
-    level: str,
-    tms: str,
-    z: WholeNumber,
-    x: WholeNumber,
-    y: WholeNumber,
+    level: LevelPath,
+    tms: MatrixSetPath,
+    z: ZoomPath,
+    x: ColumnPath,
+    y: RowPath,
     format: FormatPath,
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
@@ -69,11 +82,11 @@ async def double_tile(
 async def tile(
     request: Request,
     service: TheService,
-    level: str,
-    tms: str,
-    z: WholeNumber,
-    x: WholeNumber,
-    y: WholeNumber,
+    level: LevelPath,
+    tms: MatrixSetPath,
+    z: ZoomPath,
+    x: ColumnPath,
+    y: RowPath,
     format: FormatPath,
     wanted: Annotated[TileQuery, Depends(tile_query)],
 ) -> Response:
@@ -113,12 +126,12 @@ async def tile_answer(
     if empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
+        nodata_m = nodata_height_m(level.lowest_m)
         if format in ARRAY_FORMATS:
-            nowhere = nothing(scale * TILE_PX, scale * TILE_PX)
-            view = tile_view(matrix_set, *zxy, scale)
-            body = await run_in_threadpool(encode, map_layer(nowhere, wanted.layer), wanted.layer, format, view)
+            nowhere = empty_layer(wanted.layer, scale * TILE_PX, scale * TILE_PX, nodata_m)
+            body = await run_in_threadpool(encode, nowhere, wanted.layer, format, tile_view(matrix_set, *zxy, scale))
         else:
-            body = await run_in_threadpool(empty_tile, wanted.layer, format, scale, nodata_height_m(level.lowest_m))
+            body = await run_in_threadpool(empty_tile, wanted.layer, format, scale, nodata_m)
         return Response(body, headers={**headers, **reach_headers("none")}, media_type=MAP_MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])

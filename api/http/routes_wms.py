@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.errors import NotServedError
 from api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
+from api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
 from api.http.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
 from api.http.maps import MapQuery, map_answer
 from api.http.moments import fresh_for, time_headers
@@ -30,7 +31,15 @@ from api.http.routes_levels import legend_answer
 from api.http.routes_point import of_a_day, run_point
 from api.http.served_levels import ServedLevel
 from api.http.service import Service, TheService
-from api.http.wms_capabilities import INFO_MEDIA, LEGEND_MEDIA, WMS_LAYERS, WMS_VERSION, map_formats_told, wms_capabilities
+from api.http.wms_capabilities import (
+    INFO_MEDIA,
+    LEGEND_MEDIA,
+    MAP_MEDIA,
+    WMS_LAYERS,
+    WMS_VERSION,
+    map_formats_told,
+    wms_capabilities,
+)
 from api.layers import MAP_MEDIA_TYPES
 from api.point.report import PointQuery
 from api.sun_hours_layer import SUN_HOURS_LAYER
@@ -52,7 +61,37 @@ WMS_CODES = {
 """Exception codes of WMS 1.3.0, table E.1, by the parameter to blame; where it has none, those of OWS Common."""
 
 
-@router.get("/wms", summary="WMS")
+WMS_KEYS = key_values(
+    SERVICE=("`WMS`, or nothing.", "WMS"),
+    VERSION=("`1.3.0`, or nothing.", WMS_VERSION),
+    REQUEST=(f"One of {OPERATIONS}.", "GetMap"),
+    LAYERS=("Of a map: one layer, as level:layer.", "jacksboro:color"),
+    QUERY_LAYERS=("Of `GetFeatureInfo`: one layer, as level:layer.", "jacksboro:color"),
+    LAYER=("Of `GetLegendGraphic`: a layer, as level:sunhours.", "jacksboro:sunhours"),
+    STYLES=("`default`, or nothing.", "default"),
+    STYLE=("Of a legend: `default`, or nothing.", "default"),
+    CRS=("A CRS by its code.", "CRS:84"),
+    BBOX=("Four numbers, in the order of the CRS's own axes.", "8.38,47.48,8.49,47.55"),
+    WIDTH=("Pixels.", "256"),
+    HEIGHT=("Pixels.", "256"),
+    I=("Of `GetFeatureInfo`: column of the pixel in the map, from the left.", "128"),
+    J=("Of `GetFeatureInfo`: row of the pixel in the map, from the top.", "128"),
+    INFO_FORMAT=(f"Of `GetFeatureInfo`: {', '.join(INFO_MEDIA)}.", INFO_MEDIA[0]),
+    FORMAT=("A media type.", "image/png"),
+    TRANSPARENT=("`TRUE`, or `FALSE`: then `BGCOLOR` is behind what has no data.", "TRUE"),
+    BGCOLOR=("A colour.", "0xFFFFFF"),
+    TIME=("An instant, or of hours of sun a date; without an offset in UTC.", "2024-10-21T16:30:00Z"),
+    AZIMUTH=("With `ALTITUDE`, instead of `TIME`: degrees clockwise from true north.", "235"),
+    ALTITUDE=("Apparent degrees above the horizon.", "22"),
+)
+WMS_EXAMPLE = for_example("REQUEST", "LAYERS", "CRS", "BBOX", "WIDTH", "HEIGHT", "FORMAT")
+WMS_DOCS = file_docs(
+    "The document, the map, what is there, or the legend.",
+    dict.fromkeys([*MAP_MEDIA, "text/xml", *INFO_MEDIA, *LEGEND_MEDIA]),
+) | exception_docs(*WORK_ERRORS)
+
+
+@router.get("/wms", summary="WMS", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
 async def wms(request: Request, service: TheService) -> Response:
     """`REQUEST=GetCapabilities`, `GetMap`, `GetFeatureInfo` or `GetLegendGraphic`, of layers as level:layer; with `TIME`, or
     `AZIMUTH` and `ALTITUDE`. Extents are in the order of the CRS's own axes: latitude first in EPSG:4326.
@@ -60,8 +99,8 @@ async def wms(request: Request, service: TheService) -> Response:
     return await _answer(request, service, None)
 
 
-@router.get("/levels/{level}/wms", summary="WMS of a level")
-async def wms_of_level(request: Request, service: TheService, level: str) -> Response:
+@router.get("/levels/{level}/wms", summary="WMS of a level", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
+async def wms_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """The same; its capabilities are of one level."""
     return await _answer(request, service, level)
 

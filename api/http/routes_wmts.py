@@ -8,12 +8,14 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.http.answers import base_url, document_answer
+from api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
 from api.http.matrices import matrix_set_of
 from api.http.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
 from api.http.ogc_xml import ows_exception
-from api.http.routes_tiles import tile_answer
+from api.http.routes_tiles import EMPTY_DOCS, tile_answer
 from api.http.service import Service, TheService
 from api.http.wmts_capabilities import WMTS_STYLE, WMTS_VERSION, wmts_capabilities
+from api.layers import MAP_MEDIA_TYPES
 from terrain.errors import InputError, SkuggaError, UnsupportedError
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
@@ -26,19 +28,56 @@ CODES = {
 """Exception codes of OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24, by the parameter to blame."""
 
 
-@router.get("/wmts/1.0.0/WMTSCapabilities.xml", summary="WMTS: what is served")
+DEFAULT_TIME = key_values(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
+
+
+@router.get(
+    "/wmts/1.0.0/WMTSCapabilities.xml",
+    summary="WMTS: what is served",
+    responses=file_docs("The document.", ["text/xml"]) | exception_docs(422, 500),
+    openapi_extra=DEFAULT_TIME,
+)
 async def wmts_of_all(request: Request, service: TheService) -> Response:
     """The capabilities of all levels that lie on earth: a layer for each level and layer, every tile matrix set, and the times."""
     return await _capabilities(request, service, None)
 
 
-@router.get("/levels/{level}/WMTSCapabilities.xml", summary="WMTS: what is served of a level")
-async def wmts_of_level(request: Request, service: TheService, level: str) -> Response:
+@router.get(
+    "/levels/{level}/WMTSCapabilities.xml",
+    summary="WMTS: what is served of a level",
+    responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERRORS),
+    openapi_extra=DEFAULT_TIME,
+)
+async def wmts_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """The capabilities of one level. With `time` that is the default of all layers, for clients that cannot ask for another one."""
     return await _capabilities(request, service, level)
 
 
-@router.get("/wmts", summary="WMTS by keys and values")
+WMTS_KEYS = key_values(
+    SERVICE=("`WMTS`, or nothing.", "WMTS"),
+    VERSION=("`1.0.0`, or nothing.", WMTS_VERSION),
+    REQUEST=("`GetCapabilities` or `GetTile`; the other keys are of tiles.", "GetTile"),
+    LAYER=("As level:layer.", "jacksboro:color"),
+    STYLE=("`default`, or nothing.", WMTS_STYLE),
+    TILEMATRIXSET=("A tile matrix set by its name.", "WebMercatorQuad"),
+    TILEMATRIX=("A matrix of the set: mostly the zoom.", "11"),
+    TILEROW=("Row of the tile, from the north.", "800"),
+    TILECOL=("Column of the tile, from the west.", "544"),
+    FORMAT=("A media type.", "image/png"),
+    TIME=("An instant; without an offset in UTC.", "2024-10-21T16:30:00Z"),
+    AZIMUTH=("With `ALTITUDE`, instead of `TIME`: degrees clockwise from true north.", "235"),
+    ALTITUDE=("Apparent degrees above the horizon.", "22"),
+)
+
+
+@router.get(
+    "/wmts",
+    summary="WMTS by keys and values",
+    responses=file_docs("The tile, or the document.", [*MAP_MEDIA_TYPES.values(), "text/xml"])
+    | EMPTY_DOCS
+    | exception_docs(*WORK_ERRORS),
+    openapi_extra=WMTS_KEYS | for_example("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
+)
 async def wmts_by_keys(request: Request, service: TheService) -> Response:
     """`REQUEST=GetCapabilities`, or `GetTile` with `LAYER` (as level:layer), `STYLE`, `TILEMATRIXSET`, `TILEMATRIX`, `TILEROW`,
     `TILECOL`, `FORMAT` and `TIME`; instead of the time `AZIMUTH` and `ALTITUDE`.

@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.http.metrics import ServiceMetrics
 from api.http.moments import TIME_HEADER
-from api.http.problems import problem_response
+from api.http.problems import problem_of, problem_response
 
 REQUEST_ID = "X-Request-ID"
 SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -71,8 +71,7 @@ class Watched:
         except Exception:
             log.exception("%s %s failed unexpectedly", scope["method"], _shown(scope["path"]))
             if not status:
-                answer = problem_response(500, "internal", "Something went wrong inside the service; its log says what.")
-                await answer(scope, receive, send_watched)
+                await problem_response(problem_of(500))(scope, receive, send_watched)
         finally:
             took_s = time.perf_counter() - began_s
             self.metrics.in_progress.dec()

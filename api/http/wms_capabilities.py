@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 from pyproj import CRS
 
-from api.color_scale import LEGEND_SIZE_PX
+from api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
 from api.http.map_extents import bounds_in, crs_of_code, north_first
 from api.http.moments import OWN_TIME
 from api.http.ogc_requests import gis_formats, layer_name, layer_title
@@ -29,7 +29,7 @@ WMS_LAYERS = tuple(name for name in TILE_LAYERS if hangs_on_time(name) and "png"
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
 INFO_MEDIA = ("application/json", "text/html", "text/plain")
-LEGEND_MEDIA = ("image/png", "image/svg+xml")
+LEGEND_MEDIA = tuple(LEGEND_MEDIA_TYPES.values())
 
 COMMON_CRS = ("EPSG:3857", "EPSG:4326", "CRS:84")
 """What every level has maps in; any other that PROJ knows by its code is understood as well."""

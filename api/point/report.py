@@ -16,6 +16,7 @@ from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
 from terrain.errors import InputError
+from terrain.geo.sun_path import check_date
 from terrain.scene import Scene
 
 _Date = date  # under this name the models' own fields leave it alone
@@ -182,9 +183,10 @@ def sun_now(around: Surroundings) -> ReportedMoment | None:
 
 def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     """The day of a query: its own, else that of the sun's time, else today; by the query's clock, else by the offset of the sun's
-    time, else by solar time. Raises ``InputError`` for a clock that there is not.
+    time, else by solar time. Raises ``InputError`` for a date whose sun is not computed, and for a clock that there is not.
     """
     if query.date is not None:
+        check_date(query.date)
         return query.date
     moment = None if scene.sun is None else scene.sun.time
     if moment is not None and query.clock is None:

@@ -76,16 +76,15 @@ def encoded_tiles(
     return out
 
 
-def cut_tiles(picture: np.ndarray, format: MapFormat, tiles: int = 1) -> dict[Place, bytes]:
-    """The bytes of all parts of ``tiles`` x ``tiles`` tiles of a block's picture RGB or RGBA, without loss."""
+def cut_tiles(array: np.ndarray, layer: str, format: MapFormat, tiles: int, view: MapView) -> dict[Place, bytes]:
+    """The bytes of all parts of ``tiles`` x ``tiles`` tiles of a block's layer; ``view`` is where the block lies."""
     side = tiles * TILE_PX
-    return {
-        (row, col): encode_picture(
-            np.ascontiguousarray(picture[row * side : (row + 1) * side, col * side : (col + 1) * side]), f".{format}"
-        )
-        for row in range(BLOCK_TILES // tiles)
-        for col in range(BLOCK_TILES // tiles)
-    }
+    out = {}
+    for row in range(BLOCK_TILES // tiles):
+        for col in range(BLOCK_TILES // tiles):
+            part = np.ascontiguousarray(array[row * side : (row + 1) * side, col * side : (col + 1) * side])
+            out[row, col] = encode(part, layer, format, view.part(row * side, col * side, side, side))
+    return out
 
 
 def map_formats_of(layer: str) -> tuple[MapFormat, ...]:
@@ -104,6 +103,8 @@ def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = No
     """The bytes of a layer of a map. Layers to compute with are without loss; JPEG has white where there is no surface. What is to
     be looked at has no alpha where nothing is transparent, but in a TIFF, which lies where the ``view`` does.
     """
+    if layer == SUN_HOURS_LAYER:
+        return encode_picture(array, f".{format}")
     if format == "tif":
         return geotiff(array, view, LAYERS[layer].nodata)
     if format == "npy":
@@ -125,16 +126,20 @@ def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = No
 @cached("process", 4 * MIB)
 def empty_tile(layer: str, format: str, tiles: int = 1, nodata_m: float = 0.0) -> bytes:
     """A tile without a surface; of heights, one that has ``nodata_m`` everywhere. Not as a TIFF: that has a place."""
-    side = tiles * TILE_PX
+    return encode(empty_layer(layer, tiles * TILE_PX, tiles * TILE_PX, nodata_m), layer, format)
+
+
+def empty_layer(layer: str, rows: int, cols: int, nodata_m: float) -> np.ndarray:
+    """A layer of a map without a surface; of heights, ``nodata_m`` is told where numbers have no NaN."""
     if layer == SUN_HOURS_LAYER:
-        return encode_picture(np.zeros((side, side, 4), np.uint8), f".{format}")
+        return np.zeros((rows, cols, 4), np.uint8)
     encoding = LAYERS[layer].encoding
     if encoding is not None:
-        return encode_picture(encoded_heights(np.full((side, side), nodata_m), nodata_m, encoding), f".{format}")
-    return encode(map_layer(nothing(side, side), layer), layer, format)
+        return encoded_heights(np.full((rows, cols), np.nan), nodata_m, encoding)
+    return map_layer(_nothing(rows, cols), layer)
 
 
-def nothing(rows: int, cols: int) -> PicturedBlock:
+def _nothing(rows: int, cols: int) -> PicturedBlock:
     """A map without a surface."""
     missing, none = np.full((rows, cols), np.nan, np.float32), np.zeros((rows, cols), np.uint8)
     return PicturedBlock(np.zeros((rows, cols, 3), np.uint8), none, none.astype(np.bool_), missing)

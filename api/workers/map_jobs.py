@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from api.layers import LAYERS, TerrainEncoding, encode_picture, encoded_heights, map_layer, nodata_height_m
+from api.layers import LAYERS, HeightEncoding, encoded_heights, map_layer, nodata_height_m
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from api.workers.block_tiles import encode, nothing
+from api.workers.block_tiles import empty_layer, encode
 from api.workers.jobs import MapJob
 from shadows.passes import PassRecord
 from shadows.plan import Plan
@@ -74,18 +74,18 @@ def drawn_map(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], 
         return _encoded(job, heights, view, HEIGHTS, (PassRecord(HEIGHTS, _ms(start)),))
     if job.sun_hours is not None:
         picture = (
-            sun_hours_picture(scene, view.as_nodes(), job.sun_hours) if shown else np.zeros((view.rows, view.cols, 4), np.uint8)
+            sun_hours_picture(scene, view.as_nodes(), job.sun_hours) if shown else empty_layer(job.layer, view.rows, view.cols, 0.0)
         )
         return _encoded(job, picture, view, SUN_HOURS_LAYER, (PassRecord(SUN_HOURS_LAYER, _ms(start)),))
     if not shown:
-        return _encoded(job, map_layer(nothing(view.rows, view.cols), job.layer), view, NO_SHADOWS, (), NO_CASTERS.reach)
+        return _encoded(job, empty_layer(job.layer, view.rows, view.cols, 0.0), view, NO_SHADOWS, (), NO_CASTERS.reach)
     plan = plan_of(*planned_part(scene, view))
     frame = render_frame(scene, view, plan)
     return _encoded(job, map_layer(frame, job.layer), view, plan.headline, frame.passes, frame.reach)
 
 
-def heights_picture(scene: Scene, view: MapView, encoding: TerrainEncoding, shown: bool = True) -> np.ndarray:
-    """The heights of a map's ground as RGB (rows, cols, 3) uint8; of one that is not ``shown``, of none. Holes are filled as they
+def heights_picture(scene: Scene, view: MapView, encoding: HeightEncoding, shown: bool = True) -> np.ndarray:
+    """The heights of a map's ground in an encoding; of one that is not ``shown``, of none. Holes are filled as they
     are for casting shadows; off the data the height is that of ``api.layers.nodata_height_m``.
     """
     nodes, height_m = view.as_nodes(), np.full((view.rows, view.cols), np.nan, np.float32)
@@ -103,9 +103,7 @@ def _encoded(
     start = clock.perf_counter()
     if job.background is not None and array.ndim == 3 and array.shape[2] == 4:
         array = _over(array, job.background)
-    lossless = job.layer == SUN_HOURS_LAYER
-    body = encode_picture(array, f".{job.format}") if lossless else encode(array, job.layer, job.format, view)
-    return DrawnMap(body, _ms(start), headline, passes, reach)
+    return DrawnMap(encode(array, job.layer, job.format, view), _ms(start), headline, passes, reach)
 
 
 def _over(picture: np.ndarray, background: str) -> np.ndarray:

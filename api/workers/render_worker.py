@@ -265,7 +265,8 @@ def _pictured_tiles(job: BlockJob | SunHoursJob, name: str, state: WorkerState, 
     start = clock.perf_counter()
     drawn = picture()
     found = clock.perf_counter()
-    tiles = cut_tiles(drawn, job.format, job.tiles)
+    layer = job.layer if isinstance(job, BlockJob) else SUN_HOURS_LAYER
+    tiles = cut_tiles(drawn, layer, job.format, job.tiles, block_view(job))
     return BlockTiles(
         tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=name,
         passes=((name, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,

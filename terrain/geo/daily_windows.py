@@ -10,7 +10,7 @@ import numpy as np
 
 from terrain.errors import InputError
 from terrain.geo.clock import Clock
-from terrain.geo.sun_path import YEARS, sun_path
+from terrain.geo.sun_path import check_date, sun_path
 from terrain.geo.world import World
 
 DAY_MIN = 1440.0
@@ -51,8 +51,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     """
     if not 0.0 <= first_min < last_min <= DAY_MIN:
         raise InputError("window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
-    if not YEARS[0] < day.year < YEARS[1]:
-        raise InputError("date", day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
+    check_date(day)
     if isinstance(clock, str):
         start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
         return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 
 import numpy as np
 
@@ -38,10 +38,7 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
     Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius. Raises ``InputError`` for years beyond ``YEARS``.
     """
     moments = as_utc(times)
-    first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
-    zones = np.timedelta64(1, "D")  # a year begins and ends in each zone at its own time
-    for moment in moments[(moments < first - zones) | (moments >= last + zones)][:1]:
-        raise InputError("time", str(moment), f"years {YEARS[0]} to {YEARS[1]}")
+    check_times(moments)
     import pandas  # with pvlib 0.8 s: paid only where a time is asked for
     from pvlib.solarposition import spa_python
 
@@ -51,6 +48,20 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
     )  # fmt: skip
     apparent, geometric = (position[name].to_numpy() for name in ("apparent_elevation", "elevation"))
     return SunPath(moments, position["azimuth"].to_numpy() % 360.0, apparent, apparent - geometric)
+
+
+def check_times(moments: np.ndarray) -> None:
+    """Raise ``InputError`` for times (datetime64, in UTC) that the sun's position is not computed for."""
+    first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
+    zones = np.timedelta64(1, "D")  # a year begins and ends in each zone at its own time
+    for moment in moments[(moments < first - zones) | (moments >= last + zones)][:1]:
+        raise InputError("time", str(moment.astype("datetime64[s]")), f"years {YEARS[0]} to {YEARS[1]}")
+
+
+def check_date(day: date, name: str = "date") -> None:
+    """Raise ``InputError`` for a date whose sun is not computed from its begin to its end in every zone."""
+    if not YEARS[0] < day.year < YEARS[1]:
+        raise InputError(name, day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
 
 
 def as_utc(times: Sequence[datetime] | np.ndarray) -> np.ndarray:

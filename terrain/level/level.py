@@ -7,7 +7,7 @@ and what is allowed.
 from __future__ import annotations
 
 import hashlib
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -35,6 +35,7 @@ from terrain.level.parts import (
     ViewSpec,
     Water,
     Weather,
+    time_of,
 )
 from terrain.level.rasters import is_raster
 from terrain.level.setting import Requests
@@ -67,17 +68,18 @@ class Shadows(Model):
 
     algorithm: Annotated[
         Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
-    ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.")
+    ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["shadow_map"])
     max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
-        default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong."
+        default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
     )
     max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
         default=None,
         gt=0,
         description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
+        examples=[40],
     )
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
-        default="auto", description="Size of a shadow map: texels a side."
+        default="auto", description="Size of a shadow map: texels a side.", examples=[1024]
     )
     cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
         default="auto", description="Number of cascades: shadow maps of a perspective view, each for a range of distances."
@@ -200,17 +202,19 @@ class LoadedLevel(BaseModel):
         return str((self.path.parent / source).resolve())
 
 
-def expand_override(value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,)) -> AlgorithmOverride:
+def expand_override(
+    value: str | dict[str, Any], lights: tuple[str, ...] = (SUN,), names: Sequence[str] = ALGORITHM_NAMES
+) -> AlgorithmOverride:
     """Spell out an override: a name, ``{kind: name}`` or ``{light: name}`` or ``{light: {kind: name}}``.
 
     A name alone is for every one of the ``lights``; kinds without a light are the sun's. ``auto`` gives an empty choice.
     Raises ``PydanticCustomError`` with what is allowed.
     """
-    kinds, names = get_args(CasterKind), (*ALGORITHM_NAMES, "auto")
+    kinds, words = get_args(CasterKind), (*names, "auto")
 
     def name_of(item: Any) -> str:
-        if item not in names:
-            raise PydanticCustomError("algorithm", "one of {names}", {"names": ", ".join(names)})
+        if item not in words:
+            raise PydanticCustomError("algorithm", "one of {names}", {"names": ", ".join(words)})
         return item
 
     choice: dict[str, dict[Any, Any]] = {}  # what gets in is one of the words
@@ -241,8 +245,8 @@ def lights_named(value: Any) -> tuple[str, ...]:
     return (SUN, *(key for key in keys if isinstance(key, str) and key not in (SUN, *get_args(CasterKind))))
 
 
-def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, Any]:
-    """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``; raises ``InputError``.
+def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str] = ALGORITHM_NAMES) -> str | dict[str, Any]:
+    """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``, of these ``names``; raises ``InputError``.
 
     Whether a level has the lights named is for ``expand_override`` to say.
     """
@@ -254,7 +258,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm") -> str | dict[str, 
             key, _, name = part.partition("=")
             value[key.strip()] = name.strip()
     try:
-        expand_override(value, lights_named(value))
+        expand_override(value, lights_named(value), names)
     except PydanticCustomError as error:
         raise InputError(parameter, text, error.message()) from None
     return value
@@ -296,7 +300,7 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         if space and "T" in head:
             written = f"{head}+{tail}"
         try:
-            moment = datetime.fromisoformat(written)
+            moment = time_of(written)
         except ValueError:
             raise InputError("time", time, TIME_WORDS) from None
         fields: dict[str, Any] = {"time": moment, "azimuth": azimuth, "altitude": altitude}

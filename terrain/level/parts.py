@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
@@ -36,6 +37,17 @@ PixelCount = Annotated[int, Field(ge=1, le=16384)]
 
 TIME_WORDS = "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00"
 """What a time has to be."""
+
+_TIME = re.compile(r"[-0-9:.,+TtWZz ]+")
+
+
+def time_of(text: str) -> datetime:
+    """A time from its text in ISO 8601, with an offset or without. Raises ``ValueError``, also for characters that no time has: the
+    library reads past some.
+    """
+    if not _TIME.fullmatch(text):
+        raise ValueError(TIME_WORDS)
+    return datetime.fromisoformat(text)
 
 
 def _without_nul(name: str) -> str:
@@ -250,7 +262,7 @@ class SunSpec(Model):
     def _moment(cls, value: Any) -> Any:
         if isinstance(value, str):
             try:
-                return datetime.fromisoformat(value)
+                return time_of(value)
             except ValueError:
                 raise PydanticCustomError("time", TIME_WORDS) from None
         if value is not None and not isinstance(value, datetime):

@@ -42,6 +42,12 @@ class Setting:
     name: str
     about: str
     type: Any
+    examples: tuple[Any, ...] = ()
+
+    @property
+    def example(self) -> Any:
+        """A value: the one that the field has for an example, else the first of those that can be listed."""
+        return (*self.examples, *self.words)[0]
 
     @property
     def words(self) -> tuple[str | int, ...]:
@@ -68,7 +74,7 @@ def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
     for name, field in model.model_fields.items():
         requests = next((each for each in field.metadata if isinstance(each, Requests)), Requests())
         if front_end in requests.take:
-            found.append(Setting(name, field.description or "", _asked(field, requests)))
+            found.append(Setting(name, field.description or "", _asked(field, requests), tuple(field.examples or ())))
     return found
 
 

@@ -12,6 +12,7 @@ from pydantic_core import PydanticUndefined
 
 from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
+from api.http.problems import problem_kinds
 from api.http.sent_descriptor import MAX_BANDS, MAX_LAMPS
 from api.settings import Settings
 from api.workers.pool import Pool
@@ -46,12 +47,23 @@ def metrics_table(families: list[Metric]) -> str:
     return "\n".join(rows)
 
 
+def problems_table() -> str:
+    """The table of all kinds of problems."""
+    rows = ["| status | `code` | what | `Retry-After` |", "| --- | --- | --- | --- |"]
+    for kind in problem_kinds():
+        rows.append(f"| {kind.status} | `{kind.code}` | {kind.about} | {kind.retry_after_s or '-'} |")
+    return "\n".join(rows)
+
+
 def families() -> list[Metric]:
     settings = Settings(workers=1)
     return list(ServiceMetrics(Pool(settings), EncodedTiles(1)).registry.collect())
 
 
-@pytest.mark.parametrize(("name", "table"), [("settings", settings_table), ("metrics", lambda: metrics_table(families()))])
+@pytest.mark.parametrize(
+    ("name", "table"),
+    [("settings", settings_table), ("metrics", lambda: metrics_table(families())), ("problems", problems_table)],
+)
 def test_tables_are_what_there_is(name: str, table, request: pytest.FixtureRequest):
     text = PAGE.read_text(encoding="utf-8")
     found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)

@@ -1,5 +1,8 @@
 """Every error over HTTP is a problem document that names the parameter to blame."""
 
+import json
+import socket
+from http.client import HTTPResponse
 from pathlib import Path
 
 import httpx
@@ -59,6 +62,15 @@ def test_not_found(client: Client, address: str, parameter: str | None, said: st
         (f"{TILE}?time=yesterday", "time", "yesterday"),
         (f"{TILE}?time=2024-06-21T12:00:00", "time", "offset"),
         (f"{TILE}?time=1500-01-01T00:00:00Z", "time", "1678"),
+        (f"{TILE}?time=9999-12-31T23:59:59Z", "time", "1678"),
+        (f"{TILE}?time=2024-06-21T12:00:00Z%00later", "time", "ISO 8601"),
+        (f"{TILE}?time=%ED%A0%80", "time", "ISO 8601"),
+        (f"{TILE}?time=%C0%AF", "time", "ISO 8601"),
+        (f"{TILE}?layer=sunhours", "date", "missing"),
+        (f"{TILE}?layer=sunhours&date=1718928000", "date", "2024-03-21"),
+        (f"{TILE}?layer=sunhours&date=2024-02-30", "date", "calendar"),
+        (f"{TILE}?layer=sunhours&date=0001-01-01", "date", "1679"),
+        (f"{TILE}?%ED%A0%80=1", "\ufffd" * 3, "unknown"),
         (f"{TILE}?time=2024-06-21T12:00:00Z&altitude=3", "time", "azimuth and altitude"),
         (f"{TILE}?azimuth=10&altitude=91", "altitude", "91"),
         (f"{TILE}?azimuth=north&altitude=9", "azimuth", "north"),
@@ -66,8 +78,8 @@ def test_not_found(client: Client, address: str, parameter: str | None, said: st
         (f"{TILE}?azimuth=10", "azimuth, altitude", "altitude"),
         (f"{TILE}?colour=red", "colour", "layer"),
         (f"{TILE}?layer=color&layer=mask", "layer", "more than once"),
-        (f"{TILE}?layer=height", "layer", "mask"),
-        (f"{TILE}?algorithm=truth", "algorithm", "shadow_map"),
+        (f"{TILE}?layer=heights", "layer", "mask"),
+        (f"{TILE}?algorithm=truth", "algorithm", "sweep, none, auto"),
         (f"{TILE}?algorithm=forest%3Dmagic", "algorithm", "shadow_map"),
         (f"{TILE}?algorithm=lamp%3Dshadow_map", "algorithm", "relief"),
         (f"{TILE}?map_size=63", "map_size", "64"),
@@ -78,7 +90,13 @@ def test_not_found(client: Client, address: str, parameter: str | None, said: st
         (TILE.replace(".png", ".png?layer=visibility"), "format", "tif"),
         (TILE.replace(".png", ".bmp"), "format", "webp"),
         (TILE.replace(".png", ".jpg?layer=mask"), "format", "webp"),
-        (f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/x/{Y}.png", "x", "integer"),
+        (f"levels/hills/tiles/WebMercatorQuad/{ZOOM}/x/{Y}.png", "x", "whole number"),
+        ("levels/hills/map.png?width=12.0", "width", "whole number"),
+        ("levels/hills/map.png?bbox=0_0,0,1_0,10&crs=EPSG:3857", "bbox", "four numbers"),
+        ("levels/hills/map.png?bbox=nan,0,10,10&crs=EPSG:3857", "bbox", "four numbers"),
+        ("levels/hills/point?lat=47.5", "lon", "missing"),
+        ("levels/hills/point?lon=8.43&lat=47.5&date=0001-01-01", "date", "1679"),
+        ("levels/hills/point?lon=8.43&lat=47.5&date=9999-12-31", "date", "2260"),
         ("levels?page=2", "page", "2"),
         ("levels/hills?page=2", "page", "2"),
         ("healthz?deep=1", "deep", "1"),
@@ -140,3 +158,48 @@ def test_no_error_tells_what_is_the_operators_own(kind: type[SkuggaError]):
     said = answer.body.decode() + str(answer.headers)
     assert not [secret for secret in SECRETS if secret in said]
     assert "/" not in outcome.public
+
+
+def test_a_request_that_the_server_cannot_read_is_a_problem_too(client: Client):
+    """Refused before any route is looked for."""
+    address = client.base_url.host, client.base_url.port
+    for request, status, code in (
+        (b"get /levels HTTP/1.1\r\n\r\n", 400, "bad_request"),
+        (b"GET /\xd9\xa1 HTTP/1.1\r\n\r\n", 400, "bad_request"),
+        (b"GET / HTTP/1.1\r\nContent-Length: -1\r\n\r\n", 400, "bad_request"),
+        (b"GET / HTTP/1.1\r\n" + b"X: " + b"a" * 70_000, 431, "head_too_large"),
+    ):
+        with socket.create_connection(address, timeout=30) as connection:
+            connection.sendall(request)
+            answer = HTTPResponse(connection)
+            answer.begin()
+            assert (answer.status, answer.headers["Content-Type"]) == (status, "application/problem+json")
+            assert json.loads(answer.read())["code"] == code
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "parameter", "said"),
+    [
+        (b"[" * 100_000, 400, "body", "nested"),
+        (b"\xff\xfe{}", 422, "body", "JSON"),
+        (b"null", 422, "body", "an object"),
+        (b"[]", 422, "body", "an object"),
+        (b'{"points": [{"lon": "8.43", "lat": 47.5}]}', 422, "points.0.lon", "number"),
+        (b'{"points": [{"lon": false, "lat": 47.5}]}', 422, "points.0.lon", "number"),
+        (b'{"points": [{"lon": 1e999, "lat": 47.5}]}', 422, "points.0.lon", "finite"),
+        (b'{"points": [{"lon": 8.43, "lat": 47.5, "time": 1718971200}]}', 422, "points.0.time", "ISO 8601"),
+        (b'{"points": [{"lon": 8.43, "lat": 47.5}], "time": "9999-12-31T23:59:59Z"}', 422, "time", "1678"),
+        (b'{"points": [{"lon": 8.43, "lat": 47.5}], "date": 1718928000}', 422, "date", "2024-03-21"),
+        (b'{"points": [{"lon": 8.43, "lat": 47.5}], "date": "0001-01-01"}', 422, "date", "1679"),
+        (b'{"points": [{"lon": 8.43, "lat": 47.5}], "clock": "\\ud800"}', 422, "clock", "unicode"),
+    ],
+)
+def test_hostile_bodies(client: Client, body: bytes, status: int, parameter: str, said: str):
+    answer = client.post("levels/hills/point", content=body, headers={"Content-Type": "application/json"})
+    code = {400: "bad_request", 422: "invalid_parameter"}[status]
+    assert said in check_problem(answer, status, code, parameter)["detail"]
+
+
+def test_a_body_that_is_not_sent_as_json(client: Client):
+    answer = client.post("levels/hills/point", content=b'{"points": []}', headers={"Content-Type": "text/plain"})
+    assert "Content-Type" in answer.json()["detail"].replace("application/json", "") and answer.json()["parameter"] == "body"

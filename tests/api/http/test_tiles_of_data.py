@@ -90,3 +90,60 @@ def test_geotiffs_lie_where_their_tiles_do(client: Client, scale: int, place: st
         assert np.isnan(dataset.read(1)).all() == (x != X)
     with MemoryFile(client.get(f"{TILES}/{place}.tif").content) as file, file.open() as dataset:
         assert dataset.count == 4 and (dataset.read(4) == 0).all() == (x != X)
+
+
+FORMATS = {
+    "color": {"png", "webp", "jpg", "tif"},
+    "shadow": {"png", "webp", "tif"},
+    "mask": {"png", "webp", "tif", "npy"},
+    "visibility": {"tif", "npy"},
+    "height": {"tif", "npy"},
+    "terrain-rgb": {"png", "webp"},
+    "terrarium": {"png", "webp"},
+}
+BANDS = {"color": 4, "shadow": 4, "mask": 1, "visibility": 1, "height": 1, "terrain-rgb": 3, "terrarium": 3}
+
+
+def pixels(content: bytes, suffix: str) -> np.ndarray:
+    """What a file shows, (rows, cols) or (rows, cols, bands)."""
+    if suffix == "npy":
+        return np.load(io.BytesIO(content))
+    if suffix == "tif":
+        with MemoryFile(content) as file, file.open() as dataset:
+            return np.moveaxis(dataset.read(), 0, -1).squeeze()
+    return np.asarray(Image.open(io.BytesIO(content)))
+
+
+@pytest.mark.parametrize("suffix", ["png", "webp", "jpg", "tif", "npy"])
+@pytest.mark.parametrize("layer", FORMATS)
+def test_every_format_of_every_layer(client: Client, layer: str, suffix: str):
+    """Those that hold it do, at either size and off the data; any other is refused with those that are right."""
+    for place, side in ((f"{ZOOM}/{X}/{Y}", 256), (f"{ZOOM}/{X}/{Y}@2x", 512), (f"{ZOOM}/{X + 50}/{Y}", 256)):
+        answer = client.get(f"{TILES}/{place}.{suffix}?layer={layer}")
+        if suffix not in FORMATS[layer]:
+            said = check_problem(answer, 422, "invalid_parameter", "format")["detail"]
+            assert (
+                said.endswith(f"for layer {layer}")
+                and set(said.split("allowed: ")[1].split(" for ")[0].split(", ")) == FORMATS[layer]
+            )
+            continue
+        shown = pixels(answer.content, suffix)
+        assert shown.shape[:2] == (side, side)
+        assert shown.dtype == (np.float32 if layer in ("visibility", "height") else np.uint8)
+        bands = 1 if shown.ndim == 2 else shown.shape[2]
+        as_color = layer == "color" or suffix == "webp"  # opaque colour has no alpha, and WebP no gray
+        assert bands == BANDS[layer] or (as_color and bands == 3)
+
+
+def test_masks_and_heights_as_arrays(client: Client):
+    def array(layer: str, place: str, suffix: str = "npy") -> np.ndarray:
+        return pixels(client.get(f"{TILES}/{place}.{suffix}?layer={layer}").content, suffix)
+
+    here, far = f"{ZOOM}/{X}/{Y}", f"{ZOOM}/{X + 50}/{Y}"
+    assert np.array_equal(array("mask", here), array("mask", here, "png")) and (array("mask", far) == 128).all()
+    height, seen = array("height", here), ~np.isnan(array("height", here))
+    assert np.isnan(array("height", far)).all() and np.isnan(array("height", far, "tif")).all()
+    assert np.array_equal(height, array("height", here, "tif"), equal_nan=True)
+    assert seen.any() and not seen.all()
+    assert np.abs(height - heights(client, "terrarium"))[seen].max() <= 0.5 / 256 + 1e-4
+    assert "encoding" not in client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=height").json()

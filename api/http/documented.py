@@ -1,0 +1,102 @@
+"""What OpenAPI says of addresses: their parts with examples, and what they answer, when something is wrong as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from http import HTTPStatus
+from typing import Annotated, Any
+
+from fastapi import Path
+
+from api.http.numbers import PLAIN_WHOLE
+from api.http.problems import MEDIA_TYPE, Problem, problem_kinds
+
+Answers = dict[int | str, dict[str, Any]]
+"""Of statuses, as routes take them for ``responses``."""
+
+LEVEL_ERRORS = 404, 422, 500
+"""Statuses of what is said of a level."""
+
+WORK_ERRORS = 404, 422, 429, 500, 503, 504
+"""Statuses of what a render process does."""
+
+ANYWHERE = 400, 422, 431, 500
+"""Statuses that any request may be answered with, whatever it is for."""
+
+UNFORESEEN = {500}
+
+PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
+
+LevelPath = Annotated[str, Path(description="A level by its name, as `/levels` lists them.", examples=["jacksboro"])]
+MatrixSetPath = Annotated[
+    str,
+    Path(description="A tile matrix set by its name, as `tile_matrix_sets` of the level lists them.", examples=["WebMercatorQuad"]),
+]
+ZoomPath = Annotated[int, PLAIN_WHOLE, Path(description="Zoom: one of those of the level in the tile matrix set.", examples=[11])]
+ColumnPath = Annotated[int, PLAIN_WHOLE, Path(description="Column of the tile, from the west.", examples=[544])]
+RowPath = Annotated[int, PLAIN_WHOLE, Path(description="Row of the tile, from the north.", examples=[800])]
+
+
+def problem_docs(*statuses: int) -> Answers:
+    """Problem documents of these statuses, with an example of each kind that there is."""
+    return {status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problems(status)}} for status in statuses}
+
+
+def _problems(status: int) -> dict[str, Any]:
+    kinds = [kind for kind in problem_kinds() if kind.status == status]
+    return {"schema": PROBLEM, "examples": {kind.code: {"summary": kind.about, "value": kind.example} for kind in kinds}}
+
+
+def exception_docs(*statuses: int) -> Answers:
+    """Exceptions of an OGC service of these statuses, in its own XML; what nobody foresaw is a problem document there, too."""
+    found: Answers = {}
+    for status in statuses:
+        unforeseen = {MEDIA_TYPE: _problems(status)} if status in UNFORESEEN else {}
+        content = {"text/xml": {"schema": {"type": "string"}}, **unforeseen}
+        found[status] = {"description": f"{HTTPStatus(status).phrase}: an exception", "content": content}
+    return found
+
+
+def file_docs(description: str, media_types: Iterable[str]) -> Answers:
+    """A file of one of these media types, or that the client has it."""
+    return {
+        200: {"description": description, "content": {media_type: {} for media_type in media_types}},
+        304: {"description": "The client has it (`If-None-Match`)."},
+    }
+
+
+def for_example(*names: str, **values: str) -> dict[str, Any]:
+    """The query of a route's example: parameters with their own examples, and others with values."""
+    return {EXAMPLE_QUERY: dict.fromkeys(names, "") | values}
+
+
+EXAMPLE_QUERY = "x-example-query"
+
+
+def key_values(**parameters: tuple[str, str]) -> dict[str, Any]:
+    """Keys of an OGC service, each with what it is and an example: they are of any case, so no signature declares them."""
+    return {
+        "parameters": [
+            {"name": name, "in": "query", "description": about, "schema": {"type": "string", "examples": [example]}}
+            for name, (about, example) in parameters.items()
+        ]
+    }
+
+
+def with_bounds(schema: Any) -> Any:
+    """A JSON schema whose bounds are said where such schemas have them: of ``Annotated[float | None, ...]`` pydantic leaves them
+    under its own names, outside of the number.
+    """
+    if isinstance(schema, list):
+        return [with_bounds(each) for each in schema]
+    if not isinstance(schema, Mapping):
+        return schema
+    found = {key: with_bounds(value) for key, value in schema.items() if key not in BOUNDS}
+    bounds = {BOUNDS[key]: value for key, value in schema.items() if key in BOUNDS and isinstance(value, int | float)}
+    numbers = [each for each in (found, *found.get("anyOf", ())) if each.get("type") in ("number", "integer")]
+    for number in numbers:
+        number.update(bounds)
+    return found
+
+
+BOUNDS = {"ge": "minimum", "le": "maximum", "gt": "exclusiveMinimum", "lt": "exclusiveMaximum"}

@@ -1,0 +1,287 @@
+"""The OpenAPI document: complete, with examples that are answered, and kept to whatever is asked."""
+
+from __future__ import annotations
+
+import copy
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+import pytest
+import schemathesis
+from fastapi import APIRouter
+from fastapi.routing import APIRoute
+from hypothesis import HealthCheck, Phase, given
+from hypothesis import settings as drawn
+from schemathesis.generation import GenerationMode
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    negative_data_rejection,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from api.http import (
+    routes_health,
+    routes_level_page,
+    routes_levels,
+    routes_map,
+    routes_plan,
+    routes_point,
+    routes_snapshot,
+    routes_tiles,
+    routes_wms,
+    routes_wmts,
+)
+from api.http.app import create_app
+from api.http.problems import MEDIA_TYPE, problem_kinds
+from api.settings import Settings
+from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
+
+ROUTERS: list[APIRouter] = [
+    module.router
+    for module in (
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
+        routes_snapshot, routes_health,
+    )
+]  # fmt: skip
+OPERATIONS = [
+    (method, route.path) for router in ROUTERS for route in router.routes if isinstance(route, APIRoute) for method in route.methods
+]
+
+NOTHING_DRAWN = {"If-None-Match": "*"}
+"""A client that has everything: what would be drawn is told to be unchanged, once all that is asked is found right."""
+
+SUN_HOURS_ALONE = "quantity", "window", "clock", "least_altitude"
+"""Parameters of hours of sun: of a layer and a date."""
+
+
+@pytest.fixture(scope="module")
+def document(client: Client) -> dict[str, Any]:
+    return client.get("/openapi.json").json()
+
+
+def parameters(operation: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    yield from operation.get("parameters", ())
+
+
+def address_of(operation: dict[str, Any]) -> str:
+    """The address of an operation's example."""
+    return operation["description"].rpartition("For example: `")[2].rstrip("`").partition(" ")[2]
+
+
+def test_it_tells_of_every_route(document: dict[str, Any]):
+    assert {(method.upper(), path) for path, ways in document["paths"].items() for method in ways} == set(OPERATIONS)
+
+
+@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+def test_all_of_a_route_is_described_with_examples(document: dict[str, Any], method: str, path: str):
+    operation = document["paths"][path][method.lower()]
+    assert operation["summary"] and len(operation["description"].split("For example")[0]) > 20
+    for parameter in parameters(operation):
+        assert parameter["description"] and parameter["schema"]["examples"], parameter["name"]
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        assert content["example"]
+    for status, answer in operation["responses"].items():
+        assert answer["description"]
+        if status.startswith("2") and status != "204":
+            assert answer["content"], status
+    assert not {"HTTPValidationError", "Infinity", "NaN"} & set(json.dumps(operation).split())
+
+
+@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+def test_a_route_s_example_is_answered(client: Client, document: dict[str, Any], method: str, path: str):
+    operation = document["paths"][path][method.lower()]
+    body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
+    answer = client.request(method, address_of(operation), json=body)
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"].split(";")[0] in operation["responses"]["200"]["content"]
+
+
+def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
+    """What has to be asked beside a parameter for it to mean something."""
+    name = parameter["name"]
+    if name.lower() in ("azimuth", "altitude"):
+        other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
+        return {other.upper() if name.isupper() else other: degrees}
+    of_sun_hours = "least_altitude" in {each["name"] for each in parameters(operation)}
+    if of_sun_hours and (name in SUN_HOURS_ALONE or (name == "height" and parameter["description"].startswith("Metres"))):
+        return {"layer": "sunhours", "date": "2024-03-21"}
+    return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if of_sun_hours or name == "tms" else {}
+
+
+@pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "legend" not in each[1]])
+def test_every_parameter_s_example_is_right(client: Client, document: dict[str, Any], method: str, path: str):
+    """Each by itself, where it needs no other; legends are of hours of sun alone."""
+    operation = document["paths"][path][method.lower()]
+    body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
+    address, _, needed = address_of(operation).partition("?")
+    for parameter in parameters(operation):
+        if parameter["in"] == "query":
+            asked = dict(parse_qsl(needed)) | beside(operation, parameter) | {parameter["name"]: parameter["schema"]["examples"][0]}
+            answer = client.request(method, address, params=asked, json=body, headers=NOTHING_DRAWN)
+            assert answer.status_code in (200, 304), (asked, answer.text)
+
+
+def test_every_kind_of_problem_is_told_of(document: dict[str, Any]):
+    told: dict[str, set[str]] = {}
+    for ways in document["paths"].values():
+        for operation in ways.values():
+            for status, answer in operation["responses"].items():
+                content = answer.get("content", {}).get(MEDIA_TYPE)
+                if content is not None:
+                    assert content["schema"] == {"$ref": "#/components/schemas/Problem"}
+                    told.setdefault(status, set()).update(content["examples"])
+    expected: dict[str, set[str]] = {}
+    for kind in problem_kinds():
+        if kind.status not in (401, 405):  # of a service with a token; of methods that are not documented
+            expected.setdefault(str(kind.status), set()).add(kind.code)
+    assert told == expected
+
+
+def test_a_token_is_told_of_where_there_is_one(serve_with):
+    client = serve_with(fake_workers.obedient, api_token="a secret token")
+    document = client.get("/openapi.json", headers={"Authorization": "Bearer a secret token"}).json()
+    for path, ways in document["paths"].items():
+        for operation in ways.values():
+            is_open = path in ("/healthz", "/readyz")
+            assert ("401" in operation["responses"]) == ("security" in operation) == (not is_open), path
+    assert document["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+
+
+def narrowed(document: dict[str, Any]) -> dict[str, Any]:
+    """The document with the names and places that there are, few pixels and few points, so that requests get to the work."""
+    narrow = copy.deepcopy(document)
+    x, y = CORNER
+    places: dict[str, dict[str, Any]] = {
+        "level": {"enum": ["hills", "timed", "site"]}, "tms": {"enum": ["WebMercatorQuad", "WorldCRS84Quad", "Nowhere"]},
+        "z": {"minimum": ZOOM, "maximum": ZOOM + 1},
+        "x": {"minimum": x - 1, "maximum": x + 1}, "y": {"minimum": y - 1, "maximum": y + 1},
+        "lon": {"minimum": 8.38, "maximum": 8.5}, "lat": {"minimum": 47.47, "maximum": 47.56},
+        "width": {"minimum": 0, "maximum": 64}, "height": {"minimum": 0, "maximum": 64}, "year": {"maximum": 1801},
+        "size": {"enum": ["16x16", "64x32", "0x0", "9x9999"]},
+        "crs": {"enum": ["OGC:CRS84", "EPSG:3857", "EPSG:32632", "EPSG:3031"]},
+    }  # fmt: skip
+    for ways in narrow["paths"].values():
+        for operation in ways.values():
+            for parameter in parameters(operation):
+                schema = parameter["schema"]
+                place = places.get(parameter["name"], {})
+                for part in [schema, *schema.get("anyOf", ())]:
+                    if part.get("type") in ("string", "number", "integer"):
+                        part.update({key: value for key, value in place.items() if key == "enum" or part["type"] != "string"})
+    narrow["components"]["schemas"]["PointsQuery"]["properties"]["points"]["maxItems"] = 5
+    return narrow
+
+
+@pytest.fixture(scope="module")
+def right_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+    return schemathesis.openapi.from_dict(narrowed(document))
+
+
+@pytest.fixture(scope="module")
+def whole_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
+    return schemathesis.openapi.from_dict(document)
+
+
+@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+def test_what_is_asked_by_the_document_is_answered_by_it(
+    client: Client, right_schema: schemathesis.BaseSchema, whole_schema: schemathesis.BaseSchema, method: str, path: str
+):
+    """Right and wrong requests of each route: no failure, and no status, media type or JSON that is not told of. What the document
+    forbids is refused.
+    """
+    checks = [status_code_conformance, content_type_conformance, response_schema_conformance]
+    wrong = whole_schema[path][method]
+    kinds = [(right_schema[path][method], GenerationMode.POSITIVE, checks)]
+    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level"}:  # any text is a name
+        kinds.append((wrong, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
+    for operation, mode, checks in kinds:
+
+        @drawn(max_examples=3, phases=[Phase.generate], suppress_health_check=list(HealthCheck), database=None)
+        @given(case=operation.as_strategy(generation_mode=mode))
+        def ask(case: schemathesis.Case) -> None:
+            answer = case.call(base_url=str(client.base_url), headers=NOTHING_DRAWN, timeout=60, allow_redirects=False)
+            assert answer.status_code < 500, answer.text
+            case.validate_response(answer, checks=checks)  # noqa: B023
+
+        ask()
+
+
+CHECKS = (
+    "not_a_server_error", "status_code_conformance", "content_type_conformance", "response_schema_conformance",
+    "unsupported_method", "allow_header_conformance",
+)  # fmt: skip
+
+
+@pytest.mark.long
+def test_two_minutes_of_requests_of_all_kinds(folder: Path, hills_level: Path, tmp_path: Path):
+    """Examples, values at and past every bound, and drawn ones, of a service that draws them; one after the other, so that none is
+    refused for load.
+    """
+    levels = [
+        hills_level,
+        write_level(folder, "timed", sun={"time": "2024-06-21T18:00:00+02:00"}),
+        write_level(folder, "site", ENGINEERING),
+    ]
+    settings = Settings(workers=1, max_snapshot_pixels=2**16, new_suns_per_minute=0)
+    with running(create_app(settings, levels)) as client:
+        assert client.get("/levels/hills/plan").status_code == 200  # by now a render process is ready
+        asked = tmp_path / "openapi.json"
+        asked.write_text(json.dumps(narrowed(client.get("/openapi.json").json())), encoding="utf-8")
+        command = [
+            sys.executable, "-m", "schemathesis.cli", "run", str(asked), "--url", str(client.base_url),
+            "--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--max-examples", "30", "--max-time", "100",
+            "--request-timeout", "60",
+            "--generation-deterministic", "--no-color", "--warnings", "off",
+        ]  # fmt: skip
+        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
+        assert ended.returncode == 0, ended.stdout
+        assert client.service.pool.tally.failed == 0 and client.service.pool.tally.answered > 100
+
+
+def test_methods_that_an_address_has(client: Client):
+    for path, allowed in (
+        ("levels", "GET, HEAD"),
+        ("levels/hills/point", "GET, HEAD, POST"),
+        ("plan", "POST"),
+        ("healthz", "GET, HEAD"),
+    ):
+        answer = client.delete(path)
+        assert check_problem(answer, 405, "method_not_allowed", None)["detail"].endswith(f"allowed: {allowed}.")
+        assert answer.headers["allow"] == allowed
+
+
+@pytest.mark.parametrize(("method", "path"), OPERATIONS)
+def test_preflights_are_answered_whatever_they_send(client: Client, document: dict[str, Any], method: str, path: str):
+    """Of every route, with any headers: nothing that a page sends brings cookies with it."""
+    names = "authorization, cache-control, if-none-match, traceparent, x-request-id"
+    asked = {
+        "Origin": "https://map.example", "Access-Control-Request-Method": method, "Access-Control-Request-Headers": names,
+    }  # fmt: skip
+    answer = client.options(address_of(document["paths"][path][method.lower()]), headers=asked)
+    assert answer.status_code == 200 and answer.headers["access-control-allow-origin"] == "*"
+    assert set(names.split(", ")) <= set(answer.headers["access-control-allow-headers"].lower().split(", "))
+    assert method in answer.headers["access-control-allow-methods"]
+
+
+def test_only_pages_of_the_setting_s_origins_may_ask(serve_with):
+    client = serve_with(fake_workers.obedient, cors_origins=("https://map.example",), api_token="a secret token")
+    for origin, allowed in (("https://map.example", True), ("https://elsewhere.example", False)):
+        headers = {"Origin": origin, "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "authorization"}
+        assert (client.options("/levels", headers=headers).status_code == 200) == allowed
+        refusal = client.get("/levels", headers={"Origin": origin})
+        check_problem(refusal, 401, "unauthorized", None)
+        assert ("access-control-allow-origin" in refusal.headers) == allowed, "a page has to be able to read why"
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/readyz", "/metrics"])
+def test_heads_of_health_are_without_bodies(client: Client, path: str):
+    head, whole = client.head(path), client.get(path)
+    assert (head.status_code, head.content, head.headers["content-type"]) == (200, b"", whole.headers["content-type"])
