@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_maps
 from shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
@@ -213,11 +213,13 @@ def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndar
     trees = caster_trees(buffer, step.kinds)
     if isinstance(settings, PerspectiveMapSettings):
         receivers = buffer.there & ~attached(buffer, scene, seen.light)
-        drawn, _ = perspective_map(buffer, receivers, scene, seen.light, settings, trees)
-        rows = np.reshape(drawn.uniforms["map_rows"], (4, 4)) / np.array([1.0, 1.0, drawn.uniforms["depth_step"], 1.0])[:, None]
         assert buffer.corners_frame_m is not None
         farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[left], axis=2).max(axis=1)
-        return np.broadcast_to(rows, (len(left), 4, 4)), drawn.uniforms["position_error"] * farthest_m
+        out = np.full((len(left), 4, 4), np.nan)
+        for drawn in (each.drawn for each in perspective_maps(buffer, receivers, scene, seen.light, settings, trees)):
+            units = np.array([1.0, 1.0, drawn.uniforms["depth_step"], 1.0])
+            out[np.isin(left, drawn.pixels)] = np.reshape(drawn.uniforms["map_rows"], (4, 4)) / units[:, None]
+        return out, drawn.uniforms["position_error"] * farthest_m
     assert isinstance(settings, ShadowMapSettings)
     out, error_m = np.full((len(left), 4, 4), np.nan), np.full(len(left), np.nan)
     for drawn in sun_maps(buffer, scene, settings, trees):

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_maps
 from shadows.maps.settings import PerspectiveMapSettings
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView
@@ -194,8 +194,8 @@ def matrices(seen: Seen) -> tuple[float, float]:
             settings = [step.settings for step in seen.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
             receivers = buffer.there & ~attached(buffer, scene)
             if settings and receivers.any():
-                drawn, _ = perspective_map(buffer, receivers, scene, SUN, settings[0], None)
-                projections.append(np.reshape(drawn.uniforms["clip_rows"], (4, 4)) @ cube)
+                for each in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
+                    projections.append(np.reshape(each.drawn.uniforms["clip_rows"], (4, 4)) @ cube)
     assert all(np.isfinite(matrix).all() for matrix in (*rotations, *projections)), "a matrix is not finite"
     skew = max(float(np.abs(matrix.T @ matrix - np.eye(3)).max()) for matrix in rotations)
     return skew, max(
