@@ -112,7 +112,7 @@ def fill(
 
 @dataclass(frozen=True, eq=False)
 class FittedMap:
-    """A perspective map that is to be drawn, how many pixels its texels cover (root mean square), and what there is to say of it."""
+    """A perspective map to be drawn, how many pixels its texels cover (root mean square), and what there is to say of it."""
 
     drawn: DepthMap
     texel_px: float
@@ -301,6 +301,7 @@ def _texel_m(
         return 0.0
     trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.there.shape)
     for each in perspective_maps(buffer, receivers, scene, light, settings, trees):
+        assert each.drawn.pixels is not None
         here, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))
         texel_m[here] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[here])
     return texel_m

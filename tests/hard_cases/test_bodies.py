@@ -17,6 +17,7 @@ from tests.hard_cases.bodies import (
     grounded,
     half_sphere,
     inside_out,
+    interior_sight,
     joined,
     not_a_number,
     sheet,
@@ -26,7 +27,7 @@ from tests.hard_cases.bodies import (
     without,
 )
 from tests.hard_cases.cases import Trial, hard_case
-from tests.hard_cases.reach_of_error import beyond
+from tests.hard_cases.reach_of_error import beyond, beyond_sight
 from tests.shadows.boxes import box
 
 HALL = box((8, 6, 5))
@@ -54,8 +55,10 @@ def worst_of(trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[st
             assert (seen.truth.there & ~seen.truth.lit & ~seen.truth.attached).any()
             if "map" in trial.algorithm and seen.light == SUN:
                 interior = max(interior, float(beyond(seen).mean()))
+                trial.saw("interior", beyond_sight(seen))
             else:
                 found = errors(seen)
+                trial.saw("interior", interior_sight(seen))
                 interior = max(interior, found.interior if found.interior_parts or "map" not in trial.algorithm else 0.0)
             nothing += not_a_number(seen)
     return {"interior": interior, "pixels that are no number": nothing}

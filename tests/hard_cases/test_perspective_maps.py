@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
+from shadows.truth.metrics import sight_of
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
-from tests.hard_cases.blocks import axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
+from tests.hard_cases.blocks import OnGround, axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
 from tests.hard_cases.cases import Seen, Trial, hard_case
 
 MAPS = ("shadow_map", "perspective_shadow_map")
@@ -18,6 +19,9 @@ PERSPECTIVE = "perspective_shadow_map"
 
 CONE_DEG = 3.0
 """Within this angle of the view's axis a perspective map says that it is a uniform one."""
+
+DISPLACED = "wrong, of what texels displace"
+"""Pixels that are wrong, as a share of those over which a map's texels displace the edges of the shadow: 1 is what they explain."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -42,17 +46,22 @@ def size(trial: Trial) -> tuple[int, int]:
 
 def look(
     trial: Trial, scene: Scene, blocks: Sequence[trimesh.Trimesh], view: PerspectiveView, **asked: object
-) -> tuple[Seen, dict[str, float]]:
+) -> tuple[Seen, dict[str, float], OnGround]:
     """What is seen of blocks under the level's sun, its figures, the shares of pixels whose visibility is no number and of shadow
-    on the ground.
+    on the ground. What the figures see of the shadow goes on record.
     """
     sun = scene.loaded.level.sun
     seen = trial.see(scene, view, **{"map_size": size(trial)[1], **asked})
     hulls = shade(blocks, (sun.azimuth, sun.altitude))
     truth = true_shade(seen, hulls)
+    found = figures_on_ground(seen, truth, hulls)
+    trial.saw("interior", found.interior_sight)
     shadow = float((truth.there & ~truth.lit).sum() / max(truth.there.sum(), 1))
     nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.there).mean())
-    return seen, {**figures_on_ground(seen, hulls), "not finite": nowhere, "shadow": shadow}
+    return seen, {
+        "interior": found.interior, "edge_p95_px": found.edge_p95_px, DISPLACED: found.displaced, "not finite": nowhere,
+        "shadow": shadow,
+    }, found  # fmt: skip
 
 
 def worst(found: Sequence[dict[str, float]]) -> dict[str, float]:
@@ -79,7 +88,7 @@ def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
         off += [1e-7, 1e-6, 1e-5, 1e-3, 1e-2, 0.1, 0.5, 2.0, 5.0]
     for number, angle in enumerate(off):
         aside = UP if number % 2 else np.array([1.0, 0.0, -0.2])
-        seen, figures = look(trial, scene, THINGS, camera(eye, axis_off(towards(*sun), aside, angle), 70.0, size(trial)[0]))
+        seen, figures, _ = look(trial, scene, THINGS, camera(eye, axis_off(towards(*sun), aside, angle), 70.0, size(trial)[0]))
         found.append(figures)
         if trial.algorithm == PERSPECTIVE:
             uniform = "a uniform map" in notes(seen)
@@ -101,10 +110,12 @@ def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
     off = [0.0, 1e-6, -1e-6, 3.1, -3.1] + ([1e-8, -1e-8, 1e-4, -1e-4, 1.0, -1.0, 2.9, -2.9, 5.0, -5.0] if trial.thorough else [])
     for angle in off:
         view = camera(eye, axis_off(towards(*sun), UP, 180.0 + angle), 60.0, size(trial)[0])
-        _, figures = look(trial, scene, THINGS, view)
+        _, figures, own = look(trial, scene, THINGS, view)
         other = plain.see(scene, view, map_size=size(trial)[1], cascades=1, fit="tight", filter=1)
-        beside = figures_on_ground(other, shade(THINGS, sun))
-        found.append({**figures, "beyond": figures["edge_p95_px"] - beside["edge_p95_px"]})
+        hulls = shade(THINGS, sun)
+        beside = figures_on_ground(other, true_shade(other, hulls), hulls)
+        trial.saw("edge p95 beyond a shadow map's, px", own.edge_sight)
+        found.append({**figures, "beyond": figures["edge_p95_px"] - beside.edge_p95_px})
     figures = worst(found)
     return {
         "interior": figures["interior"], "not finite": figures["not finite"],
@@ -127,7 +138,9 @@ def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
     steps = 1e-4 * np.arange(-10, 11) if trial.thorough else 1e-4 * np.arange(-2, 3)
     for angle in (-2.0, -0.1, -0.01, *steps, 0.01, 0.1, 2.0) if trial.thorough else (-1.0, *steps, 1.0):
         axis = axis_off(towards(*sun), np.array([0.0, 1.0, -0.1]), 90.0 + angle)
-        found.append(look(trial, scene, THINGS, camera(eye, axis, 60.0, size(trial)[0]))[1])
+        _, figures, own = look(trial, scene, THINGS, camera(eye, axis, 60.0, size(trial)[0]))
+        trial.saw("jump of edge_p95_px", own.edge_sight)
+        found.append(figures)
     edges = [each["edge_p95_px"] for each in found]
     figures = worst(found)
     jump = float(np.abs(np.diff(edges)).max())
@@ -151,12 +164,13 @@ def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
         for tilt_deg in (0.0, -15.0):
             axis = towards(0.0, tilt_deg)
             scene = level(trial, walls, sun)
-            seen, figures = look(trial, scene, walls, camera((0, 0, 3), axis, 75.0, size(trial)[0]))
+            seen, figures, _ = look(trial, scene, walls, camera((0, 0, 3), axis, 75.0, size(trial)[0]))
             truth = true_shade(seen, shade(walls, sun))
             deep = truth.decidable & ~truth.lit
             for shift in (-3, 3):
                 for side in (0, 1):
                     deep &= np.roll(truth.decidable & ~truth.lit, shift, axis=side)
+            trial.saw("missed_shadow", sight_of(seen.dark, truth, deep))
             assert deep.sum() > 300 * (size(trial)[0] / 160) ** 2
             found.append({**figures, "missed_shadow": float((deep & ~seen.dark).sum() / deep.sum())})
     figures = worst(found)

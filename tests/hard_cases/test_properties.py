@@ -24,7 +24,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
-from tests.hard_cases.reach_of_error import beyond
+from tests.hard_cases.reach_of_error import beyond, beyond_sight
 from tests.rasters import ENGINEERING
 
 PX = 64
@@ -252,6 +252,7 @@ def outcome(trial: Trial, it: Situation) -> dict[str, float]:
     there = seen.visibility[seen.buffer.there]
     assert ((there >= 0.0) & (there <= 1.0)).all(), "a visibility that is none"
     skew, condition = matrices(seen)
+    trial.saw("wrong beyond its reach", beyond_sight(seen))
     return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(beyond(seen).mean())}
 
 

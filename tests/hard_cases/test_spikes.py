@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
+from shadows.truth.metrics import sight_of
 from terrain.describe import describe
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
@@ -58,6 +59,7 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
         hidden_m = (texel_m(seen) + 2 * beside_m) / (2 * CELL_M) * expected_m + pixel_m
         length = max(length, max(abs(x[cast].max() - top_m[0] - expected_m) - hidden_m, 0.0) / expected_m)
         interior = max(interior, seen.errors.interior)
+        trial.saw("interior", seen.interior_sight)
         not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
     return {"length": length, "interior": interior, "not finite": not_finite}
 
@@ -90,7 +92,9 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
         end_m = brink_m + 2000.0 / np.tan(np.radians(altitude))
         cast = inside & seen.dark
         end_px = max(end_px, (abs(x[cast].max() - end_m) - texel_m(seen)) / pixel_m)
-        missed_shadow = max(missed_shadow, share(~seen.dark, inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)))
+        deep = inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)
+        missed_shadow = max(missed_shadow, share(~seen.dark, deep))
+        trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, deep))
         false_shadow = max(false_shadow, share(seen.dark, inside & ((x < brink_m - 1.0) | (x > end_m + 2 * pixel_m))))
     return {"end_px": end_px, "false_shadow": false_shadow, "missed_shadow": missed_shadow}
 
@@ -128,5 +132,6 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
         sure = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
         assert 0.1 < sure.mean()
         wrong = max(wrong, share(seen.dark != dark, sure))
+        trial.saw("wrong", sight_of(seen.dark, seen.truth, sure))
         not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
     return {"wrong": wrong, "not finite": not_finite}
