@@ -259,6 +259,7 @@ def hard_case(
         def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
             record_property(RECORD, json.dumps(record))
+            assert not untested(record), f"{id} by {algorithm} does not test {untested(record)}: {record['sights']}"
             known = {name: most for (its, name), most in (falls_short or {}).items() if its == algorithm}
             if short_as_known(record, known):
                 pytest.xfail(f"{id} by {algorithm} is known to fall short: {failures(record)}")
