@@ -58,7 +58,10 @@ def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: i
 
 
 def errors(given: argparse.Namespace) -> list[Row]:
-    keys = ("edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts")
+    keys = (
+        "edge_p95", "edge_mean", "wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_parts",
+        "interior_sees",
+    )  # fmt: skip
     rows = []
     for level, scene, name, view in views(given.levels, tuple(given.size)):
         for map_name, plan in plans(scene, view, name, given.map_size, given.filter).items():

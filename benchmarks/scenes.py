@@ -56,7 +56,7 @@ def accuracy(levels: list[str], size: tuple[int, int], map_size: int) -> list[di
 
 
 def line(row: dict) -> str:
-    keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary")
+    keys = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_sees", "coverage", "boundary")
     shares = " | ".join(f"{100 * row[key]:.3f}" for key in keys)
     return f"| {row['level']} | {row['view']} | {row['casters']} | {shares} | {row['edge_p95']:.2f} |"
 
@@ -150,8 +150,8 @@ def main() -> None:
         thinning(args.trees)
     else:
         width, height = (int(part) for part in args.size.split("x"))
-        head = "| level | view | casters | wrong cast % | false % | missed % | interior % | coverage % | boundary % | edge p95 px |"
-        head += "\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+        shares = "wrong cast % | false % | missed % | interior % | it sees % | coverage % | boundary %"
+        head = f"| level | view | casters | {shares} | edge p95 px |\n|{' --- |' * 11}"
         print(head)
         rows = accuracy(args.levels, (width, height), args.map_size)
         if args.markdown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,9 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     extent = None
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
-        bands = _bands(away_m, points @ rotation.T + translation, scene.objects.tallest_m, coarse_view.spacing)
+        reach = _reach_at_distance_1(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
+        seen = _SeenInLight(points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach)
+        bands = _bands(away_m, seen, scene.objects.tallest_m, coarse_view.spacing)
         all_bands = join_bands(bands) if bands else None
         span = (
             np.full(3, median_m * view.pixel) if all_bands is None else np.subtract(all_bands.high_light_m, all_bands.low_light_m)
@@ -118,10 +121,40 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     }  # fmt: skip
 
 
-def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: float) -> tuple[Band, ...]:
-    """Bands of points at distances (n,) with light-space coordinates (n, 3); ``slack`` is how far apart they lie, as a share of
-    their distance, and what stands on the ground may rise by ``tallest_m``.
+@dataclass(frozen=True, eq=False)
+class _SeenInLight:
+    """What is seen, in light space: points (n, 3) and the eye (3,), metres, and how far ``low`` and ``high`` (3,) of the eye what
+    lies at distance 1 can be.
     """
+
+    points_m: np.ndarray
+    eye_m: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far along each axis of the light (3,) low and high of the eye anything may lie that a view shows up to distance 1: by the
+    cone round its corners.
+    """
+    last = np.array([view.cols - 1, view.rows - 1])
+    (left, top), (right, bottom) = (
+        (np.array([view.col0, view.row0]) + view.step * px) / view.focal_px for px in (np.full(2, -0.5), last + 0.5)
+    )
+    corners = np.array([[x, y, 1.0] for x in (left, right) for y in (top, bottom)])
+    corners /= np.linalg.norm(corners, axis=1, keepdims=True)
+    middle = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+    half = np.arccos(np.clip((corners @ middle).min(), -1.0, 1.0))
+    along = np.clip(light_from_earth @ view.earth_from_camera @ middle, -1.0, 1.0)
+    low, high = (np.maximum(np.cos(np.maximum(np.arccos(each) - half, 0.0)), 0.0) for each in (-along, along))
+    return -low, high
+
+
+def _bands(away_m: np.ndarray, seen: _SeenInLight, tallest_m: float, slack: float) -> tuple[Band, ...]:
+    """Bands of what is seen at distances (n,); ``slack`` is how far apart the points lie, as a share of their distance. What stands
+    on the ground may rise by ``tallest_m``, as far as the view shows anything at that distance.
+    """
+    light_m = seen.points_m
     octave = np.ceil(np.log2(np.maximum(away_m, MIN_DISTANCE_M))).astype(int)
     order = np.argsort(octave, kind="stable")
     first = np.flatnonzero(np.diff(octave[order], prepend=octave.min(initial=0) - 1))
@@ -131,8 +164,10 @@ def _bands(away_m: np.ndarray, light_m: np.ndarray, tallest_m: float, slack: flo
     lows, highs = (end.reduceat(light_m[order], first, axis=0) for end in (np.minimum, np.maximum))
     bands = []
     for number, share, low, high in zip(octave[order][first].tolist(), shares.tolist(), lows, highs, strict=True):
-        margin = slack * 2.0**number + tallest_m * np.array([0.0, 1.0, 1.0])
-        bounds = {"low_light_m": tuple((low - margin).tolist()), "high_light_m": tuple((high + margin).tolist())}
+        beside_m, higher_m = slack * 2.0**number, tallest_m * np.array([0.0, 1.0, 1.0])
+        low = np.maximum(low - higher_m, np.minimum(low, seen.eye_m + 2.0**number * seen.low)) - beside_m
+        high = np.minimum(high + higher_m, np.maximum(high, seen.eye_m + 2.0**number * seen.high)) + beside_m
+        bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
         bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, **bounds))
     return tuple(bands)
 

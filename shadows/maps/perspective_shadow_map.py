@@ -8,6 +8,7 @@ as in ``docs/shadow-maps.md``. A uniform map is put on record with the reason.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -25,6 +26,7 @@ from shadows.maps.post_perspective import (
     is_clear,
     post_perspectives,
     projected,
+    texel_in_picture,
     uniform_matrix,
 )
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
@@ -59,6 +61,14 @@ TOLERANCE = 1.125
 ERROR = 2.0 * POSITION_ERROR
 """Bound of what float32 makes of positions, as a share of their coordinates."""
 
+COARSE_TEXEL_PX = 4.0
+"""How many pixels a texel may cover (root mean square) before what is seen gets several maps: some edges are off by over two pixels
+there (``docs/seeds.md``, figure 52).
+"""
+
+MOST_RANGES = 4
+"""As many maps as a shadow map has cascades at most."""
+
 BEFORE = 0.01
 """Share of the map's depths that lies before the nearest receiver."""
 
@@ -80,19 +90,64 @@ def fill(
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     visibility = np.ones(buffer.there.shape, np.float32)
-    with log.run(depth_pass) as record:
+    trees = caster_trees(buffer, kinds)
+    with log.run(depth_pass):  # fitting a map is part of making it
         receivers = buffer.there & ~attached(buffer, scene, light)
         shaded = receivers.any() and anything_casts(scene, buffer, kinds)
-        if shaded:
-            drawn, note = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
-            record.note = record.note or note  # of any part of a view
-            gl = device()
-            target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
-            log.keep("shadow-map", light, depths, gl, drawn, target)
-    with log.run(visibility_pass) as record:
-        if shaded:
-            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
+        maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
+    gl = device()
+    for each in maps:
+        with log.run(depth_pass) as record:
+            record.note = record.note or each.note  # of any part of a view
+            target = draw_map(gl, each.drawn, buffer, scene, kinds, casters, settings, record)
+        log.keep("shadow-map", light, depths, gl, each.drawn, target)
+        with log.run(visibility_pass) as record:
+            position = scene.light_position(light, buffer.frame)
+            look_up(gl, each.drawn, target, buffer, position, settings, visibility, record)
+    if not maps:
+        with log.run(visibility_pass):
+            pass
     return visibility
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMap:
+    """A perspective map to be drawn, how many pixels its texels cover (root mean square), and what there is to say of it."""
+
+    drawn: DepthMap
+    texel_px: float
+    note: str
+
+
+def perspective_maps(
+    buffer: GeometryBuffer,
+    receivers: np.ndarray,
+    scene: Scene,
+    light: str,
+    settings: PerspectiveMapSettings,
+    trees: TreeInstances | None,
+) -> list[FittedMap]:
+    """The maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
+
+    It is one, if its texels cover at most ``COARSE_TEXEL_PX``. Else what is seen is parted, at distances in a geometric series
+    along the view's axis, into as few ranges as keep to that, or up to ``MOST_RANGES`` whose coarsest texels are smallest.
+    """
+    assert isinstance(buffer.view, PerspectiveView)
+    best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
+    eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
+    ahead_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
+    octaves = np.log2(ahead_m / ahead_m.min())
+    for count in range(2, MOST_RANGES + 1):
+        least_px = max(each.texel_px for each in best)
+        if least_px <= COARSE_TEXEL_PX or octaves.max() < count:
+            break
+        number = np.full(receivers.shape, -1)
+        number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
+        ranges = [here for here in (number == each for each in range(count)) if here.any()]
+        parted = [perspective_map(buffer, here, scene, light, settings, trees) for here in ranges]
+        if max(each.texel_px for each in parted) < least_px:
+            best = parted
+    return best
 
 
 def perspective_map(
@@ -102,20 +157,20 @@ def perspective_map(
     light: str,
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
-) -> tuple[DepthMap, str]:
-    """The map of a light for a perspective view's receivers (rows, cols), at least one, and what there is to say of it."""
+) -> FittedMap:
+    """The map of a light for some receivers (rows, cols) of a perspective view, at least one."""
     chosen = np.flatnonzero(receivers)
     sampled = chosen[:: max(len(chosen) // SAMPLE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
     assert corners is not None
     sample, triangles = position[sampled], corners.reshape(-1, 3, 3)[sampled]
-    source = light_of(buffer, scene, light)
+    camera, source = camera_of(buffer), light_of(buffer, scene, light)
     inner = 1.0 - 2.0 * MAP_BORDER_TEXELS / settings.map_size
     uniform = uniform_matrix(source, sample)[3]
     nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
     for _ in range(ROUNDS):
-        best, *others = post_perspectives(camera_of(buffer), source, sample, inner, rim)
+        best, *others = post_perspectives(camera, source, sample, inner, rim)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
         if is_clear(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
             break
@@ -147,7 +202,10 @@ def perspective_map(
         first, last = light_bounds(buffer.position_frame_m, receivers, *turned)
         reach = *turned, first, last
     shaders = "shadows/maps/perspective_light", "shadows/maps/perspective_receiver"
-    return DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders), best.note
+    assert isinstance(buffer.view, PerspectiveView)
+    texel_px = texel_in_picture(camera, source, clip, sample) / (size / 2) / buffer.view.pixel
+    drawn = DepthMap(uniforms, (size, size), (np.eye(3),), settings.depth_bits, trees, chosen, reach, shaders)
+    return FittedMap(drawn, texel_px, best.note)
 
 
 def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
@@ -241,8 +299,12 @@ def _texel_m(
     receivers = buffer.there & ~attached(buffer, scene, light)
     if not receivers.any():
         return 0.0
-    drawn, _ = perspective_map(buffer, receivers, scene, light, settings, caster_trees(buffer, kinds))
-    return texel_on_level_ground_m(np.reshape(drawn.uniforms["map_rows"], (4, 4)), buffer.position_frame_m)
+    trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.there.shape)
+    for each in perspective_maps(buffer, receivers, scene, light, settings, trees):
+        assert each.drawn.pixels is not None
+        here, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))
+        texel_m[here] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[here])
+    return texel_m
 
 
 def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:

@@ -136,10 +136,7 @@ def post_perspectives(
     outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
     held = np.concatenate([points, rim])
     seen, ahead = camera.seen(points), horizon_m(uniform, held)
-    directions = light.homogeneous[:3] - light.homogeneous[3] * points
-    directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
-    aside = across(directions)
-    pixels = _pixels(camera, seen, aside)
+    aside, pixels = _in_picture(camera, light, points)
 
     def made(matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = "") -> PostPerspective:
         matrix = _filled(matrix, outline, inner)
@@ -165,6 +162,19 @@ def post_perspectives(
         *sorted((candidate for candidate in candidates if candidate.texel < last.texel), key=lambda candidate: candidate.texel),
         last,
     ]
+
+
+def texel_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
+    """The root mean square of what half the width of a map covers in the picture at points (n, 3), in tangents."""
+    return float(_texel(matrix, points, *_in_picture(camera, light, points)))
+
+
+def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two directions across a light's rays (n, 3, 2) at points (n, 3), and how the picture's coordinates change along them."""
+    directions = light.homogeneous[:3] - light.homogeneous[3] * points
+    directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
+    aside = across(directions)
+    return aside, _pixels(camera, camera.seen(points), aside)
 
 
 def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:

@@ -46,7 +46,7 @@ PERSPECTIVE_TEXELS = 1024
 
 NO_CHOICE = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
-    "cascades": (1, "a perspective map is a single map, fine near the eye"),
+    "cascades": (1, "a perspective map is fine near the eye, and parted by itself where it would be too coarse"),
     "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
     "culling": ("none", "a perspective map needs no bias, so no culling"),
 }

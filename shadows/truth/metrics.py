@@ -27,6 +27,9 @@ MIN_PART_PX = 8
 COVERAGE_BLOCK_PX = 16
 """Side of the blocks that coverage is compared in."""
 
+LEAST_SIGHT = 0.2
+"""Share of the cast shadow that a figure has to see before it says anything of a picture: below that the picture is not tested."""
+
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
 _SQUARE = np.ones((3, 3), bool)
 
@@ -49,6 +52,9 @@ class Errors:
     interior, interior_parts
         Share of D wrong and farther from truth's boundary than 2 px and two texel footprints; and the number of its
         connected parts of 8 px or more.
+    interior_sees
+        Share of the true cast shadow that lies so far inside (``Sight.sees``): had all of it been lost, this much would show in
+        ``interior``. Coarse texels make it blind: then only ``wrong_cast`` tells.
     boundary
         Share of the surface that is not decidable.
     soft_error
@@ -65,8 +71,63 @@ class Errors:
     edge_p95_m: float
     interior: float
     interior_parts: int
+    interior_sees: float
     boundary: float
     soft_error: float
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How much of a picture's cast shadow a figure can see, and how much of it is wrong wherever the figure looks.
+
+    Attributes
+    ----------
+    cast_px
+        Decidable pixels in cast shadow by truth (attached excluded); of a figure of edges, their boundary.
+    seen_px
+        Those that the figure would count, had the whole cast shadow been lost; of edges, those it found a counterpart to.
+    wrong_px, either_px
+        Decidable pixels that are not attached and wrong, and those that truth or the algorithm puts in cast shadow.
+    """
+
+    cast_px: int
+    seen_px: int
+    wrong_px: int
+    either_px: int
+
+    @property
+    def sees(self) -> float:
+        """Share of the cast shadow that the figure sees; 0 without any."""
+        return self.seen_px / self.cast_px if self.cast_px else 0.0
+
+    @property
+    def wrong_cast(self) -> float:
+        """Wrong pixels as a share of those that truth or the algorithm puts in cast shadow; 0 without any."""
+        return self.wrong_px / self.either_px if self.either_px else 0.0
+
+
+def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> Sight:
+    """What a figure that counts wrong pixels where ``looks_at`` says (rows, cols) sees of a class (rows, cols), True in shadow."""
+    known, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
+    dark, cast = dark & truth.there, known & true_dark
+    counts = cast, cast & looks_at, known & (dark != true_dark), known & (dark | true_dark)
+    return Sight(*(int(np.count_nonzero(each)) for each in counts))
+
+
+def edge_sight(dark: np.ndarray, truth: Truth) -> Sight:
+    """What distances between edges see: the boundary of those components of the cast shadow that the class meets at all."""
+    known, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
+    everywhere = sight_of(dark, truth, true_dark)
+    edge = boundary(true_dark, truth.there) & known
+    parts, _ = label(true_dark, structure=_SQUARE)
+    met = np.unique(parts[true_dark & dark & truth.there])
+    seen = edge & np.isin(parts, met[met > 0])
+    return Sight(int(edge.sum()), int(seen.sum()), everywhere.wrong_px, everywhere.either_px)
+
+
+def far_inside(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
+    """Where ``interior`` looks (rows, cols): farther from truth's boundary than 2 px and two texel footprints."""
+    return _from_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
 
 
 def errors_of(
@@ -90,7 +151,8 @@ def errors_of(
     wrong = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
     distances = edge_distances(dark, true_dark, truth.there)
-    inside = wrong & (_from_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px))
+    looks_at = far_inside(truth, texel_footprint_px)
+    inside = wrong & looks_at
     parts, count = label(inside, structure=_SQUARE)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
@@ -105,6 +167,7 @@ def errors_of(
         edge_p95_m=p95 * pixel_m,
         interior=_share(inside, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
+        interior_sees=sight_of(dark, truth, looks_at).sees,
         boundary=truth.boundary,
         soft_error=soft_error(visibility, true_visibility),
     )

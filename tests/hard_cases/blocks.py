@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 import trimesh
 
-from selector.measure.footprint import texel_footprint_px
-from shadows.truth.metrics import INTERIOR_PX, edge_distances, interior
+from shadows.maps.perspective_shadow_map import COARSE_TEXEL_PX
+from shadows.truth.metrics import Sight, boundary, edge_distances, edge_sight, far_inside, sight_of
 from shadows.truth.truth import Truth, sub_views
-from terrain.describe import describe
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView, look_at
 from tests.hard_cases.cases import Seen
@@ -100,24 +100,41 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
     return Truth(there & ~dark, np.zeros(there.shape, bool), decidable, there)
 
 
-def figures_on_ground(seen: Seen, hulls: Sequence[shapely.Polygon]) -> dict[str, float]:
-    """``interior`` and ``edge_p95_px`` of ``shadows.truth.metrics`` on the level ground, against the polygons of its shadow.
+@dataclass(frozen=True)
+class OnGround:
+    """Figures of ``shadows.truth.metrics`` on level ground, and what they see of its shadow.
+
+    ``displaced`` is how many pixels are wrong, as a share of those over which the texels of a map displace the shadow's edges: by a
+    quarter of a texel's side in the mean, times the edges' length. Texels of over ``COARSE_TEXEL_PX`` excuse no more than such.
+    """
+
+    interior: float
+    edge_p95_px: float
+    displaced: float
+    interior_sight: Sight
+    edge_sight: Sight
+
+
+def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]) -> OnGround:
+    """The figures against the polygons of the shadow, and ``true_shade`` of them.
 
     The outline may be hidden by what stands before it: what lies within two texels of it on the ground is no interior either.
     """
-    truth, view = true_shade(seen, hulls), seen.view
+    view, texels_px = seen.view, seen.texels_px
     assert isinstance(view, PerspectiveView)
-    steps = seen.plan.steps_under(seen.light)
-    pixel_m = describe(seen.scene, view, pixels_show="points").pixel_m
-    texels_px = np.max([texel_footprint_px(seen.scene, step, seen.buffer, pixel_m) for step in steps], axis=0)
     dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit
-    far = interior(truth.decidable & (dark != true_dark), true_dark, truth.there, np.maximum(INTERIOR_PX, 2.0 * texels_px))
-    points = np.stack([*on_ground(view, far), np.zeros(np.count_nonzero(far))], axis=-1)
-    texel_m = texels_px[far] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
+    wrong = truth.decidable & (dark != true_dark)
+    asked = far_inside(truth, texels_px) & truth.decidable & (wrong | true_dark)
+    points = np.stack([*on_ground(view, asked), np.zeros(np.count_nonzero(asked))], axis=-1)
+    texel_m = texels_px[asked] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
     outline = shapely.union_all(hulls).boundary
-    count = np.count_nonzero(shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m)
+    asked[asked] = shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m
     edges_px = edge_distances(dark, true_dark, truth.there)
-    return {
-        "interior": count / max(np.count_nonzero(truth.decidable), 1),
-        "edge_p95_px": float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,
-    }
+    displaced_px = 0.25 * np.minimum(texels_px, COARSE_TEXEL_PX)[boundary(true_dark, truth.there)].sum()
+    return OnGround(
+        interior=np.count_nonzero(wrong & asked) / max(np.count_nonzero(truth.decidable), 1),
+        edge_p95_px=float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,
+        displaced=np.count_nonzero(wrong) / max(displaced_px, 1.0),
+        interior_sight=sight_of(dark, truth, asked),
+        edge_sight=edge_sight(dark, truth),
+    )

@@ -9,8 +9,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from selector.measure.footprint import texel_footprint_px
-from shadows.truth.metrics import Errors, errors_of
+from shadows.truth.metrics import Errors, Sight, errors_of, far_inside, sight_of
 from shadows.truth.truth import Truth
 from terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.cases import Seen
@@ -45,16 +44,31 @@ def size_of(thorough: bool) -> tuple[int, int]:
     return (288, 216) if thorough else (120, 90)
 
 
-def errors(seen: Seen, truth: Truth | None = None) -> Errors:
-    """An algorithm's errors against truth (by rays, unless another is given) where it promises anything: projected shadows fall on
-    the ground alone.
+def _held(seen: Seen, truth: Truth | None) -> Truth:
+    """The truth that an algorithm is held against (by rays, unless another is given), where it promises anything: projected shadows
+    fall on the ground alone.
     """
     truth = truth or seen.truth
-    steps = seen.plan.steps_under(seen.light)
-    if any(step.algorithm == "planar" for step in steps):
+    if any(step.algorithm == "planar" for step in seen.plan.steps_under(seen.light)):
         truth = replace(truth, decidable=truth.decidable & (seen.buffer.kind == RELIEF))
-    texels = [texel_footprint_px(seen.scene, step, seen.buffer, 1.0) for step in steps or [None]]
-    return errors_of(seen.visibility, truth, 1.0, np.max(texels, axis=0))
+    return truth
+
+
+def errors(seen: Seen, truth: Truth | None = None) -> Errors:
+    """An algorithm's errors where it promises anything."""
+    return errors_of(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
+
+
+def interior_sight(seen: Seen, truth: Truth | None = None) -> Sight:
+    """What the interior of these errors sees of the cast shadow."""
+    truth = _held(seen, truth)
+    return sight_of(seen.dark, truth, far_inside(truth, seen.texels_px))
+
+
+def whole_sight(seen: Seen, truth: Truth | None = None) -> Sight:
+    """What a figure sees that counts every decidable pixel."""
+    truth = _held(seen, truth)
+    return sight_of(seen.dark, truth, truth.decidable)
 
 
 def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:

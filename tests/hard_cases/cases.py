@@ -9,6 +9,7 @@ its capabilities: that is recorded as a refusal. Every figure goes into the tabl
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,7 +26,7 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.truth.metrics import Errors, errors_of
+from shadows.truth.metrics import LEAST_SIGHT, Errors, Sight, errors_of, far_inside, sight_of
 from shadows.truth.truth import Truth, truth_of
 from shadows.visibility import fill_steps
 from terrain.casters.reach import Casters, casters_of
@@ -44,6 +45,12 @@ SHADOWING = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", 
 
 ENGINE = "engine"
 """In the place of an algorithm: for what holds or fails whatever the algorithm."""
+
+JUDGED = re.compile("interior|missed_shadow|wrong|edge")
+"""Figures that judge shadow pixel by pixel or by its edges: each has to say how much of the cast shadow it can see."""
+
+COUNTED_PX = 100
+"""Of pictures with less cast shadow a share says nothing of how much of it is wrong."""
 
 RECORD = "hard_case"
 """Key under which a test reports its figures."""
@@ -80,10 +87,23 @@ class Seen:
     @cached_property
     def errors(self) -> Errors:
         """Every figure of ``shadows.truth.metrics`` against truth."""
-        pixel_m = describe(self.scene, self.view, pixels_show="points").pixel_m
+        return errors_of(self.visibility, self.truth, self.pixel_m, self.texels_px)
+
+    @cached_property
+    def pixel_m(self) -> float:
+        """A pixel's side, metres."""
+        return describe(self.scene, self.view, pixels_show="points").pixel_m
+
+    @cached_property
+    def texels_px(self) -> np.ndarray:
+        """The larger side of the widest texels on level ground, in pixels (rows, cols); 0 without maps."""
         steps = self.plan.steps_under(self.light)
-        texels = [texel_footprint_px(self.scene, step, self.buffer, pixel_m) for step in steps or [None]]
-        return errors_of(self.visibility, self.truth, pixel_m, np.max(texels, axis=0))
+        return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
+
+    @cached_property
+    def interior_sight(self) -> Sight:
+        """What ``errors.interior`` sees of the cast shadow."""
+        return sight_of(self.dark, self.truth, far_inside(self.truth, self.texels_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +113,11 @@ class Trial:
     algorithm: str
     thorough: bool
     folder: Path
+    sights: dict[str, list[Sight]] = field(default_factory=dict)
+
+    def saw(self, figure: str, *sights: Sight) -> None:
+        """Put on record what a figure could see of the cast shadow in some pictures."""
+        self.sights.setdefault(figure, []).extend(sights)
 
     def scene(
         self,
@@ -167,15 +192,31 @@ class Case:
             "id": self.id, "title": self.title, "set_up": self.set_up, "bounds": dict(self.bounds), "algorithm": algorithm,
             "thorough": thorough,
         }  # fmt: skip
+        trial = Trial(algorithm, thorough, folder)
         try:
-            figures = {name: float(value) for name, value in self.measure(Trial(algorithm, thorough, folder)).items()}
+            figures = {name: float(value) for name, value in self.measure(trial).items()}
         except UnsupportedError as error:
             why = next((why for why in ALGORITHMS[algorithm].refuses.values() if why in str(error)), None)  # type: ignore[index]
             if why is None:
                 raise
             return {**record, "refusal": why}
         assert figures.keys() == self.bounds.keys(), f"{self.id}: figures {list(figures)} for bounds {list(self.bounds)}"
-        return {**record, "figures": figures}
+        judged = {name for name in figures if JUDGED.search(name)}
+        assert judged <= trial.sights.keys(), f"{self.id}: {judged} judge the shadow, {set(trial.sights)} say what they see"
+        return {**record, "figures": figures, "sights": {name: told(trial.sights[name]) for name in figures if name in judged}}
+
+
+def told(sights: list[Sight]) -> dict[str, float]:
+    """``wrong_cast`` of the worst picture and ``sees`` of all; of all together, if none has much. Nothing where none has any."""
+    counts = zip(*((each.cast_px, each.seen_px, each.wrong_px, each.either_px) for each in sights), strict=True)
+    together = Sight(*(sum(each) for each in counts)) if sights else Sight(0, 0, 0, 0)
+    large = [each for each in sights if each.cast_px >= COUNTED_PX] or [together]
+    return {"wrong_cast": max(each.wrong_cast for each in large), "sees": together.sees} if together.cast_px else {}
+
+
+def untested(record: Mapping[str, Any]) -> list[str]:
+    """The names of a trial's figures that see less than ``LEAST_SIGHT`` of the cast shadow: they could not tell if it were lost."""
+    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < LEAST_SIGHT]
 
 
 def over(record: Mapping[str, Any]) -> list[str]:
@@ -218,6 +259,7 @@ def hard_case(
         def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
             record_property(RECORD, json.dumps(record))
+            assert not untested(record), f"{id} by {algorithm} does not test {untested(record)}: {record['sights']}"
             known = {name: most for (its, name), most in (falls_short or {}).items() if its == algorithm}
             if short_as_known(record, known):
                 pytest.xfail(f"{id} by {algorithm} is known to fall short: {failures(record)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.geo.camera import look_at
+from terrain.geo.camera import PerspectiveView, look_at
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 
@@ -26,9 +26,25 @@ def whole(trial: Trial, scene: Scene, pixels: int) -> View:
     elevation = scene.elevation
     extent_m = elevation.cell_size_m(scene.world.metres_per_unit) * max(elevation.shape)
     x, y = elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2)
-    point, up = scene.world.ground(elevation.crs, np.float64(x), np.float64(y))
+    return _from_above(scene, (float(x), float(y)), scene.height_range_m, extent_m, pixels)
+
+
+def close(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, extent_m: float, pixels: int) -> View:
+    """A square of a level, so many metres a side, round a place in its raster's CRS, from above: as ``whole`` shows all of it."""
+    if trial.algorithm != "perspective_shadow_map":
+        (x, y), half_m = at, extent_m / 2.0
+        return scene.view(bounds=(x - half_m, y - half_m, x + half_m, y + half_m), size=(pixels, pixels))
+    return _from_above(scene, at, (height_m, height_m), extent_m, pixels)
+
+
+def _from_above(
+    scene: Scene, at: tuple[float, float], height_range_m: tuple[float, float], extent_m: float, pixels: int
+) -> PerspectiveView:
+    """A camera that looks down at so much ground round a place in the raster's CRS, from a little south of it."""
+    elevation = scene.elevation
+    point, up = scene.world.ground(elevation.crs, np.float64(at[0]), np.float64(at[1]))
     away_m = extent_m / 2 / np.tan(np.radians(FOV_DEG / 2))
-    low_m, high_m = scene.height_range_m
+    low_m, high_m = height_range_m
     north = scene.world.earth_from_enu(point, up)[:, 1]
     eye = point + (high_m + away_m) * up - 0.2 * away_m * north
     return look_at(eye, point + (low_m + high_m) / 2 * up, up, FOV_DEG, pixels, pixels)

@@ -14,11 +14,12 @@ from itertools import product
 import numpy as np
 
 from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_maps
 from shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
 from shadows.plan import Step
+from shadows.truth.metrics import Sight, sight_of
 from shadows.truth.truth import ALL_KINDS, ray_scene
 from shadows.visibility import receivers_of
 from terrain.casters.casting import caster_trees
@@ -52,11 +53,34 @@ FLOAT_ULPS = 32.0 * 2.0**-24
 """What positions, their transformations and the start of truth's rays may be off by, as a share of the coordinates."""
 
 
+SAMPLED_PX = 64
+"""So many pixels of the cast shadow are asked whether an error there could be explained away."""
+
+
 def beyond(seen: Seen) -> np.ndarray:
     """Wrong decidable pixels (rows, cols) under the sun that nothing within the algorithm's reach explains."""
     real = seen.truth
     wrong = real.decidable & (seen.dark == real.lit) & ~real.attached
     left = np.flatnonzero(wrong)
+    wrong.ravel()[left] = _unexplained(seen, left, seen.dark.ravel()[left])
+    return wrong
+
+
+def beyond_sight(seen: Seen) -> Sight:
+    """What ``beyond`` sees of the cast shadow: of how many of its pixels, were they lit, nothing within the reach would explain it.
+
+    By a sample of the pixels, counted for all of them.
+    """
+    whole = sight_of(seen.dark, seen.truth, seen.truth.decidable)
+    cast = np.flatnonzero(seen.truth.decidable & ~seen.truth.lit & seen.truth.there & ~seen.truth.attached)
+    sample = cast[:: max(len(cast) // SAMPLED_PX, 1)]
+    told = _unexplained(seen, sample, np.zeros(len(sample), bool))
+    return replace(whole, seen_px=round(whole.cast_px * float(told.mean())) if len(sample) else 0)
+
+
+def _unexplained(seen: Seen, left: np.ndarray, dark: np.ndarray) -> np.ndarray:
+    """Of which pixels, flat indices (n,), truth has nowhere within the reach the class that they are said to have (n,)."""
+    out = np.ones(len(left), bool)
     if len(left):
         seen = replace(seen, buffer=receivers_of(seen.buffer, seen.scene, seen.light))
         buffer = seen.buffer
@@ -69,9 +93,8 @@ def beyond(seen: Seen) -> np.ndarray:
             a.reshape(-1, 3)[left].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, facing.lift_frame)
         )
         for moves in _moves(seen, step, left, towards, points, normals, facing.crease.ravel()[left]):
-            lit = ~rays.blocked(points + moves + rays.offset_m * lift, towards)
-            wrong.ravel()[left[lit != seen.dark.ravel()[left]]] = False
-    return wrong
+            out &= rays.blocked(points + moves + rays.offset_m * lift, towards) != dark
+    return out
 
 
 def _moves(
@@ -213,11 +236,13 @@ def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndar
     trees = caster_trees(buffer, step.kinds)
     if isinstance(settings, PerspectiveMapSettings):
         receivers = buffer.there & ~attached(buffer, scene, seen.light)
-        drawn, _ = perspective_map(buffer, receivers, scene, seen.light, settings, trees)
-        rows = np.reshape(drawn.uniforms["map_rows"], (4, 4)) / np.array([1.0, 1.0, drawn.uniforms["depth_step"], 1.0])[:, None]
         assert buffer.corners_frame_m is not None
         farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[left], axis=2).max(axis=1)
-        return np.broadcast_to(rows, (len(left), 4, 4)), drawn.uniforms["position_error"] * farthest_m
+        out = np.full((len(left), 4, 4), np.nan)
+        for drawn in (each.drawn for each in perspective_maps(buffer, receivers, scene, seen.light, settings, trees)):
+            units = np.array([1.0, 1.0, drawn.uniforms["depth_step"], 1.0])
+            out[np.isin(left, drawn.pixels)] = np.reshape(drawn.uniforms["map_rows"], (4, 4)) / units[:, None]
+        return out, drawn.uniforms["position_error"] * farthest_m
     assert isinstance(settings, ShadowMapSettings)
     out, error_m = np.full((len(left), 4, 4), np.nan), np.full(len(left), np.nan)
     for drawn in sun_maps(buffer, scene, settings, trees):

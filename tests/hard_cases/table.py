@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, over
+from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, over, untested
 
 COLUMNS = {
     "shadow_map": "map", "perspective_shadow_map": "perspective", "shadow_volume": "volumes", "hybrid": "hybrid",
@@ -68,8 +68,8 @@ def _order(case: str) -> tuple[int, str, int]:
 
 
 def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, dict[str, str]]]:
-    """(case, figure's name, {algorithm: cell}) in the catalogue's order. A cell is a figure, with ``!`` if over its bound, or
-    ``refused``.
+    """(case, figure's name, {algorithm: cell}) in the catalogue's order. A cell is a figure, with ``!`` if over its bound, and what
+    ``in_brackets`` says of it; or ``refused``.
     """
     by_case: dict[str, list[dict[str, Any]]] = {}
     for record in records:
@@ -83,16 +83,28 @@ def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, d
                 if "refusal" in record:
                     cells[record["algorithm"]] = "refused"
                 else:
-                    cells[record["algorithm"]] = f"{record['figures'][name]:.2g}" + ("!" if name in over(record) else "")
+                    figure = f"{record['figures'][name]:.2g}" + ("!" if name in over(record) else "")
+                    cells[record["algorithm"]] = f"{figure} {in_brackets(record, name)}".rstrip()
             out.append((ours[0], name, cells))
     return out
 
 
+def in_brackets(record: dict[str, Any], name: str) -> str:
+    """Of a figure that judges cast shadow: ``wrong_cast`` of the worst picture, and the share of the cast shadow that the figure
+    sees, in per cent, as ``(0.3 %, 82)``; ``not tested`` in front where that is too little. Nothing of other figures.
+    """
+    sight = record.get("sights", {}).get(name)
+    if not sight:
+        return ""
+    wrong = f"{100.0 * sight['wrong_cast']:.2g}"
+    return f"({'not tested: ' if name in untested(record) else ''}{wrong}, {100.0 * sight['sees']:.0f})"
+
+
 def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
     """The table for a terminal."""
-    lines = [f"{'case':5} {'figure':38} {'bound':>8}  " + " ".join(f"{title:>11}" for title in COLUMNS.values())]
+    lines = [f"{'case':5} {'figure':38} {'bound':>8}  " + " ".join(f"{title:>16}" for title in COLUMNS.values())]
     for case, name, cells in rows(records):
-        figures = " ".join(f"{cells.get(algorithm, ''):>11}" for algorithm in COLUMNS)
+        figures = " ".join(f"{cells.get(algorithm, ''):>16}" for algorithm in COLUMNS)
         lines.append(f"{case['id']:5} {name:38} {case['bounds'][name]:>8.2g}  {figures}".rstrip())
     return lines
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from tests.hard_cases.cases import short_as_known
+from shadows.truth.metrics import Sight
+from tests.hard_cases.cases import Case, Trial, short_as_known, told, untested
+from tests.hard_cases.table import rows
 
 
 @pytest.mark.parametrize(
@@ -20,3 +24,30 @@ from tests.hard_cases.cases import short_as_known
 def test_a_shortfall_that_grows_or_is_new_fails(figures, excused):
     record = {"figures": figures, "bounds": {"differ": 1.0, "basis": 1.0}}
     assert short_as_known(record, {"differ": 2.0}) is excused
+
+
+def test_sight_is_that_of_all_pictures_and_wrong_is_the_worst():
+    found = told([Sight(1000, 900, 10, 1000), Sight(200, 0, 50, 250), Sight(10, 0, 10, 10)])
+    assert found == {"wrong_cast": 0.2, "sees": 900 / 1210}
+    assert told([Sight(10, 5, 10, 20), Sight(30, 0, 0, 30)]) == {"wrong_cast": 0.2, "sees": 0.125}, "little in each: all together"
+    assert told([]) == told([Sight(0, 0, 3, 3)]) == {}
+
+
+def record_of(folder: Any, sight: Sight, figure: str = "interior") -> dict[str, Any]:
+    def measure(trial: Trial) -> dict[str, float]:
+        trial.saw(figure, sight)
+        return {"interior": 0.0, "gap_texels": 0.0}
+
+    return Case("Z1", "", "", {"interior": 0.0, "gap_texels": 1.0}, measure).run("shadow_map", False, folder)
+
+
+def test_a_figure_that_sees_no_shadow_is_marked_in_the_table(tmp_path):
+    blind, seeing = record_of(tmp_path, Sight(1000, 199, 990, 1000)), record_of(tmp_path, Sight(1000, 200, 3, 1000))
+    assert untested(blind) == ["interior"] and not untested(seeing)
+    cells = [[each["shadow_map"] for _, _, each in rows([record])] for record in (blind, seeing)]
+    assert cells == [["0 (not tested: 99, 20)", "0"], ["0 (0.3, 20)", "0"]]
+
+
+def test_who_judges_shadow_says_what_it_sees(tmp_path):
+    with pytest.raises(AssertionError, match="interior.*judge the shadow"):
+        record_of(tmp_path, Sight(1, 1, 0, 1), figure="another")

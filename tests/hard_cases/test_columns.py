@@ -11,6 +11,7 @@ import rasterio
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
+from shadows.truth.metrics import Sight
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
@@ -108,7 +109,10 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
             beside = (across == across[roof].min() - 1) | (across == across[roof].max() + 1)
             touched = beside if down and right else np.zeros_like(roof)
             dark_roof += int(dark[roof].sum())
-            wrong += int((dark != expected)[~roof & ~touched].sum())
+            ground = ~roof & ~touched
+            off, cast = int((dark != expected)[ground].sum()), int(expected[ground].sum())
+            wrong += off
+            trial.saw("wrong cells on the ground", Sight(cast, cast, off, int((dark | expected)[ground].sum())))
     return {"dark roof cells": dark_roof, "wrong cells on the ground": wrong}
 
 

@@ -17,7 +17,7 @@ from terrain.gl.device import device
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, views_of
-from tests.hard_cases.reach_of_error import beyond
+from tests.hard_cases.reach_of_error import beyond, beyond_sight
 from tests.rasters import ENGINEERING
 from tests.shadows.boxes import box
 
@@ -120,6 +120,7 @@ def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]
         worst["acne"] = max(worst["acne"], float((few.dark & ~many.dark).mean()))
         worst["shift_px"] = max(worst["shift_px"], np.count_nonzero(many.dark & ~few.dark) / edges)
         worst["interior"] = max(worst["interior"], few.errors.interior)
+        trial.saw("interior", few.interior_sight)
     return worst
 
 
@@ -195,6 +196,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
             times = np.bincount(np.concatenate([each.pixels for each in maps]), minlength=receivers.size).reshape(receivers.shape)
             worst["not_in_one_map"] = max(worst["not_in_one_map"], float((times != receivers).mean()))
             worst["wrong beyond its reach"] = max(worst["wrong beyond its reach"], float(beyond(seen).mean()))
+            trial.saw("wrong beyond its reach", beyond_sight(seen))
             if before is not None:
                 same = np.count_nonzero(receivers & (away_m == far_m)) + np.count_nonzero(receivers & (away_m == at_m)) - 1
                 worst["pixels that differ"] = max(worst["pixels that differ"], np.count_nonzero(before != seen.dark) / max(same, 1))

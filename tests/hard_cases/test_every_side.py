@@ -9,6 +9,7 @@ from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
+from shadows.truth.metrics import Sight
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
@@ -118,7 +119,9 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
         dark_roof += int(dark[roof, roof].sum())
         dark[roof, roof] = False
         expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
-        wrong = max(wrong, abs(int(dark.sum()) - expected) / expected)
+        off = abs(int(dark.sum()) - expected)
+        wrong = max(wrong, off / expected)
+        trial.saw("wrong nodes on the ground", Sight(expected, expected, off, max(expected, int(dark.sum()))))
     return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
 
 
@@ -143,6 +146,7 @@ def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
     Wrong pixels are those more than a pixel from that line that are on the wrong side of it.
     """
     wrong = 0.0
+    trial.saw("wrong pixels")  # a dome casts none
     for azimuth, line, towards in _terminators(trial.thorough):
         aside = np.array([-towards[1], towards[0]])
         eye, target = line + 260.0 * aside + 60.0 * towards, line - 40.0 * aside

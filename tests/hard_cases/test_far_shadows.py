@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shadows.maps.windows import distances
+from shadows.truth.metrics import sight_of
 from terrain.casters.reach import longest_shadow_m
 from terrain.gbuffer.picture import geometry_of
 from terrain.gbuffer.resolve import MESHES
@@ -133,4 +134,5 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
         margin_m = np.array([cascade.texel_m[1] for cascade in cascades])[number] / np.sin(np.radians(altitude))
         assert set(number[beyond_m < -margin_m]) == {0, 1, 2, 3}, "the strip lies in all cascades"
     inside, outside = beyond_m < -margin_m, beyond_m > margin_m
+    trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, inside))
     return {"missed_shadow": float((~seen.dark)[inside].mean()), "false_shadow": float(seen.dark[outside].mean())}

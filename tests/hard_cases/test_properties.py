@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_map
+from shadows.maps.perspective_shadow_map import perspective_maps
 from shadows.maps.settings import PerspectiveMapSettings
 from terrain.errors import UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
-from tests.hard_cases.reach_of_error import beyond
+from tests.hard_cases.reach_of_error import beyond, beyond_sight
 from tests.rasters import ENGINEERING
 
 PX = 64
@@ -194,8 +194,8 @@ def matrices(seen: Seen) -> tuple[float, float]:
             settings = [step.settings for step in seen.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
             receivers = buffer.there & ~attached(buffer, scene)
             if settings and receivers.any():
-                drawn, _ = perspective_map(buffer, receivers, scene, SUN, settings[0], None)
-                projections.append(np.reshape(drawn.uniforms["clip_rows"], (4, 4)) @ cube)
+                for each in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
+                    projections.append(np.reshape(each.drawn.uniforms["clip_rows"], (4, 4)) @ cube)
     assert all(np.isfinite(matrix).all() for matrix in (*rotations, *projections)), "a matrix is not finite"
     skew = max(float(np.abs(matrix.T @ matrix - np.eye(3)).max()) for matrix in rotations)
     return skew, max(
@@ -252,6 +252,7 @@ def outcome(trial: Trial, it: Situation) -> dict[str, float]:
     there = seen.visibility[seen.buffer.there]
     assert ((there >= 0.0) & (there <= 1.0)).all(), "a visibility that is none"
     skew, condition = matrices(seen)
+    trial.saw("wrong beyond its reach", beyond_sight(seen))
     return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(beyond(seen).mean())}
 
 

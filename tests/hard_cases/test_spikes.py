@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
+from shadows.truth.metrics import sight_of
 from terrain.describe import describe
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
-from tests.hard_cases.ground import places, share, whole
+from tests.hard_cases.ground import close, places, share, whole
 from tests.rasters import ENGINEERING
 
 CELL_M = 32.0
@@ -37,7 +38,7 @@ def texel_m(seen: Seen) -> float:
 def test_a_needle(trial: Trial) -> dict[str, float]:
     """The needle is a pyramid two cells wide: its shadow narrows to nothing. Where it is narrower than a texel no map can hold it,
     and where it is narrower than what the pixels leave out beside its axis none shows it: ``length`` is what is missing or too
-    much beyond that.
+    much beyond that. In a pixel per cell its shadow has no interior: that is what a closer look is for.
     """
     cells = 256 if trial.thorough else 128
     heights = np.zeros((cells, cells))
@@ -57,7 +58,9 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
         beside_m = float(np.nanmedian(np.fmin.reduce(np.abs(y - top_m[1]), axis=0)))
         hidden_m = (texel_m(seen) + 2 * beside_m) / (2 * CELL_M) * expected_m + pixel_m
         length = max(length, max(abs(x[cast].max() - top_m[0] - expected_m) - hidden_m, 0.0) / expected_m)
-        interior = max(interior, seen.errors.interior)
+        near = trial.see(under, close(trial, under, (top_m[0] + 9 * CELL_M, top_m[1]), 0.0, 16 * CELL_M, 160), map_size=2048)
+        interior = max(interior, seen.errors.interior, near.errors.interior)
+        trial.saw("interior", near.interior_sight)
         not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
     return {"length": length, "interior": interior, "not finite": not_finite}
 
@@ -90,7 +93,9 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
         end_m = brink_m + 2000.0 / np.tan(np.radians(altitude))
         cast = inside & seen.dark
         end_px = max(end_px, (abs(x[cast].max() - end_m) - texel_m(seen)) / pixel_m)
-        missed_shadow = max(missed_shadow, share(~seen.dark, inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)))
+        deep = inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)
+        missed_shadow = max(missed_shadow, share(~seen.dark, deep))
+        trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, deep))
         false_shadow = max(false_shadow, share(seen.dark, inside & ((x < brink_m - 1.0) | (x > end_m + 2 * pixel_m))))
     return {"end_px": end_px, "false_shadow": false_shadow, "missed_shadow": missed_shadow}
 
@@ -128,5 +133,6 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
         sure = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
         assert 0.1 < sure.mean()
         wrong = max(wrong, share(seen.dark != dark, sure))
+        trial.saw("wrong", sight_of(seen.dark, seen.truth, sure))
         not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
     return {"wrong": wrong, "not finite": not_finite}

@@ -111,7 +111,7 @@ def _dark_by(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: Geomet
         (drawn,) = sun_maps(drawn_for, scene, step.settings, None)
     else:
         seen = drawn_for.there & ~turned_away[0]
-        drawn, _ = perspective_shadow_map.perspective_map(drawn_for, seen, scene, step.light, step.settings, None)
+        drawn = perspective_shadow_map.perspective_map(drawn_for, seen, scene, step.light, step.settings, None).drawn
     gl, record, visibility = device(), PassRecord("map"), np.ones(points.there.shape, np.float32)
     target = draw_map(gl, drawn, drawn_for, scene, step.kinds, casters_of(scene, drawn_for), step.settings, record)
     asked = np.flatnonzero(points.there & ~turned_away[1])

@@ -43,6 +43,7 @@ def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
             light = max(light, share(~seen.dark, there))
         else:
             interior = max(interior, seen.errors.interior)
+            trial.saw("interior", seen.interior_sight)
     return {"not finite": not_finite, "light at night": light, "interior": interior}
 
 

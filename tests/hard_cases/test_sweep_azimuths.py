@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from shadows.truth.metrics import errors_of
+from shadows.truth.metrics import edge_sight, errors_of, far_inside, sight_of
 from terrain.geo.grid import MapView
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
@@ -91,7 +93,11 @@ def test_every_azimuth(trial: Trial) -> dict[str, float]:
         truth, visibility = together.truth, np.hstack([west.visibility, east.visibility])
         found = errors_of(visibility, truth, CELL_M)
         assert 0.05 < (visibility < 0.5).mean() < 0.95
-        edge_px, interior = max(edge_px, found.edge_p95), max(interior, found.interior)
+        edge_px, interior, dark = max(edge_px, found.edge_p95), max(interior, found.interior), visibility < 0.5
+        trial.saw("edge_p95_px", edge_sight(dark, truth))
+        trial.saw("interior", sight_of(dark, truth, far_inside(truth)))
         wrong, middle = truth.decidable & ((visibility < 0.5) == truth.lit), near_seam(pixels)
         at_the_seam = max(at_the_seam, share(wrong, truth.decidable & middle))
+        beside = replace(truth, decidable=truth.decidable & middle)
+        trial.saw("wrong at the seam", sight_of(dark, beside, middle))
     return {"edge_p95_px": edge_px, "interior": interior, "wrong at the seam": at_the_seam}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from shadows.truth.metrics import edge_distances
+from shadows.truth.metrics import edge_distances, edge_sight
 from terrain.gbuffer.picture import frame_of
 from terrain.geo.grid import MapView, tile_grid
 from terrain.level.level import load_level
@@ -89,5 +89,6 @@ def _zoom_edges_px(trial: Trial, scene: Scene, tile: MapView) -> np.ndarray:
     coarse, fine = trial.see(scene, tile), trial.see(scene, finer)
     doubled = np.repeat(np.repeat(coarse.dark, 2, axis=0), 2, axis=1)
     distances = edge_distances(fine.dark, doubled, fine.buffer.there) / 2.0
+    trial.saw("edge_p95_px", edge_sight(doubled, fine.truth))
     assert distances.size > 100, "edges"
     return distances

@@ -9,7 +9,7 @@ import pytest
 
 from terrain.errors import InputError
 from terrain.geo.camera import PerspectiveView
-from tests.hard_cases.bodies import FLOOR, errors, eye, joined, not_a_number
+from tests.hard_cases.bodies import FLOOR, errors, eye, interior_sight, joined, not_a_number
 from tests.hard_cases.cases import ENGINE, SHADOWING, Seen, Trial, hard_case
 from tests.render import render
 from tests.shadows.boxes import box
@@ -34,8 +34,9 @@ def looks(
     return {name: trial.see(scene, scene.view(name, size=size or (side, side))) for name, (_, size) in views.items()}
 
 
-def figures(seen: dict[str, Seen]) -> dict[str, float]:
+def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
     """The worst of some views: interior errors, and pixels whose point or visibility is no number."""
+    trial.saw("interior", *(interior_sight(each) for each in seen.values()))
     for name, each in seen.items():
         assert each.buffer.there.any(), name
     none = [not_a_number(each) + (~np.isfinite(each.buffer.position_frame_m[each.buffer.there])).sum() for each in seen.values()]
@@ -71,7 +72,7 @@ def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
     seen = looks(trial, views)
     if trial.algorithm != "perspective_shadow_map":
         seen |= looks(trial, lines, (2.0 * half_m + 60.0, 80.0)) | looks(trial, column, (80.0, 2.0 * half_m + 60.0))
-    return figures(seen)
+    return figures(trial, seen)
 
 
 @hard_case(
@@ -92,7 +93,7 @@ def test_places_of_the_eye(trial: Trial) -> dict[str, float]:
     }
     if trial.algorithm == "sweep":  # no house to be in, nor above one
         del views["in a house"], views["up"]
-    return figures(looks(trial, views))
+    return figures(trial, looks(trial, views))
 
 
 def _distance_m(seen: Seen) -> np.ndarray:
@@ -116,7 +117,7 @@ def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
     views |= {f"along {away:g}": (eye((0, 3 + away, 2), (8, 3 + away, 1)), None) for away in (0.1, 0.01)}
     seen = looks(trial, views)
     through = sum(int((_distance_m(seen[name]) > 2.0 * float(name)).sum()) for name in views if "along" not in name)
-    return {"pixels seen through": through, "interior": figures(seen)["interior"]}
+    return {"pixels seen through": through, "interior": figures(trial, seen)["interior"]}
 
 
 @pytest.mark.long

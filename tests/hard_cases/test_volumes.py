@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from shadows.truth.metrics import sight_of
 from shadows.volumes.views import near_plane_m
 from terrain.gbuffer.resolve import RELIEF
-from tests.hard_cases.bodies import EYES, FLOOR, SPOT, differing, errors, eye, joined, plates, size_of, truth_of_boxes
+from tests.hard_cases.bodies import (
+    EYES,
+    FLOOR,
+    SPOT,
+    differing,
+    errors,
+    eye,
+    interior_sight,
+    joined,
+    plates,
+    size_of,
+    truth_of_boxes,
+    whole_sight,
+)
 from tests.hard_cases.cases import Trial, hard_case
 from tests.shadows.boxes import box
 
@@ -44,6 +59,7 @@ def test_eye_in_a_volume(trial: Trial) -> dict[str, float]:
                 assert (seen.truth.there & ~seen.truth.lit).any(), name
                 differ += differing(seen, trial.see(scene, view, counting="z_fail"))
                 interior = max(interior, errors(seen).interior)
+                trial.saw("interior", interior_sight(seen))
     return {"pixels that differ": differ, "interior": interior}
 
 
@@ -87,6 +103,7 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
         assert near_plane_m(seen.buffer) == near_m
         differ += differing(seen, trial.see(scene, scene.view("eye", size=size), counting="z_fail"))
         interior = max(interior, errors(seen).interior)
+        trial.saw("interior", interior_sight(seen))
         darkened = max(darkened, int((seen.truth.there & ~seen.truth.lit & first.truth.lit).sum()))
     assert darkened > 100
     return {"pixels that differ": differ, "interior": interior}
@@ -118,6 +135,7 @@ def test_caster_without_end(trial: Trial) -> dict[str, float]:
             classes += [(truth.decidable & truth.lit).sum(), (truth.decidable & ~truth.lit).sum()]
             found = errors(seen, truth)
             worst = max(worst, found.interior if "map" in trial.algorithm else found.wrong)
+            trial.saw("wrong or interior", (interior_sight if "map" in trial.algorithm else whole_sight)(seen, truth))
     assert classes.min() > 1000
     return {"wrong or interior": worst}
 
@@ -151,4 +169,6 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
             dark, lit = floor & (inside_m > 0.5), floor & (inside_m < -0.5)
             assert dark.sum() > 100 and lit.sum() > 100
             missed, false = max(missed, float((~seen.dark)[dark].mean())), max(false, float(seen.dark[lit].mean()))
+            on_floor = replace(seen.truth, decidable=seen.truth.decidable & floor)
+            trial.saw("missed_shadow", sight_of(seen.dark, on_floor, dark))
     return {"missed_shadow": missed, "false_shadow": false}

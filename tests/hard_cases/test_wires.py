@@ -8,6 +8,8 @@ import numpy as np
 import shapely
 import trimesh
 
+from shadows.truth.metrics import sight_of
+from shadows.truth.truth import Truth
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.grid import MapView
 from terrain.scene import Scene
@@ -94,6 +96,8 @@ def test_wires(trial: Trial) -> dict[str, float]:
         assert real.sum() > 100, f"{real.sum()} pixels of shadow, {width} texels wide"
         wrong = beyond(seen, ground & (seen.dark != real), hulls, SIDE_M / px / 256.0)
         differ = (seen.dark != other.dark) & ground
+        truth = Truth(ground & ~real, np.zeros_like(real), ground, ground)
+        trial.saw("missed_shadow", sight_of(seen.dark, truth, beyond(seen, ground & real, hulls, SIDE_M / px / 256.0)))
         found.append(
             ((wrong & real).sum() / real.sum(), (wrong & ~real).sum() / (ground & ~real).sum(), differ.sum() / ground.sum())
         )

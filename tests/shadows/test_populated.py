@@ -22,7 +22,7 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.render import render_frame
-from shadows.truth.metrics import MOST_INTERIOR, block_shares, coverage_error, errors_of
+from shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, errors_of
 from shadows.truth.truth import TruthSettings, coverage_truth, fill, truth_of
 from terrain.casters.reach import casters_of
 from terrain.describe import describe
@@ -117,6 +117,7 @@ def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
     cast = ~real.lit & ~real.attached & real.there
     assert 0.02 < cast.sum() / real.there.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
     assert found.interior <= MOST_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
+    assert found.interior_sees >= LEAST_SIGHT
 
 
 # -- kind by kind

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -19,6 +20,7 @@ from selector.planner.planner import make_plan
 from terrain.describe import describe
 from terrain.facts.coarse_view import nearest_triangles
 from terrain.facts.descriptor import Descriptor
+from terrain.gbuffer.picture import geometry_of
 from terrain.level.level import Shadows, load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
@@ -240,3 +242,32 @@ def test_any_share_and_angle_that_can_be_is_taken(facing, cast, angle):
     facts = in_light(facing_share=facing, cast_share=cast, to_view_deg=angle)
     descriptor = Descriptor.model_validate(MINIMAL | facts)
     assert Descriptor.model_validate_json(descriptor.model_dump_json()) == descriptor
+
+
+def test_bands_reach_no_farther_than_the_view_and_hold_all_that_it_shows(tmp_path):
+    """A mountain of 4 km far away does not make what is seen up to a metre from the eye 8 km large."""
+    trimesh.creation.box(extents=(3000.0, 3000.0, 4000.0)).export(tmp_path / "mountain.ply")
+    trimesh.creation.box(extents=(0.3, 0.3, 0.5)).export(tmp_path / "stone.ply")
+    views = {"eye": {"kind": "perspective", "eye": [0, 0, 0.5], "target": [0.2, 1, 0.1], "fov": 70, "size": [96, 72]}}
+    meshes = [{"source": "mountain.ply", "at": [-4000, 30_000]}, {"source": "stone.ply", "at": [0.3, 1.2]}]
+    level = {
+        "version": 1, "terrain": {"flat": {"size": [100_000, 100_000], "cells": [50, 50]}}, "meshes": meshes, "views": views,
+        "sun": {"azimuth": 250, "altitude": 20},
+    }  # fmt: skip
+    (tmp_path / "level.yaml").write_text(json.dumps(level), encoding="utf-8")
+    scene = build_scene(load_level(tmp_path / "level.yaml"))
+    view = scene.view("eye")
+    bands = describe(scene, view, "eye").bands
+    assert bands[0].far_m <= 2.0 and bands[-1].far_m >= 16_384.0
+    for band in bands:
+        sides_m = np.subtract(band.high_light_m, band.low_light_m)
+        assert (sides_m <= 2.2 * band.far_m).all(), f"{sides_m} m of what is seen at {band.far_m} m"
+    buffer = geometry_of(scene, view)
+    rotation, translation = scene.light.from_frame(buffer.frame)
+    points = buffer.position_frame_m[buffer.there]
+    away_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
+    for band in bands:
+        in_light = (points[(away_m > band.near_m) & (away_m <= band.far_m)] @ rotation.T + translation)[
+            :, 1:
+        ]  # what rises, rises there
+        assert len(in_light) and (in_light >= band.low_light_m[1:]).all() and (in_light <= band.high_light_m[1:]).all()

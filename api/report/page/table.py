@@ -63,6 +63,10 @@ COLUMNS = [
         "interior", "interior", "%", fixed(3, 100),
         "Wrong pixels farther from all edges of truth than aliasing reaches: failures. Beyond 0.1 % a row is no candidate.",
     ),
+    Column(
+        "interior_sees", "interior sees", "%", fixed(0, 100),
+        "Share of truth's cast shadow that lies so far inside: what interior could show of a loss. Large texels make it blind.",
+    ),
     Column("interior_parts", "parts", "", fixed(0), "Connected failures of 8 pixels or more."),
     Column("bytes", "memory", "MB", fixed(1, 1e-6), "Textures and buffers at their peak."),
 ]  # fmt: skip

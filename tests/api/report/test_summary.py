@@ -35,6 +35,7 @@ def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
         "coverage": 0.0,
         "interior": 0.0,
         "interior_parts": 0,
+        "interior_sees": 0.8,
         "boundary": 0.0,
         "bytes": 1_200_000,
         "counters": {"triangles": 1234, "draws": 0},

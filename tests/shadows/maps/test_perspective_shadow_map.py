@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyogrio
@@ -16,7 +17,7 @@ from shadows.maps import perspective_shadow_map
 from shadows.maps.post_perspective import CONE_DEG
 from shadows.maps.settings import PerspectiveMapSettings
 from shadows.passes import PassLog
-from shadows.truth.metrics import MOST_INTERIOR, errors_of
+from shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, errors_of
 from shadows.truth.truth import coverage_truth, truth_of
 from shadows.visibility import receivers_of
 from terrain.casters.reach import casters_of
@@ -114,7 +115,7 @@ def check_against_truth(scene: Scene, light: str) -> None:
     found = errors_of(seen, real, describe(scene, view, "eye").pixel_m)
     assert (real.there & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
     assert found.interior <= MOST_INTERIOR and found.interior_parts == 0, (light, found, log.records)
-    assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02
+    assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02 and found.interior_sees >= LEAST_SIGHT
 
 
 @pytest.mark.parametrize("azimuth", [0, 50, 90, 140, 183, 240, 270, 310])
@@ -229,3 +230,51 @@ def test_plans_say_what_was_chosen_and_what_is_left_out(tmp_path):
     assert (soft["sun"]["meshes"].filter, soft["lamp"]["meshes"].filter) == ("sun", 3), "the lamp is a point"
     with pytest.raises(UnsupportedError, match="a map view has no perspective"):
         plan_of(scene, scene.view(), algorithm=NAME)
+
+
+# -- several maps, where one is too coarse
+
+
+def wide_view(tmp_path: Path, **view: Any) -> Scene:
+    """A wall beside level ground of 20 km, seen from near the ground."""
+    spec = {"kind": "perspective", "eye": [2, -18, 5], "target": [0, 10, 1], "fov": 60, "size": [160, 120], **view}
+    walls = [box((3, 12, 4), at_m=(-5, 0)), box((200, 400, 300), at_m=(-900, 6000))]
+    ground = {"flat": {"size": [20_000, 20_000], "cells": [80, 80]}}
+    return level_of(tmp_path, walls, 200, 25, views={"eye": spec}, terrain=ground)
+
+
+def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspective_shadow_map.FittedMap]:
+    settings = PerspectiveMapSettings(map_size=map_size, depth_bits=24, filter=1)
+    return perspective_shadow_map.perspective_maps(buffer, buffer.there & ~attached(buffer, scene), scene, "sun", settings, None)
+
+
+def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
+    """Every receiver is in one map, and truth agrees as far as texels displace edges; fewer texels need more maps."""
+    scene = wide_view(tmp_path, eye=[2, -18, 0.4], target=[0, 10, -1], fov=120)
+    buffer = geometry_of(scene, scene.view("eye"))
+    receivers = np.flatnonzero(buffer.there & ~attached(buffer, scene))
+    counts = []
+    for map_size in (2048, 256):
+        maps = maps_of(scene, buffer, map_size)
+        counts.append(len(maps))
+        np.testing.assert_array_equal(np.sort(np.concatenate([each.drawn.pixels for each in maps])), receivers)
+    assert counts[0] < counts[1] <= perspective_shadow_map.MOST_RANGES
+    whole = perspective_shadow_map.perspective_map(
+        buffer,
+        buffer.there & ~attached(buffer, scene),
+        scene,
+        "sun",
+        PerspectiveMapSettings(map_size=256, depth_bits=24, filter=1),
+        None,
+    )
+    assert whole.texel_px > perspective_shadow_map.COARSE_TEXEL_PX
+    assert max(each.texel_px for each in maps) < whole.texel_px
+    seen, _ = fill(buffer, scene, "sun", map_size=1024)
+    errors = errors_of(seen, truth_of(buffer, scene, casters_of(scene, buffer)), 1.0)
+    assert errors.wrong_cast <= 0.05, errors
+
+
+def test_a_usual_view_has_one_map(gl, tmp_path):
+    scene = wide_view(tmp_path)
+    (only,) = maps_of(scene, geometry_of(scene, scene.view("eye")), 1024)
+    assert only.texel_px <= perspective_shadow_map.COARSE_TEXEL_PX

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from shadows.truth.metrics import block_shares, boundary, coverage_error, edge_distances, errors_of, interior, soft_error
+from shadows.truth.metrics import (
+    LEAST_SIGHT,
+    block_shares,
+    boundary,
+    coverage_error,
+    edge_distances,
+    edge_sight,
+    errors_of,
+    far_inside,
+    interior,
+    sight_of,
+    soft_error,
+)
 from shadows.truth.truth import Truth
 from tests.metrics import flicker
+from tests.shadows.truth import faults
 
 
 def truth(lit, attached=None, decidable=None, there=None) -> Truth:
@@ -145,3 +160,85 @@ def test_a_picture_without_surface_light_or_shadow_divides_by_nothing(dark):
         assert said.wrong == 0.0 and said.interior == 0.0
     assert coverage_error(*[block_shares(np.full((20, 20), np.nan))] * 2) == 0.0
     assert soft_error(np.full((2, 2), np.nan), np.full((2, 2), np.nan)) == 0.0
+
+
+# -- faults that are put there
+
+
+MOVED_BY = {
+    "wrong": "acne: 2 % of the pixels dark, others in each frame",
+    "wrong_cast": "all cast shadow lost, texels of 40 px",
+    "false_shadow": "a shadow invented",
+    "missed_shadow": "a thin caster lost: the pole",
+    "edge_mean": "shifted by 1 px",
+    "edge_p95": "shifted by 6 px",
+    "interior": "a caster missing: the tree",
+    "interior_parts": "light leaks into the house's shadow",
+    "interior_sees": "all cast shadow lost, texels of 40 px",
+    "coverage": "a caster missing: the tree",
+    "flicker": "shimmer: 1 px to and fro",
+    "soft_error": "a penumbra 10 px wide",
+}
+"""A fault that each metric is there for."""
+
+BLIND_TO = {
+    "interior": ("shifted by 1 px", "a thin caster lost: the pole", "all cast shadow lost, texels of 40 px"),
+    "wrong_cast": ("a turned-away slope lit", "shimmer: 1 px to and fro"),
+    "false_shadow": ("a caster missing: the tree", "all cast shadow lost, texels of 40 px"),
+    "missed_shadow": ("a shadow invented",),
+    "edge_mean": ("a caster missing: the tree", "a shadow invented"),
+    "edge_p95": ("a caster missing: the tree", "a shadow invented", "all cast shadow lost, texels of 40 px"),
+    "flicker": ("all cast shadow lost, texels of 40 px",),
+}
+"""Faults that a metric does not see, by its definition."""
+
+
+@pytest.mark.parametrize("metric", faults.METRICS)
+def test_each_metric_moves_under_the_fault_it_is_there_for(metric):
+    clean, faulty = faults.figures("none"), faults.figures(MOVED_BY[metric])
+    if metric == "interior_sees":
+        assert faulty[metric] < LEAST_SIGHT < clean[metric]
+    else:
+        assert faulty[metric] > 2.0 * clean[metric] and faulty[metric] > 0.0
+
+
+@pytest.mark.parametrize("fault", [fault for fault in faults.FAULTS if fault != "none"])
+def test_no_fault_is_unseen_by_all(fault):
+    """Between them ``wrong`` and ``flicker`` see every one of them."""
+    clean, faulty = (faults.figures(name) for name in ("none", fault))
+    assert faulty["wrong"] > clean["wrong"] or faulty["flicker"] > clean["flicker"]
+
+
+@pytest.mark.parametrize(("metric", "fault"), [(metric, fault) for metric, its in BLIND_TO.items() for fault in its])
+def test_what_a_metric_does_not_see_is_known(metric, fault):
+    assert faults.figures(fault)[metric] == faults.figures("none")[metric] == 0.0
+
+
+def test_the_page_has_the_table_of_faults():
+    assert faults.table() in Path("docs/accuracy.md").read_text(encoding="utf-8"), "python -m tests.shadows.truth.faults --into ..."
+
+
+def test_sight_by_hand():
+    """A shadow of 12 x 12 px: all of it is seen from its edge on, 8 x 8 px two pixels inside, 4 x 4 px of texels of two pixels."""
+    real = np.zeros((30, 30), bool)
+    real[8:20, 8:20] = True
+    its = truth(~real)
+    lost = np.zeros_like(real)
+    plain = sight_of(lost, its, np.ones_like(real))
+    assert (plain.cast_px, plain.seen_px, plain.wrong_px, plain.either_px) == (144, 144, 144, 144)
+    assert (plain.sees, plain.wrong_cast) == (1.0, 1.0)
+    assert sight_of(lost, its, far_inside(its)).seen_px == 6 * 6
+    assert sight_of(real, its, far_inside(its, 2.0)).seen_px == 2 * 2
+    assert sight_of(real, its, far_inside(its, 100.0)).sees == 0.0
+    attached = truth(~real, attached=real)
+    assert sight_of(lost, attached, np.ones_like(real)).sees == sight_of(lost, attached, np.ones_like(real)).wrong_cast == 0.0
+    assert errors_of((~lost).astype(float), its, 1.0, 100.0).interior_sees == 0.0
+
+
+def test_edges_see_the_components_that_they_meet():
+    real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
+    real[5:15, 5:15] = real[5:15, 35:45] = True
+    found[5:15, 7:17] = True
+    seen = edge_sight(found, truth(~real))
+    assert seen.sees == 0.5 and seen.wrong_cast == pytest.approx((20 + 20 + 100) / 220)
+    assert edge_sight(np.zeros_like(real), truth(~real)).sees == 0.0

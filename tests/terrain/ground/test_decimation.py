@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -193,7 +194,7 @@ def test_a_far_node_that_bends_the_ground_at_the_eye_is_kept():
     assert np.argwhere(errors.error_m > 0).tolist() == [[32, 32]]
     tolerance = 2.0 / (30 * SPACING_M)  # the top is 1 m high: from the rim, it is below the tolerance
     assert len(decimate(errors, (2.0, 32.0, 100.0), tolerance, ALL).triangles) == 2
-    assert len(decimate(errors, (16.0, 32.0, 1.5), tolerance, ALL).triangles) == 4
+    assert len(decimate(errors, (16.0, 32.0, 100.0), tolerance, ALL).triangles) == 4
 
 
 def test_nothing_is_nearer_than_near_m():
@@ -225,7 +226,7 @@ def test_the_sagitta_of_the_earth_is_added():
 @pytest.mark.parametrize(("rows", "cols", "triangles"), [(65, 65, 2), (129, 65, 3), (65, 129, 3), (2, 2, 2), (9, 25, 5)])
 def test_a_plane_needs_a_handful_of_triangles(rows, cols, triangles):
     height = np.add.outer(-0.25 * np.arange(rows), 0.5 * np.arange(cols))
-    mesh = decimate(errors_m(height, SPACING_M, False), (10.0, 10.0, 2.0), 0.0, ALL)
+    mesh = decimate(errors_m(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) == triangles
 
@@ -233,7 +234,7 @@ def test_a_plane_needs_a_handful_of_triangles(rows, cols, triangles):
 def test_a_hole_in_a_plane_keeps_its_corners_and_not_the_nodes_along_its_sides():
     height = np.zeros((65, 65), np.float32)
     height[17:32, 33:48] = np.nan
-    mesh = decimate(errors_m(height, SPACING_M, False), (0.0, 0.0, 10.0), 0.1, ALL)
+    mesh = decimate(errors_m(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) < 40
 
@@ -317,3 +318,17 @@ def test_refused_arguments(change, named):
     v = right | change
     with pytest.raises(InputError, match=named):
         decimate(errors_m(v["height"], v["spacing_m"], False), v["eye"], v["tolerance"], v["max_triangles"], v["near_m"])
+
+
+@pytest.mark.parametrize("eye", [(128.0, 128.0, 2.0), (100.3, 171.8, 2.0), (0.0, 0.0, 5.0), (31.999, 64.0, 30.0)])
+def test_triangles_under_the_eye_are_no_longer_than_float32_can_tell_apart(eye):
+    """Level ground of 256 km would be two triangles, whose corners lie 100 km off a pebble before the eye."""
+    errors = errors_m(np.zeros((257, 257), np.float32), 1000.0, False)
+    low, high = (decimate(errors, (*eye[:2], height), 0.001, ALL) for height in (eye[2], 60_000.0))
+    assert len(high.triangles) == 2 and len(low.triangles) < 200
+    assert_conforming(errors.height_m, low)
+    corners = low.nodes[low.triangles].astype(float)
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(axis=1)
+    away = shapely.distance(shapely.polygons(corners), shapely.Point(eye[:2]))
+    near = sides[away <= sides / 64.0]
+    assert len(near) and near.max() <= max(64.0 * eye[2] / 1000.0, 2.0**0.5) * (1.0 + 1e-9)

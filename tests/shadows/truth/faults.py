@@ -1,0 +1,172 @@
+"""What each metric says of faults that are known, because they are put there: the table of ``docs/accuracy.md``.
+
+A metric that no fault moves measures nothing, and one that stays at 0 under a fault is no proof against it.
+``python -m tests.shadows.truth.faults`` prints the table, with ``--into docs/accuracy.md`` it writes it there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from shadows.truth.metrics import block_shares, coverage_error, errors_of, soft_error
+from shadows.truth.truth import Truth
+from tests.hard_cases.table import put_into
+from tests.metrics import flicker
+
+SIDE_PX = 192
+SAMPLES = 8
+"""Samples along a pixel's side that tell which share of it is in shadow."""
+
+PERCENT = ("wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_sees", "coverage", "flicker", "soft_error")
+"""Metrics that are shares; the others are pixels and counts."""
+
+METRICS = (
+    "wrong", "wrong_cast", "false_shadow", "missed_shadow", "edge_mean", "edge_p95", "interior", "interior_parts", "interior_sees",
+    "coverage", "flicker", "soft_error",
+)  # fmt: skip
+
+Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Whether places (x, y), in pixels from the upper left corner, are in a shadow."""
+
+
+def _slanted(x0: float, y0: float, wide: float, long: float, turn_deg: float) -> Shape:
+    """A rectangle whose foot has its middle at (x0, y0), and that goes ``long`` pixels from there."""
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+
+    def holds(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along, across = (x - x0) * c + (y - y0) * s, (y - y0) * c - (x - x0) * s
+        return (along >= 0.0) & (along < long) & (np.abs(across) < wide / 2.0)
+
+    return holds
+
+
+def _disc(x0: float, y0: float, radius: float) -> Shape:
+    return lambda x, y: np.hypot(x - x0, y - y0) < radius
+
+
+HOUSE, TREE, POLE = _slanted(20.3, 30.2, 40.0, 70.0, 17.0), _disc(140.4, 50.7, 15.0), _slanted(30.1, 120.4, 3.0, 90.0, 17.0)
+SLOPE = _slanted(60.2, 174.3, 20.0, 110.0, 0.0)
+"""The last is turned away from the sun; what is cast are the others."""
+
+CAST = {"house": HOUSE, "tree": TREE, "pole": POLE}
+
+
+@cache
+def _shares(*shapes: Shape, right: float = 0.0, px: int = 1) -> np.ndarray:
+    """The share of each pixel (rows, cols) that lies in any of some shadows, moved right; by the centres of texels of ``px``."""
+    at = (np.arange(SIDE_PX * SAMPLES) + 0.5) / SAMPLES
+    at = at if px == 1 else (np.floor(at / px) + 0.5) * px
+    x, y = np.meshgrid(at - right, at)
+    dark = np.logical_or.reduce([shape(x, y) for shape in shapes]) if shapes else np.zeros(x.shape, bool)
+    return dark.reshape(SIDE_PX, SAMPLES, SIDE_PX, SAMPLES).mean(axis=(1, 3))
+
+
+@cache
+def _truth() -> tuple[Truth, np.ndarray]:
+    """Truth, decidable where a pixel is of one class throughout, and the true shadow share of each pixel."""
+    cast, turned_away = _shares(*CAST.values()), _shares(SLOPE)
+    share = np.maximum(cast, turned_away)
+    there = np.ones(share.shape, bool)
+    return Truth(share < 0.5, turned_away >= 0.5, (share == 0.0) | (share == 1.0), there), share
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An algorithm's visibility (rows, cols), that of the next frame, where truth stays, and how many pixels its texels cover."""
+
+    visibility: np.ndarray
+    after: np.ndarray | None = field(default=None)
+    texel_px: float = 0.0
+
+
+def _drawn(*cast: Shape, right: float = 0.0, px: int = 1, turned_away: bool = True) -> np.ndarray:
+    """Visibility at the pixels' centres, 0 or 1."""
+    dark = _shares(*cast, right=right, px=px) >= 0.5
+    return 1.0 - (dark | (turned_away & (_shares(SLOPE) >= 0.5)))
+
+
+def _with_acne(seed: int) -> np.ndarray:
+    acne = np.random.default_rng(seed).random((SIDE_PX, SIDE_PX)) < 0.02
+    return np.where(acne, 0.0, _drawn(*CAST.values()))
+
+
+def _with(which: Shape, visibility: float) -> np.ndarray:
+    """A picture in which some place has another visibility."""
+    return np.where(_shares(which) >= 0.5, visibility, _drawn(*CAST.values()))
+
+
+def _without(*names: str) -> np.ndarray:
+    return _drawn(*(shape for name, shape in CAST.items() if name not in names))
+
+
+FAULTS: Mapping[str, Callable[[], Picture]] = {
+    "none": lambda: Picture(_drawn(*CAST.values())),
+    "acne: 2 % of the pixels dark, others in each frame": lambda: Picture(_with_acne(1), _with_acne(2)),
+    "peter-panning: a gap of 4 px at the house's foot": lambda: Picture(_with(_slanted(20.3, 30.2, 44.0, 4.0, 17.0), 1.0)),
+    "a thin caster lost: the pole": lambda: Picture(_without("pole")),
+    "a caster missing: the tree": lambda: Picture(_without("tree")),
+    "a shadow invented": lambda: Picture(_with(_disc(150.2, 110.6, 9.0), 0.0)),
+    "light leaks into the house's shadow": lambda: Picture(_with(_disc(52.3, 40.1, 7.0), 1.0)),
+    "shifted by 1 px": lambda: Picture(_drawn(*CAST.values(), right=1.0)),
+    "shifted by 6 px": lambda: Picture(_drawn(*CAST.values(), right=6.0)),
+    "shimmer: 1 px to and fro": lambda: Picture(_drawn(*CAST.values()), _drawn(*CAST.values(), right=1.0)),
+    "stairs of texels of 6 px": lambda: Picture(_drawn(*CAST.values(), px=6), texel_px=6.0),
+    "all cast shadow lost, texels of 2 px": lambda: Picture(_drawn(), texel_px=2.0),
+    "all cast shadow lost, texels of 40 px": lambda: Picture(_drawn(), texel_px=40.0),
+    "a penumbra 10 px wide": lambda: Picture(gaussian_filter(_drawn(*CAST.values()), 4.0)),
+    "a turned-away slope lit": lambda: Picture(_drawn(*CAST.values(), turned_away=False)),
+}
+"""What is drawn, by what is wrong with it."""
+
+
+@cache
+def figures(fault: str) -> dict[str, float]:
+    """What each metric says of the picture with a fault."""
+    truth, share = _truth()
+    picture = FAULTS[fault]()
+    errors = vars(errors_of(picture.visibility, truth, 1.0, picture.texel_px))
+    after = picture.visibility if picture.after is None else picture.after
+    others = {
+        "coverage": coverage_error(block_shares(1.0 - picture.visibility), block_shares(share)),
+        "flicker": flicker(picture.visibility < 0.5, after < 0.5, ~truth.lit, ~truth.lit, truth.decidable),
+        "soft_error": soft_error(picture.visibility, 1.0 - share),
+    }
+    return {name: float({**errors, **others}[name]) for name in METRICS}
+
+
+def table() -> str:
+    """Fault by metric in Markdown; what differs from a picture without a fault is bold."""
+    lines = ["| fault | " + " | ".join(f"`{name}`" for name in METRICS) + " |", "| --- |" + " ---: |" * len(METRICS)]
+    clean = figures("none")
+    for fault in FAULTS:
+        found = figures(fault)
+        words = [_words(name, found[name]) for name in METRICS]
+        plain = [_words(name, clean[name]) for name in METRICS]
+        cells = [word if word == usual else f"**{word}**" for word, usual in zip(words, plain, strict=True)]
+        lines.append(f"| {fault} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _words(name: str, value: float) -> str:
+    return f"{100.0 * value:.2f}" if name in PERCENT else f"{value:.0f}" if name == "interior_parts" else f"{value:.2f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--into", metavar="FILE", type=Path, help="put the table into a Markdown file, between its marks")
+    file = parser.parse_args().into
+    if file is None:
+        print(table())
+    else:
+        put_into(file, table())
+
+
+if __name__ == "__main__":
+    main()
