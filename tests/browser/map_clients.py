@@ -33,8 +33,8 @@ WINDOW_PX = 2 * TILE_PX
 MERCATOR_M = 6378137.0 * math.pi
 """Half of the way round the earth in Web Mercator."""
 
-TIMES = "2024-10-21T14:00:00Z", "2024-10-21T21:30:00Z"
-"""A morning and an evening, ten in the morning and half past five in Tennessee."""
+TIMES = "2024-10-21T14:05:00Z", "2024-10-21T21:35:00Z"
+"""A morning and an evening in Tennessee, of those times that the service tells of."""
 
 
 class MapClient(WatchedPage):
