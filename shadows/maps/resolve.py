@@ -151,7 +151,7 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
     if taps == "sun":
         return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
     if taps == "auto":
-        why = "by wrong_cast: 3 x 3 taps smooth the texel stairs along shadow edges"
+        why = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
         return 3, [Reasoned(name=f"{who}filter 3", reason=why)]
     return taps, []
 

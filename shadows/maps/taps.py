@@ -33,8 +33,8 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
         return 3, "it is not known how wide penumbrae are: 3 x 3 taps smooth the texel stairs along shadow edges"
     words = f"texels are finer than penumbrae in {100.0 * share:.0f} % of the cast shadow"
     if share >= 0.5:
-        return 3, f"by soft_error: {words}, so 3 x 3 taps come nearer to the sun's disc than one"
-    return 1, f"by soft_error: {words}, so one tap comes nearer to the sun's disc than 3 x 3, which only blur"
+        return 3, f"by soft error: {words}, so 3 x 3 taps come nearer to the sun's disc than one"
+    return 1, f"by soft error: {words}, so one tap comes nearer to the sun's disc than 3 x 3, which only blur"
 
 
 def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:

@@ -45,7 +45,7 @@ EDGE_M = FINE * DISC_WIDTH * THROWN_M
 @pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * EDGE_M, 3), (1.1 * EDGE_M, 1)])
 def test_taps_go_by_texels_and_penumbrae(texel_m, taps):
     found, why = sun_taps(seen(meshes=casting(THROWN_M, 0.5)), [cascade(texel_m)])
-    assert found == taps and why.startswith("by soft_error: texels are finer than penumbrae in ")
+    assert found == taps and why.startswith("by soft error: texels are finer than penumbrae in ")
 
 
 def test_each_cascade_counts_with_the_shadow_that_it_shows():
@@ -72,4 +72,4 @@ def test_bundled_levels_take_what_is_nearer_to_the_disc(level, view, map_size, t
     asked = {"algorithm": "shadow_map", "map_size": map_size}
     plan = make_plan(describe(scene, seen_from, view), scene.loaded.level, asked)
     assert {settings.filter for settings in plan.settings["sun"].values()} == {taps}
-    assert any(reason.name == f"filter {taps}" and "soft_error" in reason.reason for reason in plan.reasons)
+    assert any(reason.name == f"filter {taps}" and "soft error" in reason.reason for reason in plan.reasons)
