@@ -267,7 +267,7 @@ def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
         PerspectiveMapSettings(map_size=256, depth_bits=24, filter=1),
         None,
     )
-    assert whole.texel_px > perspective_shadow_map.COARSE_TEXEL_PX
+    assert whole.texel_px > perspective_shadow_map.MOST_TEXEL_PX
     assert max(each.texel_px for each in maps) < whole.texel_px
     seen, _ = fill(buffer, scene, "sun", map_size=1024)
     errors = errors_of(seen, truth_of(buffer, scene, casters_of(scene, buffer)), 1.0)
@@ -277,4 +277,4 @@ def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
 def test_a_usual_view_has_one_map(gl, tmp_path):
     scene = wide_view(tmp_path)
     (only,) = maps_of(scene, geometry_of(scene, scene.view("eye")), 1024)
-    assert only.texel_px <= perspective_shadow_map.COARSE_TEXEL_PX
+    assert only.texel_px <= perspective_shadow_map.MOST_TEXEL_PX
