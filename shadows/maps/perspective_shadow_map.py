@@ -61,7 +61,7 @@ TOLERANCE = 1.125
 ERROR = 2.0 * POSITION_ERROR
 """Bound of what float32 makes of positions, as a share of their coordinates."""
 
-COARSE_TEXEL_PX = 4.0
+MOST_TEXEL_PX = 4.0
 """How many pixels a texel may cover (root mean square) before what is seen gets several maps: some edges are off by over two pixels
 there (``docs/seeds.md``, figure 52).
 """
@@ -129,7 +129,7 @@ def perspective_maps(
 ) -> list[FittedMap]:
     """The maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
 
-    It is one, if its texels cover at most ``COARSE_TEXEL_PX``. Else what is seen is parted, at distances in a geometric series
+    It is one, if its texels cover at most ``MOST_TEXEL_PX``. Else what is seen is parted, at distances in a geometric series
     along the view's axis, into as few ranges as keep to that, or up to ``MOST_RANGES`` whose coarsest texels are smallest.
     """
     assert isinstance(buffer.view, PerspectiveView)
@@ -139,7 +139,7 @@ def perspective_maps(
     octaves = np.log2(ahead_m / ahead_m.min())
     for count in range(2, MOST_RANGES + 1):
         least_px = max(each.texel_px for each in best)
-        if least_px <= COARSE_TEXEL_PX or octaves.max() < count:
+        if least_px <= MOST_TEXEL_PX or octaves.max() < count:
             break
         number = np.full(receivers.shape, -1)
         number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)

@@ -53,7 +53,7 @@ class Errors:
         Share of D wrong and farther from truth's boundary than 2 px and two texel footprints; and the number of its
         connected parts of 8 px or more.
     interior_sees
-        Share of the true cast shadow that lies so far inside (``Sight.sees``): had all of it been lost, this much would show in
+        Share of the true cast shadow that lies so far inside (``SeenShadow``): had all of it been lost, this much would show in
         ``interior``. Coarse texels make it blind: then only ``wrong_cast`` tells.
     boundary
         Share of the surface that is not decidable.
@@ -77,7 +77,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Sight:
+class SeenShadow:
     """How much of a picture's cast shadow a figure can see, and how much of it is wrong wherever the figure looks.
 
     Attributes
@@ -106,15 +106,15 @@ class Sight:
         return self.wrong_px / self.either_px if self.either_px else 0.0
 
 
-def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> Sight:
+def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> SeenShadow:
     """What a figure that counts wrong pixels where ``looks_at`` says (rows, cols) sees of a class (rows, cols), True in shadow."""
     known, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
     dark, cast = dark & truth.there, known & true_dark
     counts = cast, cast & looks_at, known & (dark != true_dark), known & (dark | true_dark)
-    return Sight(*(int(np.count_nonzero(each)) for each in counts))
+    return SeenShadow(*(int(np.count_nonzero(each)) for each in counts))
 
 
-def edge_sight(dark: np.ndarray, truth: Truth) -> Sight:
+def edge_sight(dark: np.ndarray, truth: Truth) -> SeenShadow:
     """What distances between edges see: the boundary of those components of the cast shadow that the class meets at all."""
     known, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
     everywhere = sight_of(dark, truth, true_dark)
@@ -122,7 +122,7 @@ def edge_sight(dark: np.ndarray, truth: Truth) -> Sight:
     parts, _ = label(true_dark, structure=_SQUARE)
     met = np.unique(parts[true_dark & dark & truth.there])
     seen = edge & np.isin(parts, met[met > 0])
-    return Sight(int(edge.sum()), int(seen.sum()), everywhere.wrong_px, everywhere.either_px)
+    return SeenShadow(int(edge.sum()), int(seen.sum()), everywhere.wrong_px, everywhere.either_px)
 
 
 def far_inside(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:

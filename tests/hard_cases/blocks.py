@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 import trimesh
 
-from shadows.maps.perspective_shadow_map import COARSE_TEXEL_PX
-from shadows.truth.metrics import Sight, boundary, edge_distances, edge_sight, far_inside, sight_of
+from shadows.maps.perspective_shadow_map import MOST_TEXEL_PX
+from shadows.truth.metrics import SeenShadow, boundary, edge_distances, edge_sight, far_inside, sight_of
 from shadows.truth.truth import Truth, sub_views
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView, look_at
@@ -105,14 +105,14 @@ class OnGround:
     """Figures of ``shadows.truth.metrics`` on level ground, and what they see of its shadow.
 
     ``displaced`` is how many pixels are wrong, as a share of those over which the texels of a map displace the shadow's edges: by a
-    quarter of a texel's side in the mean, times the edges' length. Texels of over ``COARSE_TEXEL_PX`` excuse no more than such.
+    quarter of a texel's side in the mean, times the edges' length. Texels of over ``MOST_TEXEL_PX`` excuse no more than such.
     """
 
     interior: float
     edge_p95_px: float
     displaced: float
-    interior_sight: Sight
-    edge_sight: Sight
+    interior_sight: SeenShadow
+    edge_sight: SeenShadow
 
 
 def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]) -> OnGround:
@@ -130,7 +130,7 @@ def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]
     outline = shapely.union_all(hulls).boundary
     asked[asked] = shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m
     edges_px = edge_distances(dark, true_dark, truth.there)
-    displaced_px = 0.25 * np.minimum(texels_px, COARSE_TEXEL_PX)[boundary(true_dark, truth.there)].sum()
+    displaced_px = 0.25 * np.minimum(texels_px, MOST_TEXEL_PX)[boundary(true_dark, truth.there)].sum()
     return OnGround(
         interior=np.count_nonzero(wrong & asked) / max(np.count_nonzero(truth.decidable), 1),
         edge_p95_px=float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from shadows.truth.metrics import Errors, Sight, errors_of, far_inside, sight_of
+from shadows.truth.metrics import Errors, SeenShadow, errors_of, far_inside, sight_of
 from shadows.truth.truth import Truth
 from terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.cases import Seen
@@ -59,13 +59,13 @@ def errors(seen: Seen, truth: Truth | None = None) -> Errors:
     return errors_of(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
 
 
-def interior_sight(seen: Seen, truth: Truth | None = None) -> Sight:
+def interior_sight(seen: Seen, truth: Truth | None = None) -> SeenShadow:
     """What the interior of these errors sees of the cast shadow."""
     truth = _held(seen, truth)
     return sight_of(seen.dark, truth, far_inside(truth, seen.texels_px))
 
 
-def whole_sight(seen: Seen, truth: Truth | None = None) -> Sight:
+def whole_sight(seen: Seen, truth: Truth | None = None) -> SeenShadow:
     """What a figure sees that counts every decidable pixel."""
     truth = _held(seen, truth)
     return sight_of(seen.dark, truth, truth.decidable)

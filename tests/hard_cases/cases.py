@@ -26,7 +26,7 @@ from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
-from shadows.truth.metrics import LEAST_SIGHT, Errors, Sight, errors_of, far_inside, sight_of
+from shadows.truth.metrics import LEAST_SIGHT, Errors, SeenShadow, errors_of, far_inside, sight_of
 from shadows.truth.truth import Truth, truth_of
 from shadows.visibility import fill_steps
 from terrain.casters.reach import Casters, casters_of
@@ -101,7 +101,7 @@ class Seen:
         return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
 
     @cached_property
-    def interior_sight(self) -> Sight:
+    def interior_sight(self) -> SeenShadow:
         """What ``errors.interior`` sees of the cast shadow."""
         return sight_of(self.dark, self.truth, far_inside(self.truth, self.texels_px))
 
@@ -113,9 +113,9 @@ class Trial:
     algorithm: str
     thorough: bool
     folder: Path
-    sights: dict[str, list[Sight]] = field(default_factory=dict)
+    sights: dict[str, list[SeenShadow]] = field(default_factory=dict)
 
-    def saw(self, figure: str, *sights: Sight) -> None:
+    def saw(self, figure: str, *sights: SeenShadow) -> None:
         """Put on record what a figure could see of the cast shadow in some pictures."""
         self.sights.setdefault(figure, []).extend(sights)
 
@@ -206,10 +206,10 @@ class Case:
         return {**record, "figures": figures, "sights": {name: told(trial.sights[name]) for name in figures if name in judged}}
 
 
-def told(sights: list[Sight]) -> dict[str, float]:
+def told(sights: list[SeenShadow]) -> dict[str, float]:
     """``wrong_cast`` of the worst picture and ``sees`` of all; of all together, if none has much. Nothing where none has any."""
     counts = zip(*((each.cast_px, each.seen_px, each.wrong_px, each.either_px) for each in sights), strict=True)
-    together = Sight(*(sum(each) for each in counts)) if sights else Sight(0, 0, 0, 0)
+    together = SeenShadow(*(sum(each) for each in counts)) if sights else SeenShadow(0, 0, 0, 0)
     large = [each for each in sights if each.cast_px >= COUNTED_PX] or [together]
     return {"wrong_cast": max(each.wrong_cast for each in large), "sees": together.sees} if together.cast_px else {}
 

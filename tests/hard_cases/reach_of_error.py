@@ -19,7 +19,7 @@ from shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import DISC_TAPS
 from shadows.maps.windows import sun_maps
 from shadows.plan import Step
-from shadows.truth.metrics import Sight, sight_of
+from shadows.truth.metrics import SeenShadow, sight_of
 from shadows.truth.truth import ALL_KINDS, ray_scene
 from shadows.visibility import receivers_of
 from terrain.casters.casting import caster_trees
@@ -66,7 +66,7 @@ def beyond(seen: Seen) -> np.ndarray:
     return wrong
 
 
-def beyond_sight(seen: Seen) -> Sight:
+def beyond_sight(seen: Seen) -> SeenShadow:
     """What ``beyond`` sees of the cast shadow: of how many of its pixels, were they lit, nothing within the reach would explain it.
 
     By a sample of the pixels, counted for all of them.

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from shadows.truth.metrics import Sight
+from shadows.truth.metrics import SeenShadow
 from tests.hard_cases.cases import Case, Trial, short_as_known, told, untested
 from tests.hard_cases.table import rows
 
@@ -27,13 +27,15 @@ def test_a_shortfall_that_grows_or_is_new_fails(figures, excused):
 
 
 def test_sight_is_that_of_all_pictures_and_wrong_is_the_worst():
-    found = told([Sight(1000, 900, 10, 1000), Sight(200, 0, 50, 250), Sight(10, 0, 10, 10)])
+    found = told([SeenShadow(1000, 900, 10, 1000), SeenShadow(200, 0, 50, 250), SeenShadow(10, 0, 10, 10)])
     assert found == {"wrong_cast": 0.2, "sees": 900 / 1210}
-    assert told([Sight(10, 5, 10, 20), Sight(30, 0, 0, 30)]) == {"wrong_cast": 0.2, "sees": 0.125}, "little in each: all together"
-    assert told([]) == told([Sight(0, 0, 3, 3)]) == {}
+    assert told([SeenShadow(10, 5, 10, 20), SeenShadow(30, 0, 0, 30)]) == {"wrong_cast": 0.2, "sees": 0.125}, (
+        "little in each: all together"
+    )
+    assert told([]) == told([SeenShadow(0, 0, 3, 3)]) == {}
 
 
-def record_of(folder: Any, sight: Sight, figure: str = "interior") -> dict[str, Any]:
+def record_of(folder: Any, sight: SeenShadow, figure: str = "interior") -> dict[str, Any]:
     def measure(trial: Trial) -> dict[str, float]:
         trial.saw(figure, sight)
         return {"interior": 0.0, "gap_texels": 0.0}
@@ -42,7 +44,7 @@ def record_of(folder: Any, sight: Sight, figure: str = "interior") -> dict[str, 
 
 
 def test_a_figure_that_sees_no_shadow_is_marked_in_the_table(tmp_path):
-    blind, seeing = record_of(tmp_path, Sight(1000, 199, 990, 1000)), record_of(tmp_path, Sight(1000, 200, 3, 1000))
+    blind, seeing = record_of(tmp_path, SeenShadow(1000, 199, 990, 1000)), record_of(tmp_path, SeenShadow(1000, 200, 3, 1000))
     assert untested(blind) == ["interior"] and not untested(seeing)
     cells = [[each["shadow_map"] for _, _, each in rows([record])] for record in (blind, seeing)]
     assert cells == [["0 (not tested: 99, 20)", "0"], ["0 (0.3, 20)", "0"]]
@@ -50,4 +52,4 @@ def test_a_figure_that_sees_no_shadow_is_marked_in_the_table(tmp_path):
 
 def test_who_judges_shadow_says_what_it_sees(tmp_path):
     with pytest.raises(AssertionError, match="interior.*judge the shadow"):
-        record_of(tmp_path, Sight(1, 1, 0, 1), figure="another")
+        record_of(tmp_path, SeenShadow(1, 1, 0, 1), figure="another")

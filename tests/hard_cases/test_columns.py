@@ -11,7 +11,7 @@ import rasterio
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
-from shadows.truth.metrics import Sight
+from shadows.truth.metrics import SeenShadow
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
@@ -112,7 +112,7 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
             ground = ~roof & ~touched
             off, cast = int((dark != expected)[ground].sum()), int(expected[ground].sum())
             wrong += off
-            trial.saw("wrong cells on the ground", Sight(cast, cast, off, int((dark | expected)[ground].sum())))
+            trial.saw("wrong cells on the ground", SeenShadow(cast, cast, off, int((dark | expected)[ground].sum())))
     return {"dark roof cells": dark_roof, "wrong cells on the ground": wrong}
 
 

@@ -9,7 +9,7 @@ from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from shadows.attached import attached
-from shadows.truth.metrics import Sight
+from shadows.truth.metrics import SeenShadow
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
@@ -121,7 +121,7 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
         expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
         off = abs(int(dark.sum()) - expected)
         wrong = max(wrong, off / expected)
-        trial.saw("wrong nodes on the ground", Sight(expected, expected, off, max(expected, int(dark.sum()))))
+        trial.saw("wrong nodes on the ground", SeenShadow(expected, expected, off, max(expected, int(dark.sum()))))
     return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
 
 
